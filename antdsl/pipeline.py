@@ -5,7 +5,7 @@ Every stage gives `(result, Report)`; a result is None where its errors leave no
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from antdsl.loading import CheckedOnce, Loaded, Parsed
 from antdsl.numerics.float_environment import standard
 
 if TYPE_CHECKING:
+    from antdsl.bodies.agents.definition import Definition
     from antdsl.plan.ir import Plan
     from antdsl.program.expectations import Changed
     from antdsl.program.memo import Memo
@@ -42,7 +43,7 @@ class Choices:
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
     """A scene that is ready to be simulated. `inputs` has a hash for all that the result depends on, by name; `loaded` are the
-    texts that the program was made of."""
+    texts that the program was made of. `bodies`: by species, those that come from files."""
 
     scene: Scene
     program: Program
@@ -50,6 +51,7 @@ class Shot:
     setting: Setting
     inputs: Mapping[str, str]
     loaded: Loaded
+    bodies: Mapping[str, Definition] = field(default_factory=dict)
 
     @property
     def frames(self) -> FrameRange:
@@ -99,6 +101,7 @@ def open_scene(
     `thorough` as in `passes.optimise`; `raw`: the plan as lowered, before any pass."""
     path = Path(path)
     from antdsl import passes, plan
+    from antdsl.bodies.crowd_bodies import crowd_bodies
     from antdsl.scene.adjusting import with_fields
     from antdsl.scene.matching import layer_order
     from antdsl.scene.overriding import overrides, with_changed_fields, with_changed_params
@@ -120,12 +123,17 @@ def open_scene(
     report.extend(findings)
     if setting is None or not report.ok:
         return None, report
+    bodies, findings = crowd_bodies(scene, program)
+    report.extend(findings)
+    if not report.ok:
+        return None, report
     setting = with_changed_params(setting, scene, program, choices.changes)
-    inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes}
+    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms)
+    inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
     made = lowered if raw else passes.optimise(lowered, thorough=thorough)
-    return Shot(scene, program, made, setting, inputs, loaded), report
+    return Shot(scene, program, made, setting, inputs, loaded, bodies.definitions), report
 
 
 def _read_scene(
@@ -208,8 +216,10 @@ def check_path(
     scene, program, _, report = _read_scene(path, choices, strict, parsed)
     report.extend(spec_scenes(program, choices.grants) if specs else ())
     if scene is not None and program is not None and report.ok and scene.model.world:
+        from antdsl.bodies.crowd_bodies import crowd_bodies
         from antdsl.scene.overriding import overrides
         from antdsl.scene.staging.stage_scene import stage
 
         report.extend(stage(scene, program, overrides(scene, program, choices.params, Report()))[1])
+        report.extend(crowd_bodies(scene, program)[1])
     return program, report

@@ -10,10 +10,14 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
 from antdsl.bodies.placed import shape_of
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
+from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
 from antdsl.outputs.cutting import Cut
@@ -56,6 +60,7 @@ class Gallery:
             Arrows(name, place, way, _ARROWS[number % len(_ARROWS)])
             for number, (name, (place, way)) in enumerate(drawn(self.static).items())
         )
+        self._worn: dict[int, PosedBody] = {}
         self._walked: dict[str, tuple[int, NDArray[np.int64], NDArray[np.float64]]] = {}
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
@@ -155,6 +160,7 @@ class Gallery:
                 ids=ids[rows],
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )
+            crowd = self._dressed(crowd, number, arrays)
             made += [self._with_lines(part, species, number, frame) for part in _parted(crowd, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
@@ -163,6 +169,20 @@ class Gallery:
                     for state, n in zip(species.machines[0].states, counts, strict=False)
                 ]
         return tuple(made), tuple(legend)
+
+    def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> Crowd:
+        """The crowd in a body of its own, where its species has one, posed by what the frame says that each plays."""
+        species = self.manifest.species[number]
+        plays = machines_of(species, arrays, len(crowd.position))
+        if species.definition is None or plays is None:
+            return crowd
+        if number not in self._worn:
+            try:
+                found = definition_of(self.manifest, self.static, species.definition)
+            except BodyError as why:
+                raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
+            self._worn[number] = PosedBody(found, tuple((clip.name, clip.on) for clip in species.clips))
+        return replace(crowd, worn=self._worn[number], plays=plays)
 
     def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """The crowd with its paths and the rays of its feelers, where they are to be seen."""
@@ -260,6 +280,7 @@ def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
                 scale=crowd.scale[rows],
                 colour=crowd.colour[rows],
                 walked=None if crowd.walked is None else crowd.walked[rows],
+                plays=tuple(each.rows(rows) for each in crowd.plays),
                 ids=crowd.ids[rows] if named else None,
                 velocity=crowd.velocity[rows] if named and crowd.velocity is not None else None,
             )

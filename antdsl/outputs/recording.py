@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
+from antdsl.outputs.cache.body_arrays import KeptBodies
 from antdsl.outputs.cache.cache_reader import Cache, CacheError, checkpoint_path
 from antdsl.outputs.cache.cache_writer import CacheWriter, Whole, prepare_folder, read_checkpoint, whole_part
 from antdsl.outputs.cache.frames import FrameMaker, describe, static_arrays
@@ -154,6 +155,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
     maker = FrameMaker(world, shot.program, model.output.attributes, pieces)
+    kept = KeptBodies.of(shot.bodies, {line.species: line.body for line in model.crowd if line.body is not None})
     manifest = describe(
         world,
         shot.setting,
@@ -169,13 +171,16 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         checkpoint=model.output.checkpoint,
         attributes=maker.attributes,
         bodies={line.species: line.body for line in model.crowd if line.body is not None},
+        definitions=kept.entries,
+        worn=kept.worn,
         feelers={
             name: feelers_of(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
         },
         camera=_camera(shot),
     )
     with CacheWriter(recording.folder, manifest, recording.written) as writer:
-        writer.begin(world, recording.static, maker, recording.resumed_from, recording.damaged, recording.surface_error)
+        static = {**recording.static, **kept.arrays}
+        writer.begin(world, static, maker, recording.resumed_from, recording.damaged, recording.surface_error)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
                 if recording.stop:

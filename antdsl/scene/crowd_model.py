@@ -10,9 +10,23 @@ from antdsl import limits
 from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene.parts import Part, PointOrName
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.values import FilePath, Name, PositiveLength, PositiveSpeed, Word, number, one_of, positive, whole, word_or
+from antdsl.scene.values import (
+    FilePath,
+    Name,
+    PositiveLength,
+    PositiveSpeed,
+    Word,
+    number,
+    one_of,
+    positive,
+    whole,
+    word_or,
+    word_or_file,
+)
 
-Body = Annotated[str, BeforeValidator(one_of("ant", "person", "arrow", "ball"))]
+BODY_WORDS = ("ant", "person", "arrow", "ball")
+BODY_FILES = ("json", "glb", "gltf", "usd", "usda", "usdc", "usdz")
+Body = Annotated[str, BeforeValidator(word_or_file(BODY_WORDS, BODY_FILES, "a body"))]
 Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
 By = Annotated[str, BeforeValidator(one_of("above", "area"))]
@@ -60,7 +74,8 @@ class Walk(Part):
 
 
 class CrowdLine(Part):
-    """Agents of one species. `body` is what pictures draw; by itself it goes by the species' name."""
+    """Agents of one species. `body` is what pictures draw, a word or a file of an agent definition; by itself it goes by the
+    species' name."""
 
     species: Name
     source: FilePath = Field(alias="from")

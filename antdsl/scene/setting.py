@@ -171,6 +171,17 @@ class ClipData:
     marks: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class RoomData:
+    """The room that a body takes, in its lengths: a capsule `length` long and `width` wide along the heading, whose middle is
+    `height` above the feet and `ahead` of them."""
+
+    length: float
+    width: float
+    height: float
+    ahead: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldStart:
     """A field's value at the first frame: everywhere, or only within `radius` mm of `around`."""
@@ -210,7 +221,7 @@ class Setting:
     `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
     ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
     the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
-    keep apart. `clips`: of the body of each species, by name."""
+    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -236,6 +247,7 @@ class Setting:
     detail: DetailData | None = None
     deviations: Mapping[str, float] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
+    rooms: Mapping[str, RoomData] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:

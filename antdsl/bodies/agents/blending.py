@@ -12,6 +12,9 @@ layers in the order of theirs. The one layer that is no input of another, with p
 - `ADDITIVE`: the first input whole, whatever its weight, and of each other one as much as its weight times its group's weight
   says, not normalised: of its translation less that of the rest pose, of its rotation as seen from the rest pose, and of its
   channels less their defaults; scales and shears are the first's.
+- `OVER`: each input lies over those before it, and at each joint takes the place of them by as much as its weight times its
+  group's weight says, at most whole; below the first lies the rest pose. It is none of the document's: what the state machines of
+  an agent play lies over each other so, a wave of the arms over a walk, and a layer that gives way shows what is below.
 
 What others add is measured from the rest pose since a joint that a clip does not have stands there, and then adds nothing; and
 since any clip can be added so, without one being made of differences beforehand. The added rotation stands on the side of the
@@ -33,7 +36,7 @@ from antdsl.bodies.agents.poses import Pose, Poses, rest_pose, sampled, transfor
 from antdsl.numerics import compiled
 from antdsl.numerics.float_environment import standard
 
-INTERPOLATE, ADDITIVE = 0, 1
+INTERPOLATE, ADDITIVE, OVER = 0, 1, 2
 NO_PARENT = -1
 _PART = 1 << 14  # joints worked on at once: their components stay in the cache of a core
 _ONE = np.float32(1)
@@ -55,8 +58,8 @@ class ClipTree:
         count = len(self.modes)
         if len(self.groups) != len(self.layers) or len(self.parents) != count:
             raise ValueError("each clip has a layer and a transform group, and each layer a mode and a parent")
-        if any(mode not in (INTERPOLATE, ADDITIVE) for mode in self.modes):
-            raise ValueError(f"the mode of a layer is {INTERPOLATE} (interpolate) or {ADDITIVE} (additive)")
+        if any(mode not in (INTERPOLATE, ADDITIVE, OVER) for mode in self.modes):
+            raise ValueError(f"the mode of a layer is {INTERPOLATE} (interpolate), {ADDITIVE} (additive) or {OVER} (over)")
         if any(not 0 <= layer < count for layer in self.layers):
             raise ValueError(f"a clip is an input of no layer: they are numbered from 0 to {count - 1}")
         if any(not NO_PARENT <= parent < count for parent in self.parents):
@@ -187,7 +190,7 @@ def blended(
         if not inputs:
             nothing = np.zeros(n, np.float32)
             return _Input(rest, layer_weights[layer], nothing, nothing)
-        found = _added(inputs, rest) if tree.modes[layer] == ADDITIVE else _mean(inputs, rest)
+        found = _BY_MODE[tree.modes[layer]](inputs, rest)
         found.weight = layer_weights[layer]
         return found
 
@@ -295,3 +298,30 @@ def _added(inputs: list[_Input], rest: Pose) -> _Input:
         joints = np.maximum(joints, np.minimum(share, _ONE))
         channels = np.maximum(channels, np.minimum(channel_share, _ONE))
     return _Input(pose, first.weight, joints, channels)
+
+
+def _over(inputs: list[_Input], rest: Pose) -> _Input:
+    """Each input over those before it, and the first over the rest pose."""
+    parts = (rest.translation, rest.rotation, rest.scale, rest.shear, rest.channels)
+    pose = Pose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
+    joints, channels = np.float32(0), np.float32(0)
+    for each in inputs:
+        share = np.minimum(each.weight * each.joints, _ONE)
+        channel_share = np.minimum(each.weight * each.channels, _ONE)
+        for into, more in (
+            (pose.translation, each.pose.translation),
+            (pose.scale, each.pose.scale),
+            (pose.shear, each.pose.shear),
+        ):
+            if into is not None and more is not None:
+                into += (more - into) * share
+        pose.channels += (each.pose.channels - pose.channels) * channel_share
+        part = np.empty_like(pose.rotation)
+        pose.rotation *= _ONE - share
+        _join(pose.rotation, each.pose.rotation, share, part)
+        normalised(pose.rotation)
+        joints, channels = joints + share - joints * share, channels + channel_share - channels * channel_share
+    return _Input(pose, inputs[0].weight, joints, channels)  # type: ignore[arg-type]
+
+
+_BY_MODE = {INTERPOLATE: _mean, ADDITIVE: _added, OVER: _over}

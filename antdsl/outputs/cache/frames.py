@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
+from antdsl.outputs.cache.clip_arrays import clips_playing, playing
 from antdsl.outputs.cache.manifest import (
+    BodyEntry,
     CameraEntry,
+    ClipEntry,
     FeelersEntry,
     FieldEntry,
     ItemsEntry,
@@ -62,6 +65,7 @@ class FrameMaker:
             parts = [self._attribute(world, attribute, number, name, rows[name]) for number, name in enumerate(rows)]
             arrays[attribute] = np.concatenate(parts)
         for name in rows:
+            arrays |= clips_playing(world.populations[name], rows[name])
             arrays |= self._pairs(world.populations[name], rows[name])
         for name, field in world.fields.items():
             values = np.asarray(field.values)
@@ -202,6 +206,8 @@ def describe(
     checkpoint: int,
     attributes: tuple[str, ...],
     bodies: Mapping[str, str],
+    definitions: tuple[BodyEntry, ...],
+    worn: Mapping[str, int],
     feelers: Mapping[str, tuple[FeelersEntry, ...]],
     camera: CameraEntry | Literal["fit"] | None,
 ) -> Manifest:
@@ -223,8 +229,10 @@ def describe(
         checkpoint=checkpoint,
         attributes=attributes,
         species=tuple(
-            _species(world.populations[name], bodies.get(name), feelers.get(name, ())) for name in sorted(world.populations)
+            _species(world.populations[name], bodies.get(name), worn.get(name), feelers.get(name, ()))
+            for name in sorted(world.populations)
         ),
+        bodies=definitions,
         meshes=(
             *(_surface(setting, name) for name in setting.surfaces),
             *(MeshEntry(name=name, kind="obstacle", moves=name in setting.moves.meshes) for name in setting.obstacles),
@@ -252,7 +260,7 @@ def _surface(setting: Setting, name: str) -> MeshEntry:
     return MeshEntry(name=name, kind="surface", moves=name in setting.moves.meshes, deviation=deviation)
 
 
-def _species(population: Population, body: str | None, feelers: tuple[FeelersEntry, ...]) -> SpeciesEntry:
+def _species(population: Population, body: str | None, definition: int | None, feelers: tuple[FeelersEntry, ...]) -> SpeciesEntry:
     machines = tuple(
         MachineEntry(
             name=machine.name,
@@ -263,7 +271,15 @@ def _species(population: Population, body: str | None, feelers: tuple[FeelersEnt
         )
         for machine in population.plan.machines
     )
-    return SpeciesEntry(name=population.name, body=body, feelers=feelers, machines=machines)
+    return SpeciesEntry(
+        name=population.name,
+        body=body,
+        definition=definition,
+        clips=tuple(ClipEntry(name=clip.name, on=clip.on) for clip in population.plan.clips),
+        playing=tuple(playing(population)),
+        feelers=feelers,
+        machines=machines,
+    )
 
 
 def _colours(population: Population) -> NDArray[np.float32]:

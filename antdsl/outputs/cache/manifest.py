@@ -50,11 +50,30 @@ class FeelersEntry(Part):
     per_length: float
 
 
+class BodyEntry(Part):
+    """An agent definition that `static.npz` has as the arrays `body.N.text`, `.f4`, `.f8`, `.i4` and `.i8`, N being its place in
+    the list: the file it was read from, and a hash of its content."""
+
+    name: Word
+    digest: Word
+
+
+class ClipEntry(Part):
+    """A clip that states play, on the joints of a transform group (empty: all)."""
+
+    name: Word
+    on: Word = ""
+
+
 class SpeciesEntry(Part):
-    """`body`: what pictures draw for it; None goes by its name."""
+    """`body`: what pictures draw for it; None goes by its name. `definition`: its place among the manifest's bodies. `clips`:
+    what its states play, which frames count; `playing`: the machines that do."""
 
     name: Word
     body: Word | None = None
+    definition: Annotated[int, Field(ge=0, lt=limits.BODY_PARTS)] | None = None
+    clips: tuple[ClipEntry, ...] = ()
+    playing: tuple[Word, ...] = ()
     feelers: tuple[FeelersEntry, ...] = ()
     machines: tuple[MachineEntry, ...]
 
@@ -120,6 +139,7 @@ class Manifest(Part):
     checkpoint: Annotated[int, Field(ge=1)]
     attributes: tuple[Word, ...]
     species: tuple[SpeciesEntry, ...]
+    bodies: tuple[BodyEntry, ...] = ()
     meshes: tuple[MeshEntry, ...]
     fields: tuple[FieldEntry, ...]
     items: tuple[ItemsEntry, ...]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import Body, orientation, rotation, vertex_normals
 from antdsl.bodies.catalogue import body
 from antdsl.bodies.placed import placed
+from antdsl.bodies.posed_body import PosedBody
 from antdsl.casting.rays import RayScene
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 CLOSE = 28.0  # pixels of body length from which the close-up body is worth its triangles
 MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
 MOST_ENLARGED = 3.0
+MOST_TRIANGLES = 20_000_000  # of bodies of a species' own that are drawn so, the nearest first; others in a plain one
 _DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
 
 
@@ -89,11 +91,33 @@ def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
     large = np.flatnonzero(seen & (pixels >= CLOSE))
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:MOST_CLOSE]])
     far = np.setdiff1d(np.flatnonzero(seen), close)
+    sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), MOST_ENLARGED * scale)
+    if crowd.worn is not None:
+        nearest = np.flatnonzero(seen)[np.argsort(near[seen], kind="stable")]
+        most = max(1, MOST_TRIANGLES // max(1, len(crowd.worn.faces)))
+        worn, far = np.sort(nearest[:most]), np.sort(nearest[most:])
+        plain = _posed(crowd, body(crowd.body, False), far, sizes[far], np.zeros(len(far)))
+        return [mesh for mesh in (*_worn(crowd, crowd.worn, worn, sizes), plain) if len(mesh.vertices)]
     made = [_posed(crowd, body(crowd.body, True), close, scale[close], np.zeros(len(close)))]
-    shown = np.minimum(np.maximum(scale, least * view.pixel_at(near)), MOST_ENLARGED * scale)[far]
     # Of a body a few pixels long the dark legs would hide the state's colour.
-    made.append(_posed(crowd, body(crowd.body, False), far, shown, np.clip(1 - pixels[far] / CLOSE, 0.0, 1.0) ** 2))
+    made.append(_posed(crowd, body(crowd.body, False), far, sizes[far], np.clip(1 - pixels[far] / CLOSE, 0.0, 1.0) ** 2))
     return [mesh for mesh in made if len(mesh.vertices)]
+
+
+def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> list[Mesh]:
+    """The bodies of some agents, each posed by what it plays, `size` (n,) long for all agents of the crowd."""
+    local, normal = body.posed([each.rows(rows) for each in crowd.plays], len(rows))
+    across = np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
+    local = np.matmul(local * size[rows].astype(np.float32)[:, None, None], across)
+    vertices = local.astype(np.float64) + np.asarray(crowd.position, np.float64)[rows, None, :]
+    bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
+    tint = body.tint[None, :, None]
+    colour = bright * tint + body.own[None] * (1 - tint)
+    count = len(body.tint)
+    faces = (body.faces[None] + (np.arange(len(rows), dtype=np.int32) * count)[:, None, None]).reshape(-1, 3)
+    gloss = np.full(len(rows) * count, 0.35, np.float32)
+    normal = np.matmul(normal, across)
+    return [Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3), colour.reshape(-1, 3), gloss)]
 
 
 def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:

@@ -6,6 +6,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.posed_body import PosedBody
+
 Array = NDArray[np.float64]
 Kind = Literal["ground", "stone", "boulder", "hill"]  # a ground that is no floor is drawn as a figure of clay
 Shape = Literal["apple", "ring", "mound", "sphere", "none"]
@@ -39,7 +42,9 @@ class Crowd:
     `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1, `walked` (n,) distance in world units,
     which drives the legs.
 
-    `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to be shown."""
+    `worn` is a body posed by the clips that agents play, and `plays` what each machine of theirs plays; without it `body` says
+    what is drawn. `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to
+    be shown."""
 
     species: str
     position: Array
@@ -52,6 +57,8 @@ class Crowd:
     velocity: Array | None = None
     feelers: Array | None = None
     paths: Paths | None = None
+    worn: PosedBody | None = None
+    plays: tuple[MachineClips, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

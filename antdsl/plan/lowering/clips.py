@@ -5,8 +5,8 @@ with other clips of the same names, faster or slower ones, takes over where the 
 the ground that the agent covers, so that feet do not slide; others by the clock.
 
 Of each machine that plays: `clip`, the number of the clip in `SpeciesPlan.clips` (-1 for none), `clip_turns` and, before the last
-step, `clip_last`, `clip_weight`; the clip before with its turns, `clip_before` and `clip_before_turns`; `clip_fade`, the share
-that it still has, and `clip_over`, the time in which that goes from 1 to 0."""
+step, `clip_last`, `clip_weight`; the clip before with its turns and weight, `clip_before`, `clip_before_turns` and
+`clip_before_weight`; `clip_fade`, the share that it still has, and `clip_over`, the time in which that goes from 1 to 0."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def declare(w: Writer, machine: model.Machine) -> None:
     name = machine.name
     for part in ("clip", "clip_before"):
         w.declare(f"{name}.{part}", Kind.I32, "memory", NONE)
-    for part in ("clip_turns", "clip_last", "clip_weight", "clip_before_turns", "clip_fade"):
+    for part in ("clip_turns", "clip_last", "clip_weight", "clip_before_turns", "clip_before_weight", "clip_fade"):
         w.declare(f"{name}.{part}", Kind.F32, "memory")
     w.declare(f"{name}.clip_over", Kind.F32, "memory", OVER)
 
@@ -104,6 +104,7 @@ def _become(w: Writer, machine: str, clip: Node, step: Node, span: Span | None) 
         start = b("where", both, b("add", part, step), b("where", b("and", first, _loops(w, clip)), draw, b.number(0)))
         w.store(f"{machine}.clip_before", before, span)
         w.store(f"{machine}.clip_before_turns", turns, span)
+        w.store(f"{machine}.clip_before_weight", w.read(f"{machine}.clip_weight"), span)
         w.store(f"{machine}.clip_fade", b("where", b("and", first, some), b.number(0), b.number(1)), span)
         w.store(f"{machine}.clip_last", start, span)
         w.store(f"{machine}.clip", clip, span)

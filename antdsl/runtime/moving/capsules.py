@@ -31,7 +31,11 @@ _SPECIES = 1 << 40  # more than there are ids of a species
 
 
 def capsule_of(world: World, species: str) -> Capsule:
-    """The room that a body of a species takes: of the first line of the crowd that names one, else of what suits its name."""
+    """The room that a body of a species takes: of its own file, else of the first line of the crowd that names one, else of what
+    suits its name."""
+    own = world.setting.rooms.get(species)
+    if own is not None:
+        return Capsule(own.length, own.width, own.height, own.ahead)
     named = (crowd.body for crowd in world.setting.crowds if crowd.species == species and crowd.body)
     return CAPSULES[next(named, body_of(species))]
 

@@ -18,6 +18,7 @@ from antdsl.diagnostics import Label, Report
 from antdsl.program.model import Const, Expr, Op, ParamRef, Program
 from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
+from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.closed import check_closed, check_sides
 from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
@@ -121,7 +122,7 @@ def stage(
             place(staging, places, line.place, "crowd", number, "place"),
             number,
             walk(scene, line.walk),
-            line.body or "",
+            line.body if line.body in BODY_WORDS else "",
         )
         for number, line in enumerate(model.crowd)
     )

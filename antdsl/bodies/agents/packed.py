@@ -1,0 +1,251 @@
+"""An agent definition as a few plain arrays, and back: how a cache keeps one.
+
+`text` uint8: a JSON document of all names, numbers of numbers and bindings; an array of the definition is `[kind, first, shape]`
+there, and lies in `f4`, `f8`, `i4` or `i8`, one after the other. Metadata is left out: nothing draws it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition_checks import whole
+from antdsl.bodies.agents.definition_document import Parts
+from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
+from antdsl.bodies.agents.problems import BodyError
+from antdsl.bodies.agents.rig import Channel, Rig
+from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
+from antdsl.diagnostics import Report
+
+KINDS = ("f4", "f8", "i4", "i8")
+PARTS = ("text", *KINDS)
+Arrays = dict[str, NDArray[Any]]
+
+
+def packed(body: Definition) -> Arrays:
+    """The arrays `PARTS` of a definition; the same definition gives the same bytes."""
+    flat: dict[str, list[NDArray[Any]]] = {kind: [] for kind in KINDS}
+    used = dict.fromkeys(KINDS, 0)
+
+    def put(array: NDArray[Any] | None) -> list[Any] | None:
+        if array is None:
+            return None
+        kind = f"{array.dtype.kind}{array.dtype.itemsize}"
+        flat[kind].append(np.ascontiguousarray(array).reshape(-1))
+        first, used[kind] = used[kind], used[kind] + array.size
+        return [kind, first, list(array.shape)]
+
+    def shape(each: Shape) -> dict[str, Any]:
+        capture, blend, between = each.capture, each.blend, each.between
+        return {
+            "name": each.name, "points": put(each.points), "faces": put(each.faces), "normals": put(each.normals),
+            "uvs": put(each.uvs), "materials": each.materials, "material": put(each.material),
+            "attributes": {name: put(values) for name, values in each.attributes.items()},
+            "capture": capture and [capture.names, put(capture.joints), put(capture.weights), put(capture.inverse)],
+            "blend": blend and [blend.shapes, blend.channels, blend.attributes, blend.point_id, blend.primitive_id],
+            "between": between and [between.shapes, between.weights],
+            "dual_quaternion_blend": each.dual_quaternion_blend,
+        }  # fmt: skip
+
+    def clip(each: Clip) -> dict[str, Any]:
+        arrays = (each.translation, each.rotation, each.scale, each.shear, each.values)
+        return {
+            "name": each.name, "rate": each.rate, "joints": each.joints, "channels": each.channels, "loop": each.loop,
+            "stride": each.stride, "marks": dict(each.marks), "arrays": [put(array) for array in arrays],
+        }  # fmt: skip
+
+    def binding(each: Binding) -> list[Any]:
+        return [each.transform, each.shape, each.bounds_scale, each.deformer]
+
+    rig = body.rig
+    document = {
+        "body": 1, "name": body.name, "front": body.front, "up": body.up, "length": body.length, "unit": body.unit,
+        "materials": dict(body.materials),
+        "rig": [rig.names, put(rig.parents), put(rig.rest), [[c.name, c.default, c.transform] for c in rig.channels]],
+        "shapes": [shape(each) for each in body.shapes.values()],
+        "layers": [[each.name, [[binding(b) for b in part] for part in (each.static, each.deforming)]]
+                   for each in body.layers.values()],
+        "clips": [clip(each) for each in body.clips.values()],
+        "groups": [[each.name, each.members, each.channels] for each in body.groups.values()],
+    }  # fmt: skip
+    text = json.dumps(document, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
+    made: Arrays = {"text": np.frombuffer(text.encode("ascii"), np.uint8)}
+    return made | {kind: np.concatenate([np.zeros(0, kind), *flat[kind]]) for kind in KINDS}
+
+
+def digest(body: Definition) -> str:
+    """A hash of all that `packed` keeps of a definition."""
+    made = hashlib.blake2b(digest_size=16)
+    for name, array in packed(body).items():
+        made.update(f"{name} {array.size} ".encode())
+        made.update(array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes())
+    return made.hexdigest()
+
+
+def unpacked(arrays: Mapping[str, NDArray[Any]]) -> Definition:
+    """The definition that `packed` made these arrays of. Raises BodyError for any others: nothing in them is trusted."""
+    try:
+        found = _read(arrays)
+        _bounds(found)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError):
+        raise BodyError("is damaged: what it says of a body does not hold together") from None
+    report = Report()
+    with np.errstate(all="ignore"):
+        if whole(Parts(found, measured=False), report) is None:
+            raise BodyError(f"is damaged: of a body, {report.errors[0].message}")
+    return found
+
+
+def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
+    text = arrays["text"]
+    if text.dtype != np.uint8 or text.ndim != 1 or text.size > limits.BODY_TEXT_BYTES:
+        raise ValueError
+    said = json.loads(text.tobytes())
+    if said["body"] != 1:
+        raise ValueError
+
+    def get(place: Any, *wanted: int | None, kind: str = "f4") -> NDArray[Any]:
+        """An array of a kind and of as many rows as wanted, None being any."""
+        own, first, shape = place
+        sides = tuple(_whole(side) for side in shape)
+        if own != kind or len(sides) != len(wanted) or any(w is not None and w != s for s, w in zip(sides, wanted, strict=True)):
+            raise ValueError
+        from_, array = _whole(first), arrays[kind]
+        if array.dtype != np.dtype(kind) or array.ndim != 1 or from_ + prod(sides) > array.size:
+            raise ValueError
+        return array[from_ : from_ + prod(sides)].reshape(sides)
+
+    def shape(each: Any) -> Shape:
+        points = get(each["points"], None, 3)
+        faces = get(each["faces"], None, 3, kind="i4")
+        attributes = {}
+        for name, place in each["attributes"].items():
+            sides: tuple[int | None, ...] = (len(points), *(None for _ in place[2][1:]))
+            attributes[_text(name)] = get(place, *sides, kind="i8" if place[0] == "i8" else "f4")
+        return Shape(
+            _text(each["name"]), points, faces,
+            None if each["normals"] is None else get(each["normals"], len(points), 3),
+            None if each["uvs"] is None else get(each["uvs"], len(points), 2),
+            _texts(each["materials"]),
+            None if each["material"] is None else get(each["material"], len(faces), kind="i4"),
+            attributes, capture(each["capture"], len(points)),
+            None if each["blend"] is None else blend(*each["blend"]),
+            None if each["between"] is None else Between(_texts(each["between"][0]), _numbers(each["between"][1])),
+            _text(each["dual_quaternion_blend"]),
+        )  # fmt: skip
+
+    def blend(shapes: Any, channels: Any, attributes: Any, point_id: Any, primitive_id: Any) -> Blend:
+        return Blend(_texts(shapes), _texts(channels), _texts(attributes), _text(point_id), _text(primitive_id))
+
+    def capture(said: Any, points: int) -> Capture | None:
+        if said is None:
+            return None
+        names = _texts(said[0])
+        joints = get(said[1], points, None, kind="i4")
+        inverse = get(said[3], len(names), 4, 4, kind="f8")
+        return Capture(names, joints, get(said[2], points, joints.shape[1]), inverse)
+
+    def clip(each: Any) -> Clip:
+        joints, channels = _texts(each["joints"]), _texts(each["channels"])
+        places = each["arrays"]
+        count = _whole(places[0][2][0])
+        moved = [None if place is None else get(place, count, len(joints), wide)
+                 for place, wide in zip(places[:4], (3, 4, 3, 3), strict=True)]  # fmt: skip
+        if moved[0] is None or moved[1] is None or moved[2] is None:
+            raise ValueError
+        rate, stride = _number(each["rate"]), _number(each["stride"])
+        marks = {_text(name): _number(moment) for name, moment in each["marks"].items()}
+        return Clip(
+            _text(each["name"]), rate, joints, moved[0], moved[1], moved[2], moved[3], channels,
+            get(places[4], None, None), bool(each["loop"]), stride, marks,
+        )  # fmt: skip
+
+    def layer(each: Any) -> Layer:
+        bindings = [tuple(Binding(_text(b[0]), _text(b[1]), _three(b[2]), _text(b[3])) for b in part) for part in each[1]]
+        return Layer(_text(each[0]), *bindings)
+
+    names, parents, rest, channels = said["rig"]
+    rig = Rig(
+        _texts(names), get(parents, len(names), kind="i4"), get(rest, len(names), 4, 4, kind="f8"),
+        tuple(Channel(_text(name), _number(default), _text(joint)) for name, default, joint in channels),
+    )  # fmt: skip
+    groups = [
+        TransformGroup(_text(name), tuple((_text(joint), _number(weight)) for joint, weight in members), _texts(moved))
+        for name, members, moved in said["groups"]
+    ]
+    return Definition(
+        _text(said["name"]), rig,
+        {each.name: each for each in map(shape, said["shapes"])}, {each.name: each for each in map(layer, said["layers"])},
+        {each.name: each for each in map(clip, said["clips"])}, {each.name: each for each in groups}, {},
+        {_text(name): _three(colour) for name, colour in said["materials"].items()},
+        _three(said["front"]), _three(said["up"]), _number(said["length"]), _number(said["unit"]),
+    )  # fmt: skip
+
+
+def _bounds(body: Definition) -> None:
+    """ValueError where numbers of a definition lead out of it, or are none."""
+    rig, count = body.rig, len(body.rig.names)
+    fits = [
+        0 < count <= limits.JOINTS,
+        len(rig.channels) <= limits.CHANNELS,
+        bool((rig.parents >= -1).all() and (rig.parents < np.arange(count)).all() and np.isfinite(rig.rest).all()),
+        body.length > 0,
+    ]
+    for shape in body.shapes.values():
+        fits += [_within(shape.faces, len(shape.points)), bool(np.isfinite(shape.points).all())]
+        fits += [shape.material is None or _within(shape.material, len(shape.materials))]
+        if shape.capture is not None:
+            fits += [_within(shape.capture.joints, len(shape.capture.names)), shape.capture.joints.shape[1] <= limits.CAPTURED]
+            fits += [bool(np.isfinite(shape.capture.weights).all() and np.isfinite(shape.capture.inverse).all())]
+    for clip in body.clips.values():
+        arrays = [each for each in (clip.translation, clip.rotation, clip.scale, clip.shear, clip.values) if each is not None]
+        fits += [clip.rate > 0, 0 < clip.samples <= limits.CLIP_SAMPLES, all(np.isfinite(each).all() for each in arrays)]
+        fits += [clip.values.shape[1] == len(clip.channels) or not clip.channels]
+        fits += [not clip.channels or len(clip.values) == clip.samples, not clip.joints or len(clip.translation) == clip.samples]
+    if not all(fits):
+        raise ValueError
+
+
+def _within(numbers: NDArray[Any], count: int) -> bool:
+    return bool(((numbers >= 0) & (numbers < count)).all())
+
+
+def _whole(value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 48:
+        raise ValueError
+    return value
+
+
+def _number(value: Any) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
+        raise ValueError
+    return float(value)
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    return tuple(_number(each) for each in values)
+
+
+def _three(values: Any) -> tuple[float, float, float]:
+    x, y, z = _numbers(values)
+    return x, y, z
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError
+    return value
+
+
+def _texts(values: Any) -> tuple[str, ...]:
+    if not isinstance(values, list):
+        raise ValueError
+    return tuple(_text(each) for each in values)

@@ -1,0 +1,125 @@
+"""The bodies that a scene's crowd wears: agent definitions from files, held against what the species play, and what a run needs
+of them: the clips' lengths, strides and marks, and the room that each body takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from antdsl.bodies.agents.boxes import rest_box
+from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.packed import digest
+from antdsl.bodies.agents.reading import read_definition
+from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.plan.lowering.traversal import inside
+from antdsl.program.model import ClipTest, Expr, Machine, Play, Program, Species
+from antdsl.scene.crowd_model import BODY_WORDS
+from antdsl.scene.load import Scene
+from antdsl.scene.setting import ClipData, RoomData
+from antdsl.source import Span
+
+_SHOWN = 12  # names in a message
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrowdBodies:
+    """By species, for those whose body is a file: its definition (one for all that name the same file), clips and room. `hashes`:
+    of the content of each file, by its path in the scene."""
+
+    definitions: Mapping[str, Definition] = field(default_factory=dict)
+    clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
+    rooms: Mapping[str, RoomData] = field(default_factory=dict)
+    hashes: Mapping[str, str] = field(default_factory=dict)
+
+
+def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
+    """The bodies from files that a scene's crowd names, and what does not fit: at their places in the scene, with a label where
+    the program asks for what is missing."""
+    report = Report()
+    files: dict[str, Definition | None] = {}
+    worn: dict[str, Definition] = {}
+    for species, (text, place) in _named(scene).items():
+        if text in BODY_WORDS:
+            continue
+        if text not in files:
+            files[text], findings = read_definition(text, scene.roots, place)
+            report.extend(findings)
+        found = files[text]
+        if found is not None and species in program.species:
+            _check(program.species[species], found, text, place, report)
+            worn[species] = found
+    whole = {text: found for text, found in files.items() if found is not None}
+    made = CrowdBodies(
+        worn,
+        {species: {name: clip_data(clip, body) for name, clip in body.clips.items()} for species, body in worn.items()},
+        {species: room_of(body) for species, body in worn.items()},
+        {text: digest(body) for text, body in whole.items()},
+    )
+    return made, report
+
+
+def clip_data(clip: Clip, body: Definition) -> ClipData:
+    """What a run needs to know of a clip: seconds, body lengths and turns."""
+    seconds = clip.duration
+    marks = {name: moment / seconds if seconds > 0 else 0.0 for name, moment in clip.marks.items()}
+    return ClipData(seconds, clip.stride / body.length, clip.loop, marks)
+
+
+def room_of(body: Definition) -> RoomData:
+    """The room that a body takes: as long and wide as its box in the rest pose, and never shorter than wide."""
+    least, most = rest_box(body)
+    corners = np.array([[(least, most)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
+    turned = corners @ body.base()[:3, :3].T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    width = max(float(high[2] - low[2]), 1e-3)
+    middle = (low + high) / 2
+    return RoomData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))
+
+
+def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
+    """The body that each species' first line with one names."""
+    found: dict[str, tuple[str, Span]] = {}
+    for number, line in enumerate(scene.model.crowd):
+        if line.body is not None:
+            found.setdefault(line.species, (line.body, scene.span("crowd", number, "body")))
+    return found
+
+
+def _check(species: Species, body: Definition, text: str, place: Span, report: Report) -> None:
+    """Complains once of each clip, transform group and mark that a species wants and its body does not have."""
+    told: set[tuple[str, str]] = set()
+
+    def want(what: str, name: str, known: Mapping[str, object] | set[str], span: Span, used: str) -> None:
+        if not name or name in known or (what, name) in told:
+            return
+        told.add((what, name))
+        near = nearest_name(name, known)
+        listed = ", ".join(f"`{each}`" for each in sorted(known)[:_SHOWN]) + (" …" if len(known) > _SHOWN else "")
+        help = f"did you mean `{near}`?" if near else f"it has {listed}" if known else f"it has no {what}s"
+        report.error("unknown-name", f"`{text[-60:]}` has no {what} `{name}`", place, help, labels=(Label(span, used),))
+
+    marks = {mark for clip in body.clips.values() for mark in clip.marks}
+    for machine in species.machines:
+        for line in _plays(machine):
+            want("clip", line.clip, body.clips, line.span, "played here")
+            want("transform group", line.on, body.groups, line.span, "named here")
+        for test in _tests(machine):
+            want("mark", test.mark, marks, test.span, "asked for here")
+
+
+def _plays(machine: Machine) -> Iterator[Play]:
+    for state in machine.states:
+        yield from (line for line in state.body if isinstance(line, Play))
+
+
+def _tests(machine: Machine) -> Iterator[ClipTest]:
+    """Questions about clips in the changes of a machine."""
+    for state in machine.states:
+        for change in state.transitions:
+            asked: tuple[Expr | None, ...] = (change.condition, change.held, change.after)
+            for expr in asked:
+                yield from (each for each in inside(expr) if isinstance(each, ClipTest)) if expr is not None else ()

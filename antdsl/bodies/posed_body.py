@@ -1,0 +1,89 @@
+"""An agent definition made ready to be drawn: one mesh whose vertices follow the poses of many agents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.affine import Floats
+from antdsl.bodies.agents.blending import posed
+from antdsl.bodies.agents.clip_table import clip_table
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.deformers import bound
+from antdsl.bodies.agents.layer import Layer
+from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.body import vertex_normals
+
+STATE = "state"  # the material that has the colour of the agent's state
+
+
+class PosedBody:
+    """Length 1 along +x (where it heads), up +y, as a `Body`, but posed by what each agent plays.
+
+    `faces` int32[m, 3]; `own` float32[v, 3], linear colours of materials; `tint` float32[v]: 1 takes the agent's colour, as
+    does what has no material or one called `state`, 0 its material's. Drawn are the shapes of one layer, `body` where there is
+    one so called, else the first."""
+
+    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]]) -> None:
+        self.clips = tuple(clips)
+        self._table = clip_table(definition)
+        layer = _worn(definition)
+        self._bindings = (*layer.static, *layer.deforming)
+        names = {binding.shape for binding in self._bindings}
+        shaded = {n: _with_normals(shape) if n in names else shape for n, shape in definition.shapes.items()}
+        self._definition = replace(definition, shapes=shaded)
+        base = definition.base()[:3, :3]
+        self._base = base.astype(np.float32)
+        self._turn = (base * definition.length).astype(np.float32)
+        parts = [_parted(shaded[binding.shape], definition.materials) for binding in self._bindings]
+        starts = np.cumsum([0, *(len(shaded[binding.shape].points) for binding in self._bindings)])
+        counts = np.cumsum([0, *(len(part[0]) for part in parts)])
+        none = np.zeros(0, np.int64)
+        self._taken = np.concatenate([none, *(part[0] + s for part, s in zip(parts, starts, strict=False))])
+        self.faces = np.concatenate(
+            [np.zeros((0, 3), np.int32), *(part[1] + np.int32(s) for part, s in zip(parts, counts, strict=False))]
+        )
+        self.own = np.concatenate([np.zeros((0, 3), np.float32), *(part[2] for part in parts)])
+        self.tint = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
+
+    def posed(self, machines: Sequence[MachineClips], count: int, threads: int = 1) -> tuple[Floats, Floats]:
+        """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths."""
+        playing = machines_playing(self._table, self.clips, machines, count)
+        poses = posed(self._table, self._definition.groups, playing, threads=threads)
+        found = [bound(self._definition, binding, poses) for binding in self._bindings]
+        none = np.zeros((count, 0, 3), np.float32)
+        points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self._taken]
+        normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)[:, self._taken]
+        return points @ self._base.T, normals @ self._turn.T
+
+
+def _worn(definition: Definition) -> Layer:
+    """The layer that is drawn; none has no shapes."""
+    layers = definition.layers
+    return layers.get("body") or next(iter(layers.values()), Layer("body"))
+
+
+def _with_normals(shape: Shape) -> Shape:
+    if shape.normals is not None:
+        return shape
+    return replace(shape, normals=vertex_normals(shape.points.astype(np.float64), shape.faces))
+
+
+def _parted(
+    shape: Shape, colours: Mapping[str, tuple[float, float, float]]
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """The vertices of a shape, one for each material that has triangles at it: which point each is, triangles of these, linear
+    colours and tints."""
+    material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
+    names = shape.materials or ("",)
+    pairs = shape.faces.astype(np.int64) * len(names) + material[:, None]
+    kinds, faces = np.unique(pairs, return_inverse=True)
+    point, of = kinds // len(names), kinds % len(names)
+    known = [None if name == STATE else colours.get(name) for name in names]
+    own = np.array([(0.0, 0.0, 0.0) if each is None else each for each in known], np.float32)[of]
+    tint = np.array([each is None for each in known], np.float32)[of]
+    return point, faces.reshape(-1, 3).astype(np.int32), own, tint

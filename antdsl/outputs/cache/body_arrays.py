@@ -1,0 +1,51 @@
+"""Agent definitions in a cache: so that a picture needs nothing but the cache, `static.npz` has each once, as `body.N.PART`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.packed import PARTS, digest, packed, unpacked
+from antdsl.bodies.agents.problems import BodyError
+from antdsl.outputs.cache.manifest import BodyEntry, Manifest
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeptBodies:
+    """Definitions for a cache: an entry of the manifest and arrays for each, and by species which it wears."""
+
+    entries: tuple[BodyEntry, ...]
+    worn: Mapping[str, int]
+    arrays: Arrays
+
+    @staticmethod
+    def of(definitions: Mapping[str, Definition], names: Mapping[str, str]) -> KeptBodies:
+        """Of definitions by species; `names`: the files they were read from."""
+        numbers: dict[int, int] = {}
+        entries: list[BodyEntry] = []
+        worn: dict[str, int] = {}
+        arrays: dict[str, NDArray[Any]] = {}
+        for species, body in sorted(definitions.items()):
+            number = numbers.setdefault(id(body), len(numbers))
+            worn[species] = number
+            if number == len(entries):
+                entries.append(BodyEntry(name=names.get(species, body.name)[-500:], digest=digest(body)))
+                arrays |= {f"body.{number}.{part}": array for part, array in packed(body).items()}
+        return KeptBodies(tuple(entries), worn, arrays)
+
+
+def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition:
+    """The definition at a place in the manifest's list. Raises BodyError where it is not there, damaged, or another one."""
+    arrays = {part: static[name] for part in PARTS if (name := f"body.{number}.{part}") in static}
+    if number >= len(manifest.bodies) or len(arrays) != len(PARTS):
+        raise BodyError("is not there")
+    found = unpacked(arrays)
+    if digest(found) != manifest.bodies[number].digest:
+        raise BodyError("is not the one that was written")
+    return found
