@@ -14,7 +14,8 @@ from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene import adjusting
-from antdsl.scene.crowd_model import BODY_WORDS, Placement, UsdPlaces
+from antdsl.scene.body_files import bodies
+from antdsl.scene.crowd_model import Placement, UsdPlaces
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
 from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, UsdThing
@@ -47,7 +48,7 @@ def _unknown(report: Report, scene: Scene, path: tuple[Key, ...], what: str, kno
     report.error("unknown-thing", f"{what} `{name}`", scene.span(*path, key=key), help)
 
 
-def _file(scene: Scene, report: Report, text: str, *path: Key, cap: int = limits.MESH_BYTES) -> None:
+def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
     """Look whether a file is there, or the files of a sequence."""
     try:
         files = scene.roots.sequence(text).values() if "#" in text else (text,)
@@ -55,8 +56,8 @@ def _file(scene: Scene, report: Report, text: str, *path: Key, cap: int = limits
     except PathRefused as refused:
         report.error(refused.code, str(refused), scene.span(*path), refused.help)
         return
-    if size > cap:
-        report.error("too-large", f"`{text}` has {size:,} bytes, more than {cap:,}", scene.span(*path))
+    if size > limits.MESH_BYTES:
+        report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MESH_BYTES:,}", scene.span(*path))
 
 
 def _world(scene: Scene, program: Program, report: Report) -> None:
@@ -207,7 +208,6 @@ def _crowd(scene: Scene, program: Program, report: Report) -> None:
         if line.species not in program.species:
             _unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
         _placement(scene, program, report, line.place, "crowd", number, "place")
-        _body(scene, report, number)
         if line.walk is not None and not any(line.walk.direction):
             where = scene.span("crowd", number, "walk", "direction")
             report.error("wrong-value", "`[0, 0, 0]` leads nowhere", where, "write a direction, such as `[1, 0, 0]`")
@@ -215,23 +215,6 @@ def _crowd(scene: Scene, program: Program, report: Report) -> None:
         report.error(
             "too-large", f"{total:,} agents are more than {limits.AGENTS:,}", scene.span("crowd"), "write a smaller `count`"
         )
-
-
-def _body(scene: Scene, report: Report, number: int) -> None:
-    """A body that is a file is there, and all lines of a species have the same one."""
-    line, place = scene.model.crowd[number], ("crowd", number, "body")
-    if line.body is None:
-        return
-    if line.body not in BODY_WORDS:
-        _file(scene, report, line.body, *place, cap=limits.BODY_BYTES)
-    for earlier, other in enumerate(scene.model.crowd[:number]):
-        if other.species == line.species and other.body not in (None, line.body):
-            report.error(
-                "wrong-value", f"`{line.species}` has another body above", scene.span(*place),
-                f"write `{other.body}` in both, or make it a species of its own",
-                labels=(Label(scene.span("crowd", earlier, "body"), "the first one"),),
-            )  # fmt: skip
-            return
 
 
 def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
@@ -405,6 +388,7 @@ def _output(scene: Scene, program: Program, report: Report) -> None:
 CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _world,  # what `around` and `on` name is in here
     _crowd,
+    bodies,
     _params,
     _fields,
     spreading,

@@ -33,9 +33,9 @@ JOINTS: dict[str, tuple[str, tuple[float, float, float]]] = {
     "hips": ("", (0.0, HIP, 0.0)),
     "chest": ("hips", (0.0, 0.20, 0.0)),
     "head": ("chest", (0.01, 0.36, 0.0)),
-    "arm_l": ("chest", (0.0, 0.27, -0.215)),
+    "arm_l": ("chest", (0.0, 0.27, -0.195)),
     "forearm_l": ("arm_l", (0.0, -0.28, 0.0)),
-    "arm_r": ("chest", (0.0, 0.27, 0.215)),
+    "arm_r": ("chest", (0.0, 0.27, 0.195)),
     "forearm_r": ("arm_r", (0.0, -0.28, 0.0)),
     "thigh_l": ("hips", (0.0, 0.0, -SIDE)),
     "shin_l": ("thigh_l", (0.0, -BONE, 0.0)),
@@ -181,7 +181,7 @@ def walking(name: str, gait: Gait, marks: dict[str, float]) -> Clip:
     swing = np.radians(gait.arms) * np.cos(2 * np.pi * (phase - gait.down / 2 + 0.20))
     found["arm_l"], found["arm_r"] = -swing, swing
     bent = np.radians(gait.elbows)
-    found["forearm_l"], found["forearm_r"] = bent * (1 - 0.35 * np.sign(gait.elbows) * swing), bent * (1 + 0.35 * swing)
+    found["forearm_l"], found["forearm_r"] = bent * (1 - 0.35 * swing), bent * (1 + 0.35 * swing)
     found["chest"] = np.full(count + 1, np.radians(-gait.lean))
     found["head"] = np.full(count + 1, np.radians(gait.lean * 0.7))
     twist = {"chest": np.radians(7.0) * np.cos(2 * np.pi * (phase - gait.down / 2 + 0.20))}
