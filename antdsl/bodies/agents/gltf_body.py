@@ -119,12 +119,14 @@ def _kept(file: Gltf, parents: list[int]) -> list[int]:
 def _below(file: Gltf, roots: Iterable[int]) -> list[int]:
     """The nodes and all below them, parents first, children in the order of the file."""
     nodes, found = file.top("nodes"), []
+    seen: set[int] = set()
     waiting = list(reversed(list(roots)))
     while waiting:
         found.append(waiting.pop())
         waiting += reversed(file.listed(nodes[found[-1]], "children"))
-        if len(found) > len(nodes):
+        if found[-1] in seen:
             raise BodyError("has a scene that names a node twice", _EXPORT)
+        seen.add(found[-1])
     return found
 
 
