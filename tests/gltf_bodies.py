@@ -66,8 +66,8 @@ SMILE = [[0, 0, 0], [0, 0, 0.5], [0, 0, 0], [0, 0, 0], [1, 0, 0]]
 
 
 def arm() -> tuple[dict[str, Any], bytes]:
-    """The JSON and the buffer of a body: `root` stands at (0, 1, 0), `elbow` 2 above it; the skin is bound there and stands 1 lower
-    in its own space. `bend`: LINEAR, the elbow turns by a quarter about z in a second; `hop`: STEP and CUBICSPLINE translations;
+    """The JSON and the buffer of a body: `root` stands at (0, 1, 0), `elbow` 2 above it; the skin is bound 1 lower, in its own
+    space. `bend`: LINEAR, the elbow turns by a quarter about z in a second; `hop`: STEP and CUBICSPLINE translations;
     `smile`: the weight of the morph target."""
     writer = Writer()
     positions = writer.add(POINTS)

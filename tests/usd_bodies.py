@@ -1,5 +1,5 @@
-"""A body in USD: a skeleton of three joints somewhere in a stage, a skinned mesh with a blend shape and an in-between, an animation
-of some joints, and a mesh that follows nobody. Needs usd-core."""
+"""A body in USD: a skeleton of three joints somewhere in a stage, a skinned mesh with a blend shape and an in-between, an
+animation of some joints, and a mesh that follows nobody. Needs usd-core."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def write(path: Path) -> None:
         attribute.Set([value])
     nod.CreateRotationsAttr().Set([Gf.Quatf(1, 0, 0, 0)])
     skin = UsdGeom.Mesh.Define(stage, "/Body/Skin")
-    points = draw.uniform(-1, 1, (12, 3)) + (0, 2, 0)
+    points = draw.uniform(-1, 1, (12, 3)) + np.array([0, 2, 0])
     skin.CreatePointsAttr(points.tolist())
     skin.CreateFaceVertexCountsAttr([4, 4, 3])
     skin.CreateFaceVertexIndicesAttr(list(range(11)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -201,6 +202,6 @@ def test_bytes_that_are_no_text_and_too_many_joints_are_refused(monkeypatch: pyt
 
 def test_a_deep_rig_is_read_without_recursion() -> None:
     names = [f"j{number}" for number in range(limits.JOINTS)]
-    children = [f'"{a}": ["{b}"]' for a, b in zip(names, names[1:], strict=False)]
+    children = [f'"{a}": ["{b}"]' for a, b in pairwise(names)]
     found = rig_of(rig("{" + ", ".join([*children, f'"{names[-1]}": []']) + "}"))
     assert found.parents.tolist() == list(range(-1, limits.JOINTS - 1))
