@@ -71,6 +71,20 @@ def test_a_blend_shapes_box_holds_all_that_it_may_be_blended_with() -> None:
     assert [part[0].tolist() for part in layer_boxes(BODY, worlds, ["face"])] == [[1, 0, 0], [8, 6, 7]]
 
 
+def test_a_deforming_shape_of_a_single_joint_moves_with_it_as_a_static_one() -> None:
+    inverse = poses(3, 5)[0]
+    follows = Capture(("root", "arm", "hand"), np.full((8, 1), 2, np.int32), np.ones((8, 1), np.float32), inverse)
+    layers = {"one": Layer("one", deforming=(Binding("", "block", (1.0, 2.0, 1.0), "linearskinning"),))}
+    body = Definition("body", RIG, {"block": Shape("block", BLOCK, FACES, capture=follows)}, layers)
+    worlds = poses(9)
+    least, most = layer_boxes(body, worlds, ["one"])
+    corners = (BLOCK - BLOCK.mean(axis=0)) * (1, 2, 1) + BLOCK.mean(axis=0)
+    for agent in range(9):
+        matrix = worlds[agent, 2] @ inverse[2]
+        wanted = boxed(corners @ matrix[:3, :3].T + matrix[:3, 3])
+        assert least[agent] == pytest.approx(wanted[0]) and most[agent] == pytest.approx(wanted[1])
+
+
 def test_collision_layers_go_first_and_several_layers_are_put_together() -> None:
     worlds = poses(30)
     wears, collides = np.arange(30) % 2, np.arange(30) % 3 % 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 from pathlib import Path
 from typing import Any
 
@@ -224,6 +225,62 @@ def test_clips_written_by_the_package_are_read_in_a_definition(folder: Path) -> 
     (folder / "hop.json").write_text(write_clip(body.clips["hop"]))
     again = fine(folder, **{"from": {"file": "arm.glb", "rate": 24}}, clips=[{"file": "hop.json", "name": "jump"}])
     assert (again.clips["jump"].translation == body.clips["hop"].translation).all() and again.clips["hop"].rate == 24
+
+
+ODD: tuple[Any, ...] = (
+    None,
+    -1,
+    0,
+    1,
+    0.5,
+    1e300,
+    "x",
+    "hand",
+    "",
+    [],
+    {},
+    [1, 2],
+    {"file": "sword.obj"},
+    {"a": 1},
+    True,
+    "arm.glb",
+)
+
+
+def spots(tree: Any) -> list[tuple[Any, Any]]:
+    """Every place of a tree as (holder, key)."""
+    keys = list(tree) if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ()
+    return [each for key in keys for each in ((tree, key), *spots(tree[key]))]
+
+
+def test_whatever_stands_in_a_definition_it_is_read_or_told_of(folder: Path) -> None:
+    shapes = [
+        {"file": "sword.obj", "name": "sword", "units": "mm", "blendshape_shapenames": ["cut"], "blendshape_channels": ["fist"]},
+        {"file": "sword.obj", "name": "cut", "blendshape_shapenames": ["sword"], "blendshape_inbetweenweights": [0.5]},
+    ]
+    rig = {**RIG, "antdsl_rest": {"hand": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}
+    clips = [{**CLIP, "marks": {"a": 0.1}}, {"file": "arm.glb", "clip": "hop", "rate": 10}]
+    whole = {
+        **WHOLE, "antdsl_body": 1, "rig": rig, "shapes": shapes, "layers": [LAYER], "groups": [GROUP], "clips": clips, "length": 2,
+        "metadata": {"a": {"type": "int", "value": 2}, "b": [1, {"c": "d"}]},
+        "shapelib_includes": [["$HIP/block.obj", ""]],
+    }  # fmt: skip
+    (folder / "block.obj").write_text(OBJ)
+    text, draw, read = json.dumps(whole), random.Random(7), 0
+    for _ in range(150):
+        tree = json.loads(text)
+        for _ in range(draw.choice([0, 1, 1, 2])):
+            holder, key = draw.choice(spots(tree))
+            if draw.random() < 0.3 and isinstance(holder, dict):
+                del holder[key]
+            else:
+                holder[key] = draw.choice(ODD)
+        (folder / "body.json").write_text(json.dumps(tree))
+        found, report = read_definition(folder / "body.json")
+        assert (found is None) == bool(report.errors), (tree, report.diagnostics)
+        assert all(each.span is not None for each in report.diagnostics)
+        read += found is not None
+    assert 15 < read < 125
 
 
 def test_all_clips_together_have_a_limit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

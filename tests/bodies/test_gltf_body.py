@@ -105,6 +105,18 @@ def test_strips_fans_shared_meshes_and_mirrored_nodes() -> None:
     assert found.layers["body"].static == (Binding("a", "a"), Binding("a_2", "a"))
 
 
+def test_a_mesh_with_morph_targets_at_a_node_is_blended_and_follows_that_node() -> None:
+    tree, data = gltf_bodies.arm()
+    tree["nodes"] = [{"name": "stand", "translation": [0, 7, 0], "mesh": 0, "weights": [0.5]}]
+    tree |= {"skins": [], "animations": [], "scenes": [{"nodes": [0]}]}
+    found = body_of(tree, data)
+    assert found.layers["body"].deforming == (Binding("", "arm", deformer="blendshape+linearskinning"),)
+    capture = found.shapes["arm"].capture
+    assert capture is not None and capture.names == ("stand",) and (capture.weights == 1).all()
+    assert [part.tolist() for part in rest_box(found)] == [[0, 7, 0], [1, 11, 1]]
+    assert found.rig.channels[0].default == 0.5
+
+
 def changed(change: Any) -> str:
     tree, data = gltf_bodies.arm()
     change(tree)
