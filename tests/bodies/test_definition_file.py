@@ -261,7 +261,8 @@ def test_whatever_stands_in_a_definition_it_is_read_or_told_of(folder: Path) -> 
     rig = {**RIG, "antdsl_rest": {"hand": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}
     clips = [{**CLIP, "marks": {"a": 0.1}}, {"file": "arm.glb", "clip": "hop", "rate": 10}]
     whole = {
-        **WHOLE, "antdsl_body": 1, "rig": rig, "shapes": shapes, "layers": [LAYER], "groups": [GROUP], "clips": clips, "length": 2,
+        **WHOLE, "antdsl_body": 1, "rig": rig, "shapes": shapes, "layers": [LAYER], "groups": [GROUP], "clips": clips,
+        "length": 2,
         "metadata": {"a": {"type": "int", "value": 2}, "b": [1, {"c": "d"}]},
         "shapelib_includes": [["$HIP/block.obj", ""]],
     }  # fmt: skip
