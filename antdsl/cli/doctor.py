@@ -10,7 +10,7 @@ PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trim
 _NAMES = {"yaml": "pyyaml", "PIL": "pillow", "skimage": "scikit-image"}
 EXTRAS = {
     "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
-    "pxr": "sets in USD files: pip install 'antdsl[usd]'",
+    "pxr": "sets and bodies in USD files: pip install 'antdsl[usd]'",
     "matplotlib": "plots of sweeps: pip install 'antdsl[plots]'",
     "graphlay": "pictures of state machines: pip install 'antdsl[graph]'",
     "pygls": "editors: pip install 'antdsl[lsp]'",

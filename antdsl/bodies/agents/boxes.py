@@ -1,8 +1,9 @@
 """Bounding boxes of agents from the shapes of their layers: collision layers first, or where there are none the current ones.
 
 A static shape's box is scaled by its binding's bounds scale and then transformed by its joint; a deforming one's is the box of
-the positions of the joints that its capture names, scaled (Houdini 20.5, Agent Primitives, Bounding Box). Scaling is about the
-middle of a box, so that it means the same wherever the box lies."""
+the positions of the joints that its capture names, scaled (Houdini 20.5, Agent Primitives, Bounding Box). One that follows a
+single joint moves with it as a static one does. Scaling is about the middle of a box, so that it means the same wherever the box
+lies."""
 
 from __future__ import annotations
 
@@ -55,18 +56,39 @@ def _binding_box(definition: Definition, binding: Binding, worlds: Floats) -> tu
     shape = definition.shapes[binding.shape]
     scale = np.array(binding.bounds_scale, worlds.dtype)
     if shape.capture is not None and binding.deformer not in ("", "blendshape"):
-        chosen = [definition.rig.joint(name) for name in _followed(shape)]
+        followed = _followed(shape)
+        chosen = [definition.rig.joint(shape.capture.names[number]) for number in followed]
+        if len(chosen) == 1:  # it moves with its joint as a static shape does
+            return _carried(_extent(definition, shape), scale, worlds[:, chosen[0]], shape.capture.inverse[followed[0]])
         low, high = _joint_positions(worlds, chosen)
         middle, half = (low + high) / 2, (high - low) / 2 * scale
         return middle - half, middle + half
-    low, high = _extent(definition, shape)
-    middle, half = ((low + high) / 2).astype(worlds.dtype), ((high - low) / 2).astype(worlds.dtype) * scale
-    if not binding.transform:
-        return np.broadcast_to(middle - half, (len(worlds), 3)), np.broadcast_to(middle + half, (len(worlds), 3))
-    world = worlds[:, definition.rig.joint(binding.transform)]
+    extent = _extent(definition, shape)
+    if binding.transform:
+        return _carried(extent, scale, worlds[:, definition.rig.joint(binding.transform)], np.eye(4))
+    middle, half = _middle(extent, scale)
+    return np.broadcast_to(middle - half, (len(worlds), 3)), np.broadcast_to(middle + half, (len(worlds), 3))
+
+
+def _middle(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Floats]:
+    """The middle of a box and its scaled half widths, in the scale's own type."""
+    low, high = extent
+    return ((low + high) / 2).astype(scale.dtype), ((high - low) / 2).astype(scale.dtype) * scale
+
+
+def _carried(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, own: Floats) -> tuple[Floats, Floats]:
+    """The box of a scaled box that is transformed by the matrix `own` [4, 4] and then by each of `worlds` [n, 4, 4]."""
+    matrices = worlds
+    if (own != np.eye(4)).any():
+        own = own.astype(worlds.dtype)
+        columns = [
+            ((worlds[:, :, 0] * c[0] + worlds[:, :, 1] * c[1]) + worlds[:, :, 2] * c[2]) + worlds[:, :, 3] * c[3] for c in own.T
+        ]
+        matrices = np.stack(columns, axis=-1)
+    middle, half = _middle(extent, scale)
     # the box of a turned box: its middle is turned, its half widths go by the sizes of the matrix's entries
-    turned = world[:, :3, 0] * middle[0] + world[:, :3, 1] * middle[1] + world[:, :3, 2] * middle[2] + world[:, :3, 3]
-    size = np.abs(world[:, :3, :3])
+    turned = matrices[:, :3, 0] * middle[0] + matrices[:, :3, 1] * middle[1] + matrices[:, :3, 2] * middle[2] + matrices[:, :3, 3]
+    size = np.abs(matrices[:, :3, :3])
     wide = size[:, :, 0] * half[0] + size[:, :, 1] * half[1] + size[:, :, 2] * half[2]
     return turned - wide, turned + wide
 
@@ -81,11 +103,10 @@ def _joint_positions(worlds: Floats, chosen: list[int]) -> tuple[Floats, Floats]
     return low, high
 
 
-def _followed(shape: Shape) -> list[str]:
-    """The joints that a point of a shape follows with a weight."""
+def _followed(shape: Shape) -> list[int]:
+    """The numbers of the joints of its capture that a point of a shape follows with a weight."""
     assert shape.capture is not None
-    used = np.unique(shape.capture.joints[shape.capture.weights > 0])
-    return [shape.capture.names[number] for number in used]
+    return [int(number) for number in np.unique(shape.capture.joints[shape.capture.weights > 0])]
 
 
 def _extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

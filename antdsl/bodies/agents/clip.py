@@ -14,9 +14,9 @@ class Clip:
     """F samples, `rate` of them a second, of the full local transforms of K joints and of C channels.
 
     `translation` float32[F, K, 3] in the definition's units, `rotation` float32[F, K, 4] (unit, x y z w), `scale` float32[F, K,
-    3], `shear` float32[F, K, 3] or None; `values` float32[F, C]. A clip that loops has its first pose again as its last sample.
-    `stride`: how far it goes in one turn, in the definition's units, 0 for a clip that stays where it is. `marks`: seconds by
-    name."""
+    3], `shear` float32[F, K, 3] or None; `transforms.py` says in which order they apply. `values` float32[F, C]. A clip that
+    loops has its first pose again as its last sample. `stride`: how far it goes in one turn, in the definition's units, 0 for a
+    clip that stays where it is. `marks`: seconds by name."""
 
     name: str
     rate: float

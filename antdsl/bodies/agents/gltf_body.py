@@ -16,7 +16,7 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.gltf_clips import read_clips
 from antdsl.bodies.agents.gltf_file import Gltf
-from antdsl.bodies.agents.gltf_shapes import GltfBody, read_shape, unused
+from antdsl.bodies.agents.gltf_shapes import GltfBody, read_shape, rigid, unused
 from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Rig
@@ -119,12 +119,14 @@ def _kept(file: Gltf, parents: list[int]) -> list[int]:
 def _below(file: Gltf, roots: Iterable[int]) -> list[int]:
     """The nodes and all below them, parents first, children in the order of the file."""
     nodes, found = file.top("nodes"), []
+    seen: set[int] = set()
     waiting = list(reversed(list(roots)))
     while waiting:
         found.append(waiting.pop())
         waiting += reversed(file.listed(nodes[found[-1]], "children"))
-        if len(found) > len(nodes):
+        if found[-1] in seen:
             raise BodyError("has a scene that names a node twice", _EXPORT)
+        seen.add(found[-1])
     return found
 
 
@@ -192,7 +194,8 @@ def _layer(body: GltfBody) -> Layer:
             body.weights[number] = shape.blend.channels
         if skin is None and not morphs:
             static.append(Binding(body.joint[number], shape.name))
-        else:
-            names = ["blendshape"] * morphs + ["linearskinning"] * (skin is not None)
-            deforming.append(Binding("" if skin is not None else body.joint[number], shape.name, deformer="+".join(names)))
+            continue
+        if skin is None:
+            body.shapes[shape.name] = replace(shape, capture=rigid(body.joint[number], len(shape.points)))
+        deforming.append(Binding("", shape.name, deformer="blendshape+linearskinning" if morphs else "linearskinning"))
     return Layer(LAYER, tuple(static), tuple(deforming))

@@ -221,6 +221,11 @@ def captured(joints: NDArray[np.int64], weights: Floats, count: int) -> tuple[ND
     return joints[:, needed].astype(np.int32), weights[:, needed].astype(np.float32), int(lone.sum())
 
 
+def rigid(joint: str, points: int) -> Capture:
+    """All points follow one joint, in whose own space they are: a shape that is blended before it moves with that joint."""
+    return Capture((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
+
+
 def _targets(body: GltfBody, shape: Shape, pieces: _Pieces, mesh: dict[str, Any], node: dict[str, Any]) -> Blend:
     """Shapes of the library for the morph targets of a mesh, and channels that weigh them."""
     file, number = body.file, len(pieces.targets[0])

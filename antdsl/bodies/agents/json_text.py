@@ -38,6 +38,7 @@ _NUMBERS = re.compile(r"\[[-+0-9eE.,\s]*+\]")
 _WORD = re.compile(r"[A-Za-z0-9_.+'\-]{1,40}")
 _LONE = re.compile("[\ud800-\udfff]")
 _WORDS: dict[str, bool | None] = {"true": True, "false": False, "null": None}
+_FARTHEST = 1.7e308
 _DIGITS = 400  # of one number
 _NO_NUMBERS = frozenset(
     ("nan", "inf", "infinity", "-nan", "-inf", "-infinity", "+inf", "+infinity", "1.#inf", "1.#qnan", "-1.#ind")
@@ -128,7 +129,7 @@ class _Reader:
             values = json.loads(f"[{inside}]")
         except ValueError:  # more than one comma, a number that is none, or one of thousands of digits
             return None
-        if not all(-limits.LARGEST <= each <= limits.LARGEST for each in values):
+        if not all(-_FARTHEST <= each <= _FARTHEST for each in values):
             return None
         self.count += len(values) // 16  # a plain number takes less than a node
         return Node(values, at, found.end(), numbers=True)

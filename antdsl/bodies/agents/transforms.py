@@ -94,7 +94,7 @@ def angles_of_rotation(quaternion: Floats) -> Floats:
 
 def one_sign(quaternion: Floats) -> Floats:
     """Quaternions float64[F, ..., 4], each of the two signs that is nearer to the one before it."""
-    if len(quaternion) < 2:
+    if quaternion.ndim < 2 or len(quaternion) < 2:
         return quaternion
     turned = (quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0
     signs = np.where(np.cumsum(turned, axis=0) % 2 == 1, -1.0, 1.0)

@@ -7,7 +7,7 @@ of its own, where it stands. Units and axes are the stage's. The extra `[usd]` i
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -18,7 +18,7 @@ from antdsl import limits
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.gltf_clips import even_times
-from antdsl.bodies.agents.gltf_shapes import unused
+from antdsl.bodies.agents.gltf_shapes import rigid, unused
 from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Rig
@@ -63,15 +63,15 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
         shape = read_usd_shape(body, mesh, skin)
         if shape is None:
             continue
-        if skin is not None:
-            names = ["blendshape"] * (shape.blend is not None) + ["linearskinning"]
-            deforming.append(Binding("", shape.name, deformer="+".join(names)))
-            continue
-        own = body.joint(mesh.GetName(), -1, _place(stage, mesh))
-        if shape.blend is None:
-            static.append(Binding(body.names[own], shape.name))
-        else:
-            deforming.append(Binding(body.names[own], shape.name, deformer="blendshape"))
+        if skin is None:
+            own = body.names[body.joint(mesh.GetName(), -1, _place(stage, mesh))]
+            if shape.blend is None:
+                static.append(Binding(own, shape.name))
+                continue
+            body.shapes[shape.name] = replace(shape, capture=rigid(own, len(shape.points)))
+        deforming.append(
+            Binding("", shape.name, deformer="linearskinning" if shape.blend is None else "blendshape+linearskinning")
+        )
     if not body.names:
         raise BodyError(f"has no skeleton and no mesh at or below `{prim}`", "name the prim of the body")
     rig = Rig(

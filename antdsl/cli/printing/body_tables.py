@@ -89,7 +89,18 @@ def _played(body: Definition, clip: Clip) -> list[str]:
     words.append("loops" if clip.loop else "plays once")
     words.append(f"stride {clip.stride:.4g} {unit_of(body)}" if clip.stride else "stays in place")
     words += [f"{name} at {moment:.3g} s" for name, moment in clip.marks.items()]
-    return words
+    return [*words, "does not close"] if clip.loop and not _closes(body, clip) else words
+
+
+def _closes(body: Definition, clip: Clip) -> bool:
+    """Whether a clip ends as it begins, to a thousandth of the body and of a turn, less the way that a stride goes."""
+    ends = ((part[0], part[-1]) for part in (clip.translation, clip.rotation, clip.scale) if len(part))
+    near = [1e-3 * body.length + clip.stride, 1e-3, 1e-3]
+    apart = [np.abs(a - b).max(initial=0.0) for a, b in ends]
+    if len(apart) == 3:
+        apart[1] = min(apart[1], np.abs(clip.rotation[0] + clip.rotation[-1]).max(initial=0.0))
+    values = np.abs(clip.values[0] - clip.values[-1]).max(initial=0.0) if len(clip.values) else 0.0
+    return bool(values <= 1e-3 and all(a <= most for a, most in zip(apart, near, strict=False)))
 
 
 def _some(words: list[str]) -> str:

@@ -1,0 +1,290 @@
+"""Definition files: parts inside or in files of their own, shapes, libraries, clips of other files; what is told of mistakes."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import gltf_bodies
+import pytest
+
+from antdsl import limits
+from antdsl.bodies.agents.clip_document import write_clip
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.metadata import Typed
+from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.agents.shape import Between, Blend
+from antdsl.diagnostics import Diagnostic
+from antdsl.scene.paths import Roots
+
+RIG = {
+    "rig_version": 1,
+    "transforms": {"root": ["hand"], "hand": []},
+    "channels": {"fist": {"default_value": 0, "transform": ""}},
+}
+OBJ = "v 0 0 0\nv 10 0 0\nv 0 4 0\nf 1 2 3\n"
+LAYER = {"version": 2, "name": "armed", "static": [{"transform": "hand", "shape": "sword"}]}
+GROUP = {"version": 2, "name": "arm", "members": [{"name": "hand", "weight": 0.5}], "channels": [{"name": "fist"}]}
+CLIP = {"antdsl_clip": 1, "name": "wave", "rate": 10, "channels": {"hand:tx": [0, 1, 0]}}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "sword.obj").write_text(OBJ)
+    tree, data = gltf_bodies.arm()
+    (tmp_path / "arm.glb").write_bytes(gltf_bodies.binary(tree, data))
+    return tmp_path
+
+
+def read(folder: Path, **parts: Any) -> tuple[Definition | None, list[Diagnostic]]:
+    (folder / "body.json").write_text(json.dumps({"antdsl_body": 1, **parts}))
+    found, report = read_definition(folder / "body.json")
+    return found, report.diagnostics
+
+
+def fine(folder: Path, **parts: Any) -> Definition:
+    found, told = read(folder, **parts)
+    assert found is not None and not told, told
+    return found
+
+
+def told(folder: Path, **parts: Any) -> tuple[str, str, str | None]:
+    """Code, marked text and help of the one error."""
+    found, all_told = read(folder, **parts)
+    assert found is None
+    (error,) = [each for each in all_told if each.severity == "error"]
+    return error.code, error.span.text if error.span else "", error.help
+
+
+WHOLE: dict[str, Any] = {
+    "name": "soldier", "front": "+x", "up": "+z", "units": "cm",
+    "shapes": [{"file": "sword.obj", "name": "sword", "units": "mm", "material": "steel"}],
+    "materials": {"steel": [0.5, 0.5, 0.6]},
+}  # fmt: skip
+
+
+def test_parts_are_inside_or_in_files_of_their_own(folder: Path) -> None:
+    inside = fine(
+        folder, **WHOLE, rig=RIG, layers=[LAYER], groups=[GROUP], clips=[CLIP], metadata={"a": {"type": "int", "value": 2}}
+    )
+    (folder / "parts").mkdir()
+    named = {}
+    metadata = {"a": {"type": "int", "value": 2}}
+    for name, part in (("rig", RIG), ("layer", LAYER), ("group", GROUP), ("clip", CLIP), ("metadata", metadata)):
+        (folder / "parts" / f"{name}.json").write_text(json.dumps(part))
+        named[name] = {"file": f"parts/{name}.json"}
+    beside = fine(
+        folder, **WHOLE, rig=named["rig"], layers=[named["layer"]], groups=[named["group"]], clips=[named["clip"]],
+        metadata=named["metadata"],
+    )  # fmt: skip
+    for each in (inside, beside):
+        assert (each.name, each.rig.names, each.front, each.up) == ("soldier", ("root", "hand"), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        assert each.unit == 10.0 and each.length == 1.0  # 10 mm along x
+        assert list(each.layers) == ["armed"] and each.groups["arm"].members == (("hand", 0.5),)
+        assert each.clips["wave"].samples == 3 and each.metadata == {"a": Typed("int", 2)}
+        assert each.shapes["sword"].materials == ("steel",) and each.materials == {"steel": (0.5, 0.5, 0.6)}
+
+
+def test_all_of_a_gltf_file_and_what_is_said_beside(folder: Path) -> None:
+    clips = [{"clip": "bend", "name": "salute", "loop": False, "stride": 3, "marks": {"top": 0.5}}]
+    layer = {"version": 2, "name": "armed", "static": [{"transform": "elbow", "shape": "sword"}]}
+    body = fine(
+        folder, **{"from": "arm.glb"}, shapes=[{"file": "sword.obj", "name": "sword"}], layers=[layer], clips=clips, length=4
+    )
+    assert list(body.shapes) == ["arm", "arm.smile", "sword"] and list(body.layers) == ["body", "armed"]
+    assert list(body.clips) == ["hop", "smile", "salute"] and body.length == 4.0 and body.unit == 1000.0
+    salute = body.clips["salute"]
+    assert (salute.name, salute.loop, salute.stride, salute.marks) == ("salute", False, 3.0, {"top": 0.5})
+
+
+def test_clips_of_another_file_lose_what_the_rig_does_not_have(folder: Path) -> None:
+    rig = {"rig_version": 1, "transforms": {"elbow": []}}
+    body, told = read(folder, rig=rig, length=1, clips=[{"file": "arm.glb", "clip": "hop", "rate": 10}])
+    assert body is not None and body.clips["hop"].joints == ("elbow",) and body.clips["hop"].samples == 11
+    assert [each.code for each in told] == ["body-left-out"] and "`root`" in told[0].message
+
+
+def test_one_shape_of_a_file_and_two_of_a_name(folder: Path) -> None:
+    shapes = [{"file": "arm.glb", "shape": "arm.smile", "name": "mask"}]
+    assert list(fine(folder, rig=RIG, length=1, shapes=shapes).shapes) == ["mask"]
+    twice = [{"file": "sword.obj", "name": "a"}, {"file": "sword.obj", "name": "a"}]
+    assert told(folder, rig=RIG, shapes=twice) == ("duplicate-name", '"a"', "keep one of them")
+    assert told(folder, rig=RIG, shapes=[{"file": "arm.glb", "name": "a"}])[2] == 'add `"shape": "arm"`'
+    assert told(folder, rig=RIG, shapes=[{"file": "arm.glb", "shape": "arn"}]) == ("unknown-name", '"arn"', 'write `"arm"`')
+
+
+def test_blend_shapes_by_their_documented_attributes(folder: Path) -> None:
+    shapes: list[dict[str, Any]] = [
+        {"file": "sword.obj", "name": "head", "blendshape_shapenames": ["smile"], "blendshape_channels": ["fist"],
+         "blendshape_attribs": "P", "blendshape_ptidattr": "number", "deformDualQuaternionBlendAttrib": "soft"},
+        {"file": "sword.obj", "name": "smile", "blendshape_shapenames": ["half"], "blendshape_inbetweenweights": [0.5]},
+        {"file": "sword.obj", "name": "half"},
+    ]  # fmt: skip
+    layer = {"version": 2, "name": "a", "deforming": [{"transform": "hand", "shape": "head", "deformer": "blendshape"}]}
+    body = fine(folder, rig=RIG, shapes=shapes, layers=[layer])
+    assert body.shapes["head"].blend == Blend(("smile",), ("fist",), ("P",), "number", "id")
+    assert body.shapes["head"].dual_quaternion_blend == "soft"
+    assert body.shapes["smile"].between == Between(("half",), (0.5,))
+    shapes[1]["blendshape_inbetweenweights"] = [1]
+    assert told(folder, rig=RIG, shapes=shapes) == ("out-of-range", "[1]", "write `0.5`")
+    shapes[1]["blendshape_inbetweenweights"] = [0.5]
+    shapes[0]["blendshape_channels"] = ["fest"]
+    assert told(folder, rig=RIG, shapes=shapes)[::2] == ("unknown-name", "did you mean `fist`?")
+
+
+def test_a_library_is_found_by_its_condensed_path_or_where_a_root_grants_the_absolute_one(folder: Path, tmp_path: Path) -> None:
+    includes = [["$HIP/sword.obj", "/elsewhere/sword.obj"]]
+    assert list(fine(folder, rig=RIG, shapelib_includes=includes, length=1).shapes) == ["sword"]
+    job = tmp_path / "job"
+    (job / "geo").mkdir(parents=True)
+    (job / "geo" / "axe.obj").write_text(OBJ)
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    for condensed, absolute in (("$JOB/geo/axe.obj", "/nowhere/axe.obj"), ("$HIP/gone.obj", str(job / "geo" / "axe.obj"))):
+        (inner / "body.json").write_text(
+            json.dumps({"antdsl_body": 1, "rig": RIG, "length": 1, "shapelib_includes": [[condensed, absolute]]})
+        )
+        found, report = read_definition(inner / "body.json")
+        assert found is None and report.errors[0].code in ("root-not-granted", "no-such-file")
+        found, report = read_definition(inner / "body.json", Roots(inner, {"JOB": job}))
+        assert found is not None and list(found.shapes) == ["axe"], report.diagnostics
+
+
+@pytest.mark.parametrize(
+    ("parts", "code", "marked", "help"),
+    [
+        ({"rig": {"file": "../rig.json"}}, "bad-path", '"../rig.json"', None),
+        ({"rig": {"file": "/etc/passwd"}}, "bad-path", '"/etc/passwd"', None),
+        ({"rig": {"file": "rog.json"}}, "no-such-file", '"rog.json"', None),
+        ({"rig": RIG, "clips": [{"file": "walk.bclip"}]}, "wrong-kind", '"walk.bclip"', "its format is not published"),
+        ({"rig": RIG, "shapes": [{"file": "skin.bgeo.sc"}]}, "wrong-kind", '"skin.bgeo.sc"', "it is packed"),
+        ({"rig": RIG, "shapelib_includes": [["$HIP/lib.bgeo", ""]]}, "wrong-kind", '["$HIP/lib.bgeo", ""]', "it is a packed"),
+        ({"from": "body.fbx"}, "wrong-kind", '"body.fbx"', "its format is not published: export it as glTF or USD"),
+        ({"from": "sword.obj"}, "wrong-kind", '"sword.obj"', "one of .glb"),
+        ({}, "missing-key", "{", 'add `"rig": {"file": "rig.json"}`'),
+        ({"rig": RIG, "clip": []}, "unknown-key", '"clip"', 'write `"clips"`'),
+        ({"rig": RIG, "front": "z"}, "wrong-value", '"z"', 'write `"+z"`'),
+        ({"rig": RIG, "front": "+y"}, "wrong-value", '"+y"', 'write `"up": "+y"`'),
+        ({"rig": RIG, "units": "inch"}, "wrong-value", '"inch"', 'write `"mm"`'),
+        ({"rig": RIG, "length": 0}, "out-of-range", "0", None),
+        ({"rig": RIG, "materials": {"a": [1, 2, 0]}}, "out-of-range", "2", "write `1`"),
+        ({"rig": RIG, "layers": [{**LAYER, "static": [{"transform": "hand", "shape": "swrd"}]}],
+          "shapes": [{"file": "sword.obj", "name": "sword"}]}, "unknown-name", '"swrd"', 'write `"sword"`'),
+        ({"rig": RIG, "groups": [{**GROUP, "members": [{"name": "hond"}]}]}, "unknown-name", '"hond"', 'write `"hand"`'),
+        ({"rig": RIG, "groups": [GROUP, GROUP]}, "duplicate-name", None, "keep one of them"),
+        ({"rig": RIG, "clips": [CLIP, CLIP]}, "duplicate-name", None, "keep one of them"),
+        ({"rig": RIG, "clips": [{"clip": "wave"}]}, "unknown-name", '"wave"', None),
+        ({"rig": RIG, "shapes": [{"name": "a"}]}, "missing-key", "{", 'add `"file": "sword.obj"`'),
+        ({"rig": RIG, "shapes": [{"file": "sword.obj", "name": "s"}], "layers": [{"version": 2, "name": "x",
+          "deforming": [{"transform": "", "shape": "s", "deformer": "linearskinning"}]}]},
+         "bad-body", '"linearskinning"', "take the shape from"),
+        ({"rig": RIG, "shapes": [{"file": "arm.glb"}]}, "unknown-name", "{", "give the rig"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_told_at_its_place(
+    folder: Path, parts: dict[str, Any], code: str, marked: str | None, help: str | None
+) -> None:
+    found = told(folder, **parts)
+    assert found[0] == code and marked in (None, found[1]), found
+    assert help is None or (found[2] or "").startswith(help), found
+
+
+def test_a_deformer_of_ones_own_and_channels_of_other_rigs_are_told_of_alone(folder: Path) -> None:
+    layer = {"version": 2, "name": "a", "deforming": [{"transform": "hand", "shape": "s", "deformer": "lineerskinning"}]}
+    group = {**GROUP, "channels": [{"name": "fost"}]}
+    body, told = read(folder, rig=RIG, shapes=[{"file": "sword.obj", "name": "s"}], layers=[layer], groups=[group])
+    assert body is not None and sorted((each.code, each.help) for each in told) == [
+        ("unknown-name", 'write `"fist"`'), ("unknown-name", 'write `"linearskinning"`'),
+    ]  # fmt: skip
+
+
+def test_a_mistake_in_a_file_of_its_own_is_told_there(folder: Path) -> None:
+    (folder / "wave.json").write_text(json.dumps({**CLIP, "channels": {"hand:tx": [0, "x"]}}))
+    body, told = read(folder, rig=RIG, clips=[{"file": "wave.json"}])
+    assert body is None and [(each.span.source.path, each.span.text) for each in told if each.span] == [
+        (str(folder / "wave.json"), '"x"')
+    ]
+
+
+def test_a_text_names_a_body_below_granted_roots_and_its_parts_lie_beside_it(folder: Path) -> None:
+    (folder / "deep").mkdir()
+    (folder / "deep" / "sword.obj").write_text(OBJ)
+    body = {"antdsl_body": 1, "rig": RIG, "shapes": [{"file": "sword.obj", "name": "sword"}], "layers": [LAYER]}
+    (folder / "deep" / "body.json").write_text(json.dumps(body))
+    for text, roots in (("deep/body.json", Roots(folder)), ("assets:deep/body.json", Roots(folder / "deep", {"assets": folder}))):
+        found, report = read_definition(text, roots)
+        assert found is not None and list(found.shapes) == ["sword"], report.diagnostics
+    found, report = read_definition("other:body.json", Roots(folder))
+    assert found is None and report.errors[0].code == "root-not-granted"
+
+
+def test_clips_written_by_the_package_are_read_in_a_definition(folder: Path) -> None:
+    body = fine(folder, **{"from": "arm.glb"})
+    (folder / "hop.json").write_text(write_clip(body.clips["hop"]))
+    again = fine(folder, **{"from": {"file": "arm.glb", "rate": 24}}, clips=[{"file": "hop.json", "name": "jump"}])
+    assert (again.clips["jump"].translation == body.clips["hop"].translation).all() and again.clips["hop"].rate == 24
+
+
+ODD: tuple[Any, ...] = (
+    None,
+    -1,
+    0,
+    1,
+    0.5,
+    1e300,
+    "x",
+    "hand",
+    "",
+    [],
+    {},
+    [1, 2],
+    {"file": "sword.obj"},
+    {"a": 1},
+    True,
+    "arm.glb",
+)
+
+
+def spots(tree: Any) -> list[tuple[Any, Any]]:
+    """Every place of a tree as (holder, key)."""
+    keys = list(tree) if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ()
+    return [each for key in keys for each in ((tree, key), *spots(tree[key]))]
+
+
+def test_whatever_stands_in_a_definition_it_is_read_or_told_of(folder: Path) -> None:
+    shapes = [
+        {"file": "sword.obj", "name": "sword", "units": "mm", "blendshape_shapenames": ["cut"], "blendshape_channels": ["fist"]},
+        {"file": "sword.obj", "name": "cut", "blendshape_shapenames": ["sword"], "blendshape_inbetweenweights": [0.5]},
+    ]
+    rig = {**RIG, "antdsl_rest": {"hand": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}
+    clips = [{**CLIP, "marks": {"a": 0.1}}, {"file": "arm.glb", "clip": "hop", "rate": 10}]
+    whole = {
+        **WHOLE, "antdsl_body": 1, "rig": rig, "shapes": shapes, "layers": [LAYER], "groups": [GROUP], "clips": clips,
+        "length": 2,
+        "metadata": {"a": {"type": "int", "value": 2}, "b": [1, {"c": "d"}]},
+        "shapelib_includes": [["$HIP/block.obj", ""]],
+    }  # fmt: skip
+    (folder / "block.obj").write_text(OBJ)
+    text, draw, read = json.dumps(whole), random.Random(7), 0
+    for _ in range(150):
+        tree = json.loads(text)
+        for _ in range(draw.choice([0, 1, 1, 2])):
+            holder, key = draw.choice(spots(tree))
+            if draw.random() < 0.3 and isinstance(holder, dict):
+                del holder[key]
+            else:
+                holder[key] = draw.choice(ODD)
+        (folder / "body.json").write_text(json.dumps(tree))
+        found, report = read_definition(folder / "body.json")
+        assert (found is None) == bool(report.errors), (tree, report.diagnostics)
+        assert all(each.span is not None for each in report.diagnostics)
+        read += found is not None
+    assert 15 < read < 125
+
+
+def test_all_clips_together_have_a_limit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "BODY_PARTS", 1)
+    clips = [{**CLIP, "name": name} for name in "ab"]
+    assert told(folder, rig=RIG, clips=clips)[0] == "too-large"

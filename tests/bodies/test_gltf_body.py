@@ -1,0 +1,218 @@
+"""glTF files as agent definitions: what is in them by hand, the three kinds of keys, and files that are damaged."""
+
+from __future__ import annotations
+
+import copy
+import json
+import random
+import struct
+from pathlib import Path
+from typing import Any
+
+import gltf_bodies
+import numpy as np
+import pytest
+
+from antdsl import limits
+from antdsl.bodies.agents.boxes import rest_box
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.gltf_body import read_gltf
+from antdsl.bodies.agents.layer import Binding
+from antdsl.bodies.agents.problems import BodyError
+from antdsl.bodies.agents.reading import read_definition
+from antdsl.scene.paths import PathRefused
+
+
+def nothing_beside(path: str, cap: int) -> bytes:
+    raise PathRefused("no-such-file", f"there is no file `{path}`")
+
+
+def body_of(tree: dict[str, Any], data: bytes) -> Definition:
+    return read_gltf(gltf_bodies.binary(tree, data), "arm", nothing_beside, 20.0)[0]
+
+
+@pytest.fixture(scope="module")
+def arm() -> Definition:
+    return body_of(*gltf_bodies.arm())
+
+
+def test_nodes_are_joints_and_the_node_of_a_skin_is_none(arm: Definition) -> None:
+    assert arm.rig.names == ("root", "elbow") and arm.rig.parents.tolist() == [-1, 0]
+    assert arm.rig.rest[:, :3, 3].tolist() == [[0, 1, 0], [0, 2, 0]]
+    assert [(each.name, each.default) for each in arm.rig.channels] == [("arm.smile", 0.25)]
+    assert (arm.front, arm.up, arm.unit) == ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0)
+
+
+def test_a_mesh_is_a_shape_with_all_that_deformers_need(arm: Definition) -> None:
+    shape = arm.shapes["arm"]
+    assert (shape.points == gltf_bodies.POINTS).all() and shape.faces.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4]]
+    assert shape.normals is not None and shape.uvs is not None and shape.uvs[3].tolist() == [0.25, 0.5]
+    assert shape.attributes["id"].tolist() == [10, 11, 12, 13, 14] and shape.attributes["id"].dtype == np.int64
+    assert shape.materials == ("shell",) and arm.materials["shell"] == pytest.approx((0.8, 0.4, 0.2))
+    capture = shape.capture
+    assert capture is not None and capture.names == ("root", "elbow")
+    assert capture.weights.tolist() == [[1, 0], [0.75, 0.25], [0.5, 0.5], [1, 0], [1, 0]]  # made to add up to 1
+    assert capture.joints[3].tolist() == [1, 0] and capture.inverse[1, :3, 3].tolist() == [0, -2, 0]
+    assert arm.layers["body"].deforming == (Binding("", "arm", deformer="blendshape+linearskinning"),)
+    assert [part.tolist() for part in rest_box(arm)] == [[0, 1, 0], [1, 5, 1]]  # the skin, where the joints put it
+
+
+def test_a_morph_target_is_a_shape_to_blend_with(arm: Definition) -> None:
+    blend = arm.shapes["arm"].blend
+    assert blend is not None and (blend.shapes, blend.channels) == (("arm.smile",), ("arm.smile",))
+    assert (arm.shapes["arm.smile"].points - arm.shapes["arm"].points).tolist() == gltf_bodies.SMILE
+
+
+def test_keys_are_sampled_by_their_kind(arm: Definition) -> None:
+    bend, hop, smile = (arm.clips[name] for name in ("bend", "hop", "smile"))
+    assert (bend.samples, bend.rate, bend.duration, bend.joints) == (21, 20.0, 1.0, ("elbow",))
+    angle = 2 * np.arctan2(bend.rotation[:, 0, 2], bend.rotation[:, 0, 3])
+    assert np.abs(angle - np.linspace(0, np.pi / 2, 21)).max() < 1e-6  # evenly, not along the chord
+    assert (bend.translation[:, 0] == (0, 2, 0)).all()  # what is not animated is the node's own
+    assert hop.translation[:20, 0, 1].tolist() == [1] * 20 and hop.translation[20, 0, 1] == 3
+    t = np.linspace(0, 1, 21)
+    assert np.abs(hop.translation[:, 1, 0] - (t**3 - 2 * t**2 + t)).max() < 1e-6  # leaves with a tangent of 1 a second
+    assert (smile.joints, smile.channels) == ((), ("arm.smile",))
+    assert smile.values[[0, 10, 15, 20], 0].tolist() == [0, 1, 0.75, 0.5]
+
+
+def test_text_and_binary_say_the_same_and_buffers_may_lie_beside(arm: Definition, tmp_path: Path) -> None:
+    tree, data = gltf_bodies.arm()
+    (tmp_path / "inside.gltf").write_bytes(gltf_bodies.text(tree, data))
+    (tmp_path / "beside.gltf").write_text(
+        json.dumps({**tree, "buffers": [{"byteLength": len(data), "uri": "parts/my%20arm.bin"}]})
+    )
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "my arm.bin").write_bytes(data)
+    for name in ("inside.gltf", "beside.gltf"):
+        found, report = read_definition(tmp_path / name)
+        assert found is not None and not report.diagnostics, report.diagnostics
+        assert (found.shapes["arm"].points == arm.shapes["arm"].points).all() and found.length == 1.0
+    (tmp_path / "beside.gltf").write_text(json.dumps({**tree, "buffers": [{"byteLength": 4, "uri": "../arm.bin"}]}))
+    found, report = read_definition(tmp_path / "beside.gltf")
+    assert found is None and [each.code for each in report.errors] == ["bad-path"]
+
+
+def test_strips_fans_shared_meshes_and_mirrored_nodes() -> None:
+    writer = gltf_bodies.Writer()
+    corners = writer.add([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]])
+    primitives = [{"attributes": {"POSITION": corners}, "mode": mode} for mode in (5, 6)]
+    nodes = [{"name": "a", "mesh": 0}, {"name": "a", "mesh": 0, "scale": [-1, 1, 1]}]
+    found = body_of(writer.tree({"nodes": nodes, "meshes": [{"primitives": primitives}]}), bytes(writer.data))
+    shape = found.shapes["a"]
+    assert shape.faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4], [6, 7, 5], [7, 8, 5], [8, 9, 5]]
+    assert found.rig.names == ("a", "a_2") and found.rig.rest[1, 0, 0] == -1
+    assert found.layers["body"].static == (Binding("a", "a"), Binding("a_2", "a"))
+
+
+def test_a_mesh_with_morph_targets_at_a_node_is_blended_and_follows_that_node() -> None:
+    tree, data = gltf_bodies.arm()
+    tree["nodes"] = [{"name": "stand", "translation": [0, 7, 0], "mesh": 0, "weights": [0.5]}]
+    tree |= {"skins": [], "animations": [], "scenes": [{"nodes": [0]}]}
+    found = body_of(tree, data)
+    assert found.layers["body"].deforming == (Binding("", "arm", deformer="blendshape+linearskinning"),)
+    capture = found.shapes["arm"].capture
+    assert capture is not None and capture.names == ("stand",) and (capture.weights == 1).all()
+    assert [part.tolist() for part in rest_box(found)] == [[0, 7, 0], [1, 11, 1]]
+    assert found.rig.channels[0].default == 0.5
+
+
+def changed(change: Any) -> str:
+    tree, data = gltf_bodies.arm()
+    change(tree)
+    with pytest.raises(BodyError) as why:
+        body_of(tree, data)
+    return str(why.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t["asset"].update(version="1.0"), "is glTF 1.0"),
+        (lambda t: t.update(extensionsRequired=["KHR_draco_mesh_compression"]), "is compressed with Draco"),
+        (lambda t: t.update(extensionsRequired=["ACME_bones"]), "needs the extension `ACME_bones`"),
+        (lambda t: t["nodes"][1].update(children=[0]), "circle"),
+        (lambda t: t["nodes"][2].update(children=[1]), "two parents"),
+        (lambda t: t["skins"][0].update(joints=[0, 7]), "names `node` 7, of which there are 3"),
+        (lambda t: t["accessors"][0].update(count=10**9), "more than are read"),
+        (lambda t: t["accessors"][0].update(count=500), "too few for what is in it"),
+        (lambda t: t["bufferViews"][0].update(byteLength=10**9), "has a buffer of"),
+        (lambda t: t["meshes"][0]["primitives"][0]["attributes"].update(POSITION=5), "1 numbers where 3 are wanted"),
+        (lambda t: t["meshes"][0]["primitives"][0].update(indices=0), "3 numbers where 1 are wanted"),
+        (lambda t: t["skins"][0].update(joints=[0]), "not among the 1 of its skin"),
+        (lambda t: t["animations"][0]["samplers"][0].update(output=0), "has 15 values for 2 keys of 4"),
+        (lambda t: t["animations"][0]["samplers"][0].update(interpolation="BOUNCE"), "`BOUNCE`"),
+        (lambda t: t["scenes"][0].update(nodes=[0, 1]), "names a node twice"),
+        (lambda t: t.update(nodes=[]), "names `node`"),
+    ],
+)
+def test_what_does_not_fit_together_is_told(change: Any, words: str) -> None:
+    assert words in changed(change)
+
+
+def test_keys_that_go_on_for_too_long_are_refused_before_they_are_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "CLIP_BYTES", 3000)
+    assert "clips of more than" in changed(lambda tree: None)
+    monkeypatch.setattr(limits, "CLIP_SAMPLES", 10)
+    assert "longer than is read" in changed(lambda tree: None)
+    monkeypatch.setattr(limits, "BODY_POINTS", 9)
+    assert "more than 9 points" in changed(lambda tree: None)
+
+
+ODD: tuple[Any, ...] = (
+    None, -1, 0, 1, 2, 5, 99999999999, 1e300, -0.5, "x", [], {}, [1], {"a": 1}, True, "weights", "translation", 2**31, "MAT4",
+)  # fmt: skip
+
+
+def spots(tree: Any, found: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
+    """Every place of a tree as (holder, key)."""
+    for key in list(tree) if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ():
+        found.append((tree, key))
+        spots(tree[key], found)
+    return found
+
+
+def damaged(draw: random.Random, tree: dict[str, Any], data: bytes) -> bytes:
+    """A file with a few values, bytes or ends that are not as they were."""
+    tree = copy.deepcopy(tree)
+    for _ in range(draw.choice([0, 1, 1, 2, 3])):
+        holder, key = draw.choice(spots(tree, []))
+        if draw.random() < 0.3 and isinstance(holder, dict):
+            del holder[key]
+        elif draw.random() < 0.3 and isinstance(holder, list):
+            holder.append(copy.deepcopy(holder[key]))
+        else:
+            holder[key] = copy.deepcopy(draw.choice(ODD))
+    made = bytearray(gltf_bodies.binary(tree, data))
+    for _ in range(draw.choice([0, 0, 20])):
+        made[draw.randrange(len(made) - len(data), len(made))] = draw.randrange(256)
+    return bytes(made[: draw.randrange(len(made))] if draw.random() < 0.1 else made)
+
+
+def test_damaged_files_are_read_or_told_of() -> None:
+    read = 0
+    for seed in range(400):
+        try:
+            found, _ = read_gltf(damaged(random.Random(seed), *gltf_bodies.arm()), "arm", nothing_beside, 20.0)
+        except (BodyError, PathRefused):
+            continue
+        read += 1
+        for shape in found.shapes.values():
+            assert np.isfinite(shape.points).all() and (shape.faces < len(shape.points)).all()
+        for clip in found.clips.values():
+            assert np.isfinite(clip.translation).all() and np.isfinite(clip.rotation).all() and np.isfinite(clip.values).all()
+    assert 50 < read < 350
+
+
+def test_a_binary_file_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
+    tree, data = gltf_bodies.arm()
+    whole = gltf_bodies.binary(tree, data)
+    for made in (
+        whole[:-8],
+        whole[:15],
+        whole[:8] + struct.pack("<I", 2**31) + whole[12:],
+        whole[:12] + b"\xff" * 8 + whole[20:],
+    ):
+        (tmp_path / "arm.glb").write_bytes(made)
+        found, report = read_definition(tmp_path / "arm.glb")
+        assert found is None and [each.code for each in report.errors] == ["bad-body"]

@@ -1,0 +1,65 @@
+"""The blocks of docs/bodies.md: parts are read as the page says what they are, files that it names lie side by side."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import commands
+import pytest
+
+from antdsl.bodies.agents.body_files import _CLOSED
+from antdsl.bodies.agents.clip_document import PARTS, read_clip
+from antdsl.bodies.agents.definition_document import KNOWN
+from antdsl.bodies.agents.documents import DOCUMENTED_DEFORMERS, read_group, read_layer, read_part, read_rig
+from antdsl.bodies.agents.metadata import read_metadata
+from antdsl.bodies.agents.reading import read_definition
+
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "bodies.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w+) ?(\w*)(?: file=(\S+))?\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
+READERS: dict[str, Callable[..., Any]] = {
+    "rig": read_rig, "layer": read_layer, "group": read_group, "metadata": read_metadata, "clip": read_clip,
+}  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for _, _, name, text in BLOCKS:
+        if name:
+            (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "block.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_each_part_is_read_as_the_page_says(kind: str) -> None:
+    (text,) = [text for language, word, _, text in BLOCKS if (language, word) == ("json", kind)]
+    found, report = read_part(text.encode(), f"{kind}.json", f"a {kind}", READERS[kind])
+    assert found is not None and not report.diagnostics, report.diagnostics
+
+
+def test_the_definition_is_whole(folder: Path) -> None:
+    found, report = read_definition(folder / "puppet.json")
+    assert found is not None and not report.diagnostics, report.diagnostics
+    assert found.shapes["block"].points.max() == 10 and found.clips["wave"].marks == {"up": 0.25}
+
+
+def test_the_command_tells_what_the_page_shows(folder: Path) -> None:
+    (text,) = [text for language, word, _, text in BLOCKS if (language, word) == ("console", "bodies")]
+    command, *lines = text.splitlines()
+    done = commands.run(*shlex.split(command)[2:], cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [line for line in lines if line not in done.stdout.splitlines()] == [], done.stdout
+
+
+def test_the_page_has_all_keys_parts_and_deformers_and_the_files_that_are_not_read() -> None:
+    words = set(re.findall(r"`([^`\n]+)`", TEXT)) | {word for cell in re.findall(r"`([^`\n]+)`", TEXT) for word in cell.split()}
+    assert [key for key in KNOWN if key not in words] == []
+    assert [part for part in PARTS if part not in words] == []
+    assert [name for name in DOCUMENTED_DEFORMERS if "+" not in name and name not in words] == []
+    assert {"bclip", "bgeo", "fbx", "abc"} <= set(_CLOSED) and all(
+        f"`.{each}`" in TEXT for each in ("bclip", "bgeo", "fbx", "abc")
+    )
