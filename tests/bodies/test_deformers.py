@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -297,6 +298,11 @@ def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monke
             register(name, swell)
     with pytest.raises(KeyError, match="no deformer `melt`; there are linearskinning"):
         steps("blendshape+melt")
+
+
+def test_the_page_has_all_deformers() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "poses.md").read_text(encoding="utf-8")
+    assert [name for name in DEFORMERS if f"\n| `{name}` | " not in page] == []
 
 
 def test_shapes_without_what_a_deformer_needs_are_refused() -> None:

@@ -35,7 +35,7 @@ from antdsl.numerics.float_environment import standard
 
 INTERPOLATE, ADDITIVE = 0, 1
 NO_PARENT = -1
-_PART = 1 << 14  # joints worked on at once: their components stay in the cache of a core
+_PART = 1 << 15  # joints worked on at once: their components stay in the cache of a core
 _ONE = np.float32(1)
 _MOST, _LEAST = np.float32(1e18), np.float32(1e-30)  # of weights: shares of more, or of a sum of less, cannot be told in float32
 
