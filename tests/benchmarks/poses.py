@@ -30,7 +30,7 @@ from antdsl.bodies.agents.shape import Capture, Shape
 
 Floats = NDArray[np.float32]
 JOINTS = 20
-PART = (1 << 14) // JOINTS  # agents worked on at once, as in `blending`
+PART = (1 << 15) // JOINTS  # agents worked on at once, as in `blending`
 
 
 def insect(scales: bool) -> Definition:

@@ -71,6 +71,7 @@ def wild(joints: int, seed: int, samples: Sequence[int] = (5, 9), scales: bool =
         rotation /= np.linalg.norm(rotation, axis=2, keepdims=True)
         scale = random.uniform(0.5, 2, (count, joints, 3)) if scales else np.ones((count, joints, 3))
         shear = random.normal(size=(count, joints, 3)) * 0.3 if sheared else None
+        scale[:, ::4, 0] *= -1 if sheared else 1  # these mirror
         clips[f"c{number}"] = Clip(
             f"c{number}", 24.0, names, random.normal(size=(count, joints, 3)).astype(np.float32), rotation.astype(np.float32),
             scale.astype(np.float32), None if shear is None else shear.astype(np.float32), ("jaw",),

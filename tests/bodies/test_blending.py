@@ -190,6 +190,32 @@ def test_three_rotations_are_blended_on_one_side_whatever_their_signs() -> None:
     )
 
 
+def test_nothing_jumps_while_clips_go_round_and_fade_into_each_other() -> None:
+    """Two clips that loop, of samples whose quaternions have any sign, faded from one to the other over their seams: steps half
+    as long change half as much, everywhere."""
+    random = np.random.default_rng(5)
+    clips = []
+    for name, count in (("a", 9), ("b", 7)):
+        rotation = np.array(
+            [[turn("x", 40 * np.sin(k)), turn("y", 80 * np.cos(2 * k))] for k in np.linspace(0, 2 * np.pi, count)]
+        )
+        rotation *= random.choice([-1, 1], (count, 2, 1))
+        flat = np.zeros((count, 2, 3), np.float32)
+        clips.append(Clip(name, 8.0, ("root", "tip"), flat, rotation.astype(np.float32), flat + 1))
+    table = clip_table(definition({"root": "", "tip": "root"}, *clips))
+
+    def largest(steps: int) -> float:
+        share = np.linspace(0, 1, steps + 1).astype(np.float32)
+        times = np.linspace(0.6, 2.6, steps + 1)
+        playing = Playing.alike(
+            ClipTree.flat(2), np.tile(np.array([[0, 1]], np.int32), (steps + 1, 1)), np.stack([times, times * 1.3], axis=1),
+            np.stack([1 - share, share], axis=1),
+        )  # fmt: skip
+        return float(np.abs(np.diff(posed(table, {}, playing).world, axis=0)).max())
+
+    assert 0 < largest(4000) < 0.55 * largest(2000) < 0.55 * 0.03
+
+
 def test_agents_of_different_trees_are_each_as_alone() -> None:
     trees = (ClipTree.flat(2), ClipTree((0, 0), ("", "arm"), (ADDITIVE,), (-1,)), ClipTree((1,), ("",), (0, 0), (-1, 0)))
     rows = [
@@ -207,6 +233,8 @@ def test_agents_of_different_trees_are_each_as_alone() -> None:
         count = len(trees[tree].layers)
         alone = one(trees[tree], clips[:count], weights[:count], layers[: len(trees[tree].modes)])
         assert alone.world[0].tobytes() == found.world[k].tobytes()
+    with pytest.raises(ValueError, match=r"`weights` of 4 agents is \(4, 1\) where \[4, 2 or more\] is wanted"):
+        posed(clip_table(MADE), GROUPS, replace(playing, weights=playing.weights[:, :1]))
     with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
         posed(clip_table(MADE), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))
 

@@ -112,11 +112,15 @@ def test_matrices_are_taken_apart_and_put_together_again() -> None:
 
 def test_the_nearest_rotation_is_that_of_the_polar_decomposition() -> None:
     random = np.random.default_rng(4)
-    given = np.stack([*random.normal(size=(200, 3, 3)), np.diag([1000.0, 1, 1]), np.diag([1e-6, 2e-6, 1e-6]), np.eye(3) * 1e9])
+    turns = [matrix(rotation=q)[:3, :3] for q in random.normal(size=(6, 4))]
+    flat = [turns[k] @ np.diag(s) @ turns[k + 3] for k, s in enumerate(([1, 1, 1e-9], [1e5, 1, 1e-5], [1, 1e-7, -1e-7]))]
+    given = np.stack(
+        [*random.normal(size=(200, 3, 3)), np.diag([1000.0, 1, 1]), np.diag([1e-6, 2e-6, 1e-6]), np.eye(3) * 1e9, *flat]
+    )
     found = np.moveaxis(affine.rotation_part(np.moveaxis(given, 0, -1)), -1, 0)
     for m, r in zip(given, found, strict=True):
         u, _, v = np.linalg.svd(m)
-        assert np.allclose(r, u @ v * np.sign(np.linalg.det(m)), atol=1e-6)
+        assert np.allclose(r, u @ v * np.sign(np.linalg.det(m)), atol=1e-5)
     turned = np.stack(
         [matrix(rotation=q)[:3, :3] for q in random.normal(size=(100, 4))] + [np.diag([1.0, -1, -1]), np.diag([-1.0, -1, 1])]
     )

@@ -53,6 +53,19 @@ def here(scenes: tuple[str, ...], frames: int, most: int) -> str:
     return found
 
 
+def test_poses_without_these_instructions() -> None:
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
+    found = set()
+    for settings in ({}, {**WITHOUT, "NPY_DISABLE_CPU_FEATURES": disabled()}):
+        made = subprocess.run(
+            [sys.executable, str(ROOT / "tests" / "bodies" / "pose_hash.py")],
+            env={**clean, "PYTHONPATH": str(ROOT), **settings}, capture_output=True, text=True,
+        )  # fmt: skip
+        assert made.returncode == 0, made.stderr[-3000:]
+        found.add(made.stdout)
+    assert len(found) == 1
+
+
 def test_examples_without_the_instructions_that_libraries_choose_between() -> None:
     settings = {**PLAIN, **WITHOUT, "NPY_DISABLE_CPU_FEATURES": disabled()}
     assert hashes(SOME, 2, 60, settings) == here(SOME, 2, 60)

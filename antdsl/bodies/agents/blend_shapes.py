@@ -2,8 +2,9 @@
 
 Each input adds its difference from the base shape, times its weight; weights are not normalised and may be below 0 or above 1.
 An input with in-betweens goes from the base at weight 0 through each of its corrective shapes at that one's weight to the
-primary shape at weight 1, in straight pieces; the outermost pieces go on beyond. Points are matched by an attribute (`id` unless
-the base names another) where the base and the other shape both have it, else by number; points that find none stay.
+primary shape at weight 1, in straight pieces; the outermost pieces go on beyond. An attribute that an in-between does not have
+goes past it. Points are matched by an attribute (`id` unless the base names another) where the base and the other shape both
+have it, else by number; points that find none are there as in the base.
 """
 
 from __future__ import annotations
@@ -33,17 +34,18 @@ def blend_shapes(given: Deformed, shape: Shape, definition: Definition, poses: P
     if len(blend.shapes) != len(blend.channels):
         raise ValueError(f"shape `{shape.name}` has {len(blend.shapes)} blend shapes and {len(blend.channels)} channels for them")
     n = max(len(poses.channels), len(given.points))
-    names = [name for name in blend.attributes if _of(given, name) is not None]
+    names = [name for name in blend.attributes if _of(given, name) is not None and _values(shape, name) is not None]
     found = {name: _spread(_of(given, name), n) for name in names}
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
         weights = poses.channels[:, definition.rig.channel(channel)]
         targets, knots = _knots(definition, name)
-        for target, share in zip(targets, _shares(weights, knots), strict=True):
-            here, there = _matched(shape, target, blend.point_id)
-            for each in names:
-                difference = _difference(shape, target, each, here, there)
-                if difference is not None:
-                    found[each][:, here] += difference[..., None] * share
+        for each in names:
+            if _values(definition.shapes[name], each) is None:
+                continue
+            has = [k for k, target in enumerate(targets) if _values(target, each) is not None]
+            for k, share in zip(has, _shares(weights, knots[has]), strict=True):
+                here, there = _matched(shape, targets[k], blend.point_id)
+                found[each][:, here] += _difference(shape, targets[k], each, here, there)[..., None] * share
     rest = {name: array.transpose(2, 1, 0) for name, array in found.items() if name not in _OWN}
     points = found["P"].transpose(2, 1, 0) if "P" in found else given.points
     normals = unit(found["N"]).transpose(2, 1, 0) if "N" in found else given.normals
@@ -107,13 +109,15 @@ def _matched(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp
     return here, order[place[here]] if len(other) else here
 
 
-def _difference(base: Shape, target: Shape, name: str, here: NDArray[np.intp], there: NDArray[np.intp]) -> Floats | None:
-    """What another shape has more of an attribute at matched points, float32[components, matched]; None if one has it not."""
-    if name in _OWN:
-        mine, others = getattr(base, _OWN[name]), getattr(target, _OWN[name])
-    else:
-        mine, others = base.attributes.get(name), target.attributes.get(name)
-    if mine is None or others is None:
-        return None
+def _values(shape: Shape, name: str) -> NDArray[np.generic] | None:
+    """An attribute [P, …] of the points of a shape."""
+    found: NDArray[np.generic] | None = getattr(shape, _OWN[name]) if name in _OWN else shape.attributes.get(name)
+    return found
+
+
+def _difference(base: Shape, target: Shape, name: str, here: NDArray[np.intp], there: NDArray[np.intp]) -> Floats:
+    """What another shape has more of an attribute than the base at matched points, float32[components, matched]."""
+    mine, others = _values(base, name), _values(target, name)
+    assert mine is not None and others is not None
     found = others[there].astype(np.float32) - mine[here].astype(np.float32)
     return np.ascontiguousarray(found.reshape(len(here), -1).T)

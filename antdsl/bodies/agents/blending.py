@@ -38,7 +38,7 @@ from antdsl.numerics.float_environment import standard
 
 INTERPOLATE, ADDITIVE, OVER = 0, 1, 2
 NO_PARENT = -1
-_PART = 1 << 14  # joints worked on at once: their components stay in the cache of a core
+_PART = 1 << 15  # joints worked on at once: their components stay in the cache of a core
 _ONE = np.float32(1)
 _MOST, _LEAST = np.float32(1e18), np.float32(1e-30)  # of weights: shares of more, or of a sum of less, cannot be told in float32
 
@@ -113,7 +113,9 @@ def posed(
     """The transforms and channel values of all agents by what they play; local transforms if asked for.
 
     Raises KeyError for a transform group that there is not, or that names what the rig does not have, IndexError for the number
-    of no clip or tree. `threads` and the order of agents change no bit."""
+    of no clip or tree, ValueError for arrays that do not fit each other or the trees. `threads` and the order of agents change no
+    bit."""
+    _fitting(playing)
     n, joints = len(playing.tree), len(table.order)
     if n and not 0 <= int(playing.tree.min()) <= int(playing.tree.max()) < len(playing.trees):
         raise IndexError(f"trees are numbered from 0 to {len(playing.trees) - 1}")
@@ -143,6 +145,17 @@ def posed(
             with standard():
                 compiled.in_parts(work, count, threads)
     return Poses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
+
+
+def _fitting(playing: Playing) -> None:
+    """Refuse arrays of other shapes than the trees need."""
+    n = len(playing.tree)
+    slots = max((len(tree.layers) for tree in playing.trees), default=0)
+    layers = max((len(tree.modes) for tree in playing.trees), default=0)
+    for name, least in (("clips", slots), ("times", slots), ("weights", slots), ("layer_weights", layers)):
+        shape = getattr(playing, name).shape
+        if len(shape) != 2 or shape[0] != n or shape[1] < least:
+            raise ValueError(f"`{name}` of {n} agents is {shape} where [{n}, {least} or more] is wanted")
 
 
 def _put(into: Floats, table: ClipTable, whose: slice | NDArray[np.intp], found: Floats) -> None:
