@@ -276,7 +276,7 @@ def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:
     (dict(layers=(0,), groups=("",), modes=(0, 0, 0), parents=(-1, 2, 1)), "layer 1 is an input of itself"),
     (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, 2)), "one of 0 to 1"),
     (dict(layers=(1,), groups=("",)), "input of no layer"),
-    (dict(layers=(0,), groups=("",), modes=(2,)), "0 \\(interpolate\\) or 1"),
+    (dict(layers=(0,), groups=("",), modes=(3,)), "1 \\(additive\\) or 2"),
     (dict(layers=(0,), groups=()), "each clip has a layer"),
 ])  # fmt: skip
 def test_what_is_no_tree_is_refused(tree: dict[str, tuple[int, ...]], why: str) -> None:

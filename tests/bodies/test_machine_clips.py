@@ -1,0 +1,87 @@
+"""What machines play: a wave of the arms over a walk, weights, clips that give way to others and to none. Worked out by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigs import definition, matrix, still, turn
+
+from antdsl.bodies.agents.blending import OVER, posed
+from antdsl.bodies.agents.clip_table import clip_table
+from antdsl.bodies.agents.layer import TransformGroup
+from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+
+# A trunk, an arm and a leg beside each other; clips put them at heights: rest 0, low 1, high 3.
+JOINTS = {"trunk": "", "arm": "", "leg": ""}
+LOW, HIGH = (still(name, {j: {"t": (0, y, 0)} for j in JOINTS}) for name, y in (("low", 1), ("high", 3)))
+BODY = replace(
+    definition(JOINTS, LOW, HIGH),
+    groups={"arms": TransformGroup("arms", (("arm", 1.0),)), "half": TransformGroup("half", (("arm", 0.5), ("leg", 1.0)))},
+)
+CLIPS = (("low", ""), ("high", ""), ("high", "arms"), ("high", "half"), ("gone", ""))
+
+
+def machine(clip: int, weight: float = 1.0, before: int = -1, before_weight: float = 1.0, fade: float = 0.0) -> MachineClips:
+    numbers = np.array([clip], np.int16), np.array([before], np.int16)
+    floats = [np.array([x], np.float32) for x in (0.0, weight, 0.0, before_weight, fade)]
+    return MachineClips(numbers[0], floats[0], floats[1], numbers[1], floats[2], floats[3], floats[4])
+
+
+def heights(*machines: MachineClips) -> list[float]:
+    """Of trunk, arm and leg."""
+    table = clip_table(BODY)
+    found = posed(table, BODY.groups, machines_playing(table, CLIPS, machines, 1)).world
+    return [float(y) for y in found[0, :, 1, 3]]
+
+
+@pytest.mark.parametrize(
+    "machines, wanted",
+    [
+        ([], [0, 0, 0]),
+        ([machine(-1)], [0, 0, 0]),
+        ([machine(4)], [0, 0, 0]),  # a clip that the body does not have
+        ([machine(0)], [1, 1, 1]),
+        ([machine(0, weight=0.25)], [0.25, 0.25, 0.25]),  # over the rest pose
+        ([machine(0), machine(2)], [1, 3, 1]),
+        ([machine(0), machine(2, weight=0.5)], [1, 2, 1]),
+        ([machine(0), machine(3)], [1, 2, 3]),  # a joint that is half in the group
+        ([machine(2), machine(0)], [1, 1, 1]),  # the later one lies over
+        ([machine(0), machine(-1)], [1, 1, 1]),
+        ([machine(1, before=0, fade=0.25)], [2.5, 2.5, 2.5]),
+        ([machine(0), machine(-1, before=2, fade=0.5)], [1, 2, 1]),  # gives way to none, and shows what is below
+        ([machine(0), machine(2, fade=0.5)], [1, 2, 1]),  # comes from none
+        ([machine(0), machine(2, before=1, fade=0.5)], [2, 3, 2]),  # whole before, the arms now
+        ([machine(1, weight=0.5, before=0, before_weight=1, fade=0.5)], [(0.5 * 1 + 0.25 * 3)] * 3),
+        ([machine(0), machine(2), machine(2)], [1, 3, 1]),
+    ],
+)  # fmt: skip
+def test_machines_lie_over_each_other(machines: list[MachineClips], wanted: list[float]) -> None:
+    assert heights(*machines) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_rotations_go_over_by_the_shorter_way() -> None:
+    clips = [still(name, {"trunk": {"r": [-x for x in turn("z", a)]}}) for name, a in (("a", 0), ("b", 90))]
+    body = definition({"trunk": ""}, *clips)
+    table = clip_table(body)
+    found = posed(table, {}, machines_playing(table, (("a", ""), ("b", "")), [machine(0), machine(1, weight=0.5)], 1)).world[0, 0]
+    assert found[:, :3] == pytest.approx(matrix(rotation=turn("z", 45))[:3, :3], abs=1e-6)
+
+
+def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
+    walk = replace(LOW, name="walk", rate=2.0, translation=np.array([[[0, 0, 0]] * 3, [[0, 1, 0]] * 3], np.float32),
+                   rotation=np.tile(LOW.rotation, (2, 1, 1)), scale=np.tile(LOW.scale, (2, 1, 1)))  # fmt: skip
+    body = replace(definition(JOINTS, walk, replace(walk, name="once", loop=False)), groups=BODY.groups)
+    table = clip_table(body)
+    clips = (("walk", ""), ("once", ""), ("walk", "arms"))
+    clip, turns = np.array([0, 0, 1, 1, 2], np.int16), np.array([0.25, 7.25, 0.5, 1.0, 0.75], np.float32)
+    ones, zeros, none = np.ones(5, np.float32), np.zeros(5, np.float32), np.full(5, -1, np.int16)
+    whole = MachineClips(clip, turns, ones, none, zeros, ones, zeros)
+    playing = machines_playing(table, clips, [whole], 5)
+    assert all(tree.modes[0] == OVER for tree in playing.trees) and len(playing.trees) == 2
+    together = posed(table, body.groups, playing).world
+    assert together[:, 1, 1, 3] == pytest.approx([0.25, 0.25, 0.5, 1.0, 0.75]) and together[4, 0, 1, 3] == 0
+    for k in range(5):
+        alone = posed(table, body.groups, machines_playing(table, clips, [whole.rows(np.array([k]))], 1)).world
+        assert np.array_equal(alone[0], together[k])
