@@ -1,0 +1,108 @@
+"""A definition as plain arrays: what comes back is what was there, and nothing else is taken for one."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import gltf_bodies
+import numpy as np
+import pytest
+import usd_bodies
+
+from antdsl.bodies.agents.clip_table import clip_table
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.packed import PARTS, Arrays, digest, packed, unpacked
+from antdsl.bodies.agents.problems import BodyError
+from antdsl.bodies.agents.reading import read_definition
+
+
+@pytest.fixture(scope="module")
+def bodies(tmp_path_factory: pytest.TempPathFactory) -> list[Definition]:
+    """A skin with morph targets and animations, a UsdSkel body with in-betweens, and the walker of the example."""
+    folder = tmp_path_factory.mktemp("bodies")
+    (folder / "arm.glb").write_bytes(gltf_bodies.binary(*gltf_bodies.arm()))
+    usd_bodies.write(folder / "body.usda")
+    walker = Path(__file__).parents[2] / "examples" / "walker" / "walker.json"
+    found = [read_definition(path) for path in (folder / "arm.glb", folder / "body.usda", walker)]
+    assert all(body is not None for body, _ in found), [str(report) for _, report in found]
+    return [body for body, _ in found if body is not None]
+
+
+def same(a: object, b: object) -> bool:
+    """Equal in every part, arrays to the bit and in their types. Metadata is not kept."""
+    if isinstance(a, np.ndarray):
+        return isinstance(b, np.ndarray) and a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    if dataclasses.is_dataclass(a):
+        names = [each.name for each in dataclasses.fields(a) if each.name != "metadata"]
+        return type(a) is type(b) and all(same(getattr(a, name), getattr(b, name)) for name in names)
+    if isinstance(a, dict):
+        return isinstance(b, dict) and list(a) == list(b) and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, tuple):
+        return isinstance(b, tuple) and len(a) == len(b) and all(map(same, a, b))
+    return type(a) is type(b) and a == b
+
+
+def test_a_definition_comes_back_as_it_was(bodies: list[Definition]) -> None:
+    for body in bodies:
+        made = packed(body)
+        assert tuple(made) == PARTS
+        back = unpacked(made)
+        assert same(body, back) and digest(back) == digest(body)
+        assert clip_table(back).samples.tobytes() == clip_table(body).samples.tobytes()
+    assert len({digest(body) for body in bodies}) == 3
+
+
+def test_what_is_damaged_is_no_body(bodies: list[Definition]) -> None:
+    made = packed(bodies[0])
+    for part in PARTS:
+        with pytest.raises(BodyError):
+            unpacked({name: array for name, array in made.items() if name != part})
+        if part != "text" and made[part].size:
+            with pytest.raises(BodyError):
+                unpacked({**made, part: made[part][:-1]})
+    with pytest.raises(BodyError):
+        unpacked({**made, "i4": np.full_like(made["i4"], 1 << 30)})
+    with pytest.raises(BodyError):
+        unpacked({**made, "f4": np.full_like(made["f4"], np.nan)})
+    with pytest.raises(BodyError):
+        unpacked({**made, "f4": made["f4"].astype(np.float64)})
+
+
+def test_any_change_of_the_text_gives_a_body_or_a_refusal(bodies: list[Definition]) -> None:
+    """Values of the document are taken away, made text, negative, huge, or a list: nothing but BodyError comes of it."""
+    made = packed(bodies[2])
+    document = json.loads(made["text"].tobytes())
+    document["clips"], document["shapes"] = document["clips"][:1], document["shapes"][:1]
+    refused = 0
+    places = list(_places(document))
+    for place in places[:: max(1, len(places) // 150)]:
+        for value in (None, "x", -1, 1 << 60, [], {}, 1.5):
+            refused += _refused(made, _changed(document, place, value))
+    assert refused > 100
+
+
+def _refused(made: Arrays, document: object) -> bool:
+    try:
+        unpacked({**made, "text": np.frombuffer(json.dumps(document).encode(), np.uint8)})
+    except BodyError:
+        return True
+    return False
+
+
+def _places(value: object, path: tuple[object, ...] = ()):  # type: ignore[no-untyped-def]
+    yield path
+    for key, inner in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from _places(inner, (*path, key))
+
+
+def _changed(document: object, path: tuple[object, ...], value: object) -> object:
+    if not path:
+        return value
+    made = json.loads(json.dumps(document))
+    inner = made
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    return made
