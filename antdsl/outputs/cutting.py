@@ -80,6 +80,7 @@ def _some(crowd: Crowd, rows: NDArray[np.bool_]) -> Crowd:
 
     return replace(
         crowd, position=of(crowd.position), orient=of(crowd.orient), scale=of(crowd.scale), colour=of(crowd.colour),
-        walked=of(crowd.walked), plays=tuple(each.rows(rows) for each in crowd.plays), ids=of(crowd.ids), velocity=of(crowd.velocity), feelers=None,
+        walked=of(crowd.walked), ids=of(crowd.ids), velocity=of(crowd.velocity), feelers=None,
+        plays=tuple(each.rows(rows) for each in crowd.plays),
         paths=None if crowd.paths is None else replace(crowd.paths, places=of(crowd.paths.places)),
     )  # fmt: skip

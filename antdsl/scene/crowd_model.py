@@ -25,8 +25,7 @@ from antdsl.scene.values import (
 )
 
 BODY_WORDS = ("ant", "person", "arrow", "ball")
-BODY_FILES = ("json", "glb", "gltf", "usd", "usda", "usdc", "usdz")
-Body = Annotated[str, BeforeValidator(word_or_file(BODY_WORDS, BODY_FILES, "a body"))]
+Body = Annotated[str, BeforeValidator(word_or_file(*BODY_WORDS))]
 Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
 By = Annotated[str, BeforeValidator(one_of("above", "area"))]

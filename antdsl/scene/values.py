@@ -192,23 +192,20 @@ def _path(value: Any) -> str:
     return text
 
 
-def word_or_file(words: tuple[str, ...], endings: tuple[str, ...], what: str) -> Callable[[Any], str]:
-    """One word of a closed list, or the path of a file with one of some endings, which is `what`."""
-    word = one_of(*words)
+def word_or_file(*words: str) -> Callable[[Any], str]:
+    """One word of a closed list, or the path of a file, which has a dot or a slash."""
 
     def read(value: Any) -> str:
         text = _text(value, "a word, or the path of a file,")
-        kind = text.rsplit("/", 1)[-1].rpartition(".")[2].lower() if "." in text else ""
-        if kind in endings:
+        if "." in text or "/" in text:
             return _path(value)
-        if not kind and text in words:
-            return word(value)
-        from antdsl.diagnostics.suggestion import nearest_name
+        if text not in words:
+            from antdsl.diagnostics.suggestion import nearest_name
 
-        near, listed = nearest_name(text, words), ", ".join(f"`{each}`" for each in words)
-        kinds = ", ".join(f"`.{each}`" for each in endings)
-        help = f"did you mean `{near}`?" if near else f"write one of the words, or a path that ends in one of {kinds}"
-        raise refuse(f"{_shown(text)} is none of {listed}, and no file of {what}", help)
+            near, listed = nearest_name(text, words), ", ".join(f"`{each}`" for each in words)
+            help = f"did you mean `{near}`?" if near else f"write one of them, or a file such as `{text[:40]}.glb`"
+            raise refuse(f"{_shown(text)} is none of {listed}, and no file", help)
+        return text
 
     return read
 

@@ -1,8 +1,8 @@
 """Writes hill.ply, parts.glb and walker.json of this example: `python examples/walker/make_walker.py`.
 
-The walker is a jointed figure 1.75 m tall that looks along +x with the origin between its feet. Its clips are worked out here: a foot
-on the ground goes back by the ground that the body covers, turns about its toe as its heel lifts, and swings ahead in an arc; the
-angles of hip and knee follow from where hip and ankle are."""
+The walker is a jointed figure 1.75 m tall that looks along +x with the origin between its feet. Its clips are worked out here: a
+foot on the ground goes back by the ground that the body covers, turns about its toe as its heel lifts, and swings ahead in an arc;
+the angles of hip and knee follow from where hip and ankle are."""
 
 from __future__ import annotations
 
@@ -94,7 +94,9 @@ def parts() -> dict[str, trimesh.Trimesh]:
         "trunk": rounded(0.26, -0.04, (0.10, 0.145, 0.14, 0.115), (0.75, 1.22)),
         "head": skull,
         "arm": rounded(0.0, -0.28, (0.056, 0.05, 0.042)),
-        "forearm": trimesh.util.concatenate([rounded(0.0, -0.24, (0.042, 0.04, 0.03)), rounded(-0.26, -0.34, (0.03, 0.036, 0.02), (1.0, 0.55))]),
+        "forearm": trimesh.util.concatenate([
+            rounded(0.0, -0.24, (0.042, 0.04, 0.03)), rounded(-0.26, -0.34, (0.03, 0.036, 0.02), (1.0, 0.55)),
+        ]),
         "thigh": rounded(0.0, -BONE, (0.085, 0.082, 0.058)),
         "shin": rounded(0.0, -BONE + 0.02, (0.057, 0.06, 0.04)),
         "foot": foot,

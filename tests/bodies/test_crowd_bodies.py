@@ -1,0 +1,162 @@
+"""Bodies of a crowd from files: what a run gets of them, and what is told where they do not fit what states play."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.crowd_bodies import clip_data, room_of
+from antdsl.diagnostics import Report
+from antdsl.pipeline import Shot, check_path, open_scene
+from antdsl.runtime import bind, step
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "walker"
+PROGRAM = """ant 1
+use steering
+world { surface hill }
+species walker {
+  size 1.75 m
+  max_speed 2 m/s
+  start stroll
+  state stroll { steer wander(); play walk; when clip at left -> stroll; when chance 5 %/s -> wave }
+  state wave { steer halt(); play wave(on: arms); when clip done -> stroll }
+  layers { state }
+}
+"""
+CROWD = "  - {species: walker, from: walker.ant, count: 3, body: walker.json, place: {on: hill, radius: 5 m}}\n"
+
+
+@pytest.fixture()
+def folder(tmp_path: Path) -> Path:
+    for name in ("hill.ply", "parts.glb", "walker.json"):
+        shutil.copy(EXAMPLE / name, tmp_path / name)
+    (tmp_path / "walker.fbx").write_bytes(b"Kaydara FBX Binary")
+    return tmp_path
+
+
+def written(folder: Path, program: str = PROGRAM, crowd: str = CROWD) -> Path:
+    (folder / "walker.ant").write_text(program, encoding="utf-8")
+    scene = folder / "scene.yaml"
+    scene.write_text(f"antdsl: 1\nunits: m\nworld: {{hill: {{mesh: hill.ply}}}}\ncrowd:\n{crowd}", encoding="utf-8")
+    return scene
+
+
+def opened(scene: Path) -> Shot:
+    shot, report = open_scene(scene)
+    assert shot is not None, str(report)
+    assert not report.sorted(), str(report)
+    return shot
+
+
+def test_a_run_goes_by_the_clips_of_the_body(folder: Path) -> None:
+    shot = opened(written(folder))
+    clips = shot.setting.clips["walker"]
+    assert sorted(clips) == ["idle", "run", "walk", "wave"]
+    assert clips["walk"].seconds == pytest.approx(1.0) and clips["walk"].stride == pytest.approx(1.2 / 1.75)
+    assert clips["wave"].loop is False and clips["wave"].marks["top"] == pytest.approx(1.0 / 2.2)
+    assert shot.bodies["walker"].clips["walk"].loop and len(shot.inputs["walker.json"]) == 32
+    world = bind(shot.plan, shot.setting)
+    now = world.populations["walker"].now
+    for _ in range(12):
+        before = now["main.clip_turns"].copy()
+        step(world)
+        now = world.populations["walker"].now
+    speed = sum(now[f"velocity.{axis}"].astype(float) ** 2 for axis in "xyz") ** 0.5  # mm/s
+    walking = now["main.clip"] == 0
+    assert walking.any()
+    gone = (now["main.clip_turns"] - before)[walking]
+    assert gone * 1200 * 24 == pytest.approx(
+        speed[walking], rel=1e-2
+    )  # 1.2 m of ground a turn; the speed is that of the step before
+
+
+def test_a_body_takes_the_room_of_its_box(folder: Path) -> None:
+    body, _ = read_definition(folder / "walker.json")
+    assert body is not None
+    room = room_of(body)
+    # some 0.5 m wide at the shoulders, and less deep; the middle below half its height
+    assert room.width == pytest.approx(0.5 / 1.75, abs=0.03) and room.length == room.width
+    assert 0.4 < room.height < 0.55 and abs(room.ahead) < 0.05
+    assert opened(written(folder)).setting.rooms == {"walker": room}
+    assert clip_data(body.clips["idle"], body).stride == 0
+
+
+def test_another_file_is_another_input(folder: Path) -> None:
+    scene = written(folder)
+    first = opened(scene).inputs
+    text = (folder / "walker.json").read_text(encoding="utf-8")
+    (folder / "walker.json").write_text(text.replace('"stride":1.2', '"stride":1.3'), encoding="utf-8")
+    changed = opened(scene)
+    assert {name for name in first if first[name] != changed.inputs[name]} == {"walker.json"}
+    assert changed.setting.clips["walker"]["walk"].stride == pytest.approx(1.3 / 1.75)
+
+
+def test_a_word_is_no_file_and_gives_no_clips(folder: Path) -> None:
+    shot = opened(written(folder, crowd=CROWD.replace("walker.json", "person")))
+    assert not shot.bodies and not shot.setting.clips and not shot.setting.rooms
+
+
+def told(report: Report) -> list[tuple[str, str, str | None]]:
+    return [(each.code, each.span.text if each.span else "", each.help) for each in report.sorted()]
+
+
+@pytest.mark.parametrize(
+    "old, new, code, place, help",
+    [
+        ("play walk", "play wlak", "unknown-name", "walker.json", "did you mean `walk`?"),
+        ("play walk", "play swim", "unknown-name", "walker.json", "it has `idle`, `run`, `walk`, `wave`"),
+        ("on: arms", "on: wings", "unknown-name", "walker.json", "it has `arms`"),
+        ("clip at left", "clip at lift", "unknown-name", "walker.json", "did you mean `left`?"),
+        ("body: walker.json", "body: runner.json", "no-such-file", "runner.json", None),
+        ("body: walker.json", "body: parson", "wrong-value", "parson", "did you mean `person`?"),
+        ("body: walker.json", "body: walker.fbx", "wrong-kind", "walker.fbx", "Blender reads it and writes both"),
+        ("body: walker.json", "body: ../walker.json", "bad-path", "../walker.json", None),
+        (CROWD, CROWD + CROWD.replace("walker.json", "person"), "wrong-value", "person", None),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_told_at_its_place(
+    folder: Path, old: str, new: str, code: str, place: str, help: str | None
+) -> None:
+    assert old in PROGRAM + CROWD
+    scene = written(folder, PROGRAM.replace(old, new), CROWD.replace(old, new))
+    for report in (open_scene(scene)[1], check_path(scene)[1]):
+        (error,) = report.errors
+        assert (error.code, error.span.text if error.span else "") == (code, place), str(report)
+        if help is not None:
+            assert error.help is not None and help in error.help
+    if code == "unknown-name":
+        assert new.partition(" ")[2].lstrip("at ") in error.labels[0].span.text and error.labels[0].span.source.path.endswith(
+            ".ant"
+        )
+
+
+def test_what_is_wrong_within_the_file_is_told_at_its_place_there(folder: Path) -> None:
+    text = (folder / "walker.json").read_text(encoding="utf-8")
+    (folder / "walker.json").write_text(text.replace('"transform":"head"', '"transform":"haed"'), encoding="utf-8")
+    _, report = open_scene(written(folder))
+    (error,) = report.errors
+    assert error.span is not None and error.span.source.path.endswith("walker.json") and error.help == 'write `"head"`'
+
+
+def test_a_preview_takes_the_changed_body_over(folder: Path) -> None:
+    from antdsl.preview.compiling import Compiler
+
+    scene = written(folder)
+    compiling = Compiler(scene)
+    shot, report = compiling.open()
+    assert shot is not None, str(report)
+    assert {folder / "walker.json", folder / "parts.glb"} <= {Path(path) for path in compiling.files()}
+    world = bind(shot.plan, shot.setting)
+    for _ in range(5):
+        step(world)
+    text = (folder / "walker.json").read_text(encoding="utf-8")
+    (folder / "walker.json").write_text(text.replace('"stride":1.2', '"stride":2.4'), encoding="utf-8")
+    again, _ = compiling.open()
+    assert again is not None
+    made, _, report = compiling.take_over(world, again)
+    assert made is not None and report.ok
+    assert made.setting.clips["walker"]["walk"].stride == pytest.approx(2.4 / 1.75)
+    assert (made.populations["walker"].now["main.clip_turns"] == world.populations["walker"].now["main.clip_turns"]).all()

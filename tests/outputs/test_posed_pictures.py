@@ -1,0 +1,159 @@
+"""Bodies posed in pictures: of the cache alone, each frame by itself, and where the agents are."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from antdsl.bodies.body import rotation
+from antdsl.casting.rays import RayScene
+from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.gallery import Gallery, NoPicture
+from antdsl.outputs.pictures.actors import actors
+from antdsl.outputs.pictures.camera import view
+from antdsl.outputs.pictures.model import Camera, Crowd
+from antdsl.outputs.recording import begin, record
+from antdsl.pipeline import Choices, open_scene
+from antdsl.runtime import Options
+from antdsl.scene.values import FrameRange
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "walker"
+FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
+    """40 frames of the example, in a folder whose scene is gone by the time that anybody looks."""
+    folder = tmp_path_factory.mktemp("walker")
+    for path in EXAMPLE.iterdir():
+        shutil.copy(path, folder / path.name)
+    shot, report = open_scene(folder / "scene.yaml", Choices(frames=FrameRange(1, FRAMES)))
+    assert shot is not None, str(report)
+    for _ in record(begin(shot, folder / "out", Options(), resume=False, force=False)):
+        pass
+    for name in ("scene.yaml", "walker.json", "parts.glb"):
+        (folder / name).unlink()
+    return open_cache(folder / "out")
+
+
+def crowd_at(cache: Cache, frame: int) -> Crowd:
+    return Gallery(cache).picture(frame).crowds[0]
+
+
+def vertices(crowd: Crowd) -> np.ndarray:
+    assert crowd.worn is not None
+    return crowd.worn.posed(crowd.plays, len(crowd.position))[0]
+
+
+def test_frames_say_what_each_machine_plays(cache: Cache) -> None:
+    (species,) = cache.manifest.species
+    assert [(clip.name, clip.on) for clip in species.clips] == [("walk", ""), ("run", ""), ("idle", ""), ("wave", "arms")]
+    assert species.playing == ("legs", "arms") and species.definition == 0
+    assert cache.manifest.bodies[0].name == "walker.json"
+    arrays = cache.frame(FRAMES)
+    assert arrays["clips.walker.legs.clip"].dtype == np.int16 and set(arrays["clips.walker.legs.clip"]) <= {0, 1, 2}
+    assert set(arrays["clips.walker.arms.clip"]) == {-1, 3}
+    size = sum(array.nbytes for name, array in arrays.items() if name.startswith("clips."))
+    assert size == 2 * 24 * len(arrays["P"])  # bytes: an agent, a machine
+
+
+def test_a_picture_is_made_of_its_own_frame_alone(cache: Cache) -> None:
+    gallery = Gallery(cache)
+    for frame in range(1, FRAMES):
+        gallery.picture(frame)
+    assert np.array_equal(vertices(gallery.picture(FRAMES).crowds[0]), vertices(crowd_at(cache, FRAMES)))
+
+
+def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> None:
+    crowd = crowd_at(cache, FRAMES)
+    above = view(Camera((0.0, 30.0, 30.0), (0.0, 0.0, 0.0)), 320, 180, (0.0, 1.0, 0.0))
+    picture = replace(Gallery(cache).picture(FRAMES), items=())
+    found = actors(picture, above)
+    count = len(crowd.worn.tint) if crowd.worn else 0
+    assert len(found.mesh.vertices) == count * len(crowd.position) and isinstance(found.rays, RayScene)
+    turn = rotation(crowd.orient)
+    own = np.einsum("nji,nvj->nvi", turn, found.mesh.vertices.reshape(-1, count, 3) - crowd.position[:, None])
+    own /= crowd.scale[:, None, None]  # x ahead, y up, in body lengths, which are heights here
+    assert own[:, :, 1].max(axis=1).min() > 0.9 and own[:, :, 1].max() < 1.15  # a hand that waves is higher
+    assert own[:, :, 1].min() > -0.03 and own[:, :, 1].min(axis=1).max() < 0.04  # a runner is off the ground at times
+    top = own[np.arange(len(own)), own[:, :, 1].argmax(axis=1)]
+    assert np.median(np.abs(top[:, 2])) < 0.05 and np.abs(own[:, :, 2]).max() < 0.3
+    feet = np.where(own[:, :, 1] < 0.08, own[:, :, 0], 0)
+    assert feet.max(axis=1).min() > 0.05  # toes point ahead
+    normals = found.mesh.normal.reshape(-1, 3)
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1, abs=1e-3)
+
+
+def test_clips_move_bodies_and_only_their_group(cache: Cache) -> None:
+    crowd = crowd_at(cache, FRAMES)
+    assert crowd.worn is not None
+    legs, arms = crowd.plays
+    waving = (arms.clip == 3) & (arms.turns > 0.3) & (arms.turns < 0.7)
+    assert waving.any()
+    with_arms, without = (crowd.worn.posed(plays, len(legs.clip))[0] for plays in ((legs, arms), (legs,)))
+    moved = np.abs(with_arms - without).max(axis=2) > 1e-3
+    assert moved[waving].any(axis=1).all() and not moved[(arms.clip == -1) & (arms.fade == 0)].any()
+    assert not moved[:, crowd.worn.own[:, 0] == np.float32(0.06)].any()  # trousers
+    assert with_arms[waving][..., 1].max() > 1.0  # a hand above the head
+
+
+def test_materials_have_their_colour_and_the_state_the_rest(cache: Cache) -> None:
+    crowd = crowd_at(cache, FRAMES)
+    assert crowd.worn is not None
+    own = {tuple(round(float(x), 2) for x in colour) for colour in crowd.worn.own[crowd.worn.tint == 0]}
+    assert own == {(0.52, 0.30, 0.20), (0.06, 0.08, 0.13), (0.05, 0.03, 0.02)}
+    assert 0.1 < crowd.worn.tint.mean() < 0.6
+
+
+def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
+    """The clips of the example: what is on the ground goes back as far as the body goes ahead."""
+    from antdsl.bodies.agents.blending import ClipTree, Playing, posed
+    from antdsl.bodies.agents.clip_table import clip_table
+    from antdsl.bodies.agents.reading import read_definition
+
+    body, _ = read_definition(EXAMPLE / "walker.json")
+    assert body is not None
+    table, turns = clip_table(body), np.arange(49) / 48
+    for name in ("walk", "run"):
+        clip = body.clips[name]
+        playing = Playing.alike(
+            ClipTree.flat(1), np.full((49, 1), table.number(name), np.int32), (turns * clip.duration)[:, None],
+            np.ones((49, 1), np.float32),
+        )  # fmt: skip
+        world = posed(table, body.groups, playing).world
+        for foot in ("foot_l", "foot_r"):
+            matrices = world[:, body.rig.joint(foot)].astype(np.float64)
+            for spot in ((0.14, -0.06, 0.0, 1.0), (-0.07, -0.06, 0.0, 1.0)):  # toe and heel
+                place = matrices @ np.array(spot)
+                down = place[:, 1] < 0.0015
+                assert place[:, 1].min() > -0.005 and down.sum() > 5
+                ground = place[:, 0] + clip.stride * turns
+                planted = down[3:] & down[2:-1] & down[1:-2] & down[:-3]  # without the samples about its coming and lifting
+                assert planted.any() and np.abs(np.diff(ground))[1:-1][planted].max() < 0.006  # m; a step is 1.2
+
+
+def test_a_body_that_was_changed_is_not_drawn(cache: Cache, tmp_path: Path) -> None:
+    shutil.copytree(cache.folder, tmp_path / "out")
+    path = tmp_path / "out" / "manifest.json"
+    manifest = json.loads(path.read_text(encoding="utf-8"))
+    manifest["bodies"][0]["digest"] = "0" * 32
+    path.write_text(json.dumps(manifest), encoding="utf-8")
+    with pytest.raises(NoPicture, match="is not the one that was written"):
+        crowd_at(open_cache(tmp_path / "out"), 1)
+
+
+def test_a_cache_from_before_bodies_were_kept_is_drawn_as_it_was(cache: Cache, tmp_path: Path) -> None:
+    shutil.copytree(cache.folder, tmp_path / "out")
+    path = tmp_path / "out" / "manifest.json"
+    manifest = json.loads(path.read_text(encoding="utf-8"))
+    del manifest["bodies"]
+    for key in ("definition", "clips", "playing"):
+        del manifest["species"][0][key]
+    path.write_text(json.dumps(manifest), encoding="utf-8")
+    crowd = crowd_at(open_cache(tmp_path / "out"), 1)
+    assert crowd.worn is None and crowd.body == "ant"
