@@ -18,6 +18,7 @@ from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
 
+BODY, COLLISION = "body", "collision"  # layers
 STATE = "state"  # the material that has the colour of the agent's state
 
 
@@ -26,7 +27,7 @@ class PosedBody:
 
     `faces` int32[m, 3]; `own` float32[v, 3], linear colours of materials; `tint` float32[v]: 1 takes the agent's colour, as
     does what has no material or one called `state`, 0 its material's. Drawn are the shapes of one layer, `body` where there is
-    one so called, else the first."""
+    one so called, else the first that is not called `collision`."""
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]]) -> None:
         self.clips = tuple(clips)
@@ -64,7 +65,8 @@ class PosedBody:
 def _worn(definition: Definition) -> Layer:
     """The layer that is drawn; none has no shapes."""
     layers = definition.layers
-    return layers.get("body") or next(iter(layers.values()), Layer("body"))
+    worn = [layer for name, layer in layers.items() if name != COLLISION]
+    return layers.get(BODY) or next(iter(worn), Layer(BODY))
 
 
 def _with_normals(shape: Shape) -> Shape:

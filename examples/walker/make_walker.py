@@ -1,8 +1,8 @@
 """Writes hill.ply, parts.glb and walker.json of this example: `python examples/walker/make_walker.py`.
 
 The walker is a jointed figure 1.75 m tall that looks along +x with the origin between its feet. Its clips are worked out here: a
-foot on the ground goes back by the ground that the body covers, turns about its toe as its heel lifts, and swings ahead in an arc;
-the angles of hip and knee follow from where hip and ankle are."""
+foot on the ground goes back by the ground that the body covers, turns about its toe as its heel lifts, and swings ahead in an
+arc; the angles of hip and knee follow from where hip and ankle are."""
 
 from __future__ import annotations
 

@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parents[2]
 # One of each example; what lies beside them has the same program and ground.
 SCENES = (
     "alarm/scene", "anthill/scene", "flocking/scene", "flow/scene", "foraging/scene", "foraging_study/default",
-    "minimal/scene", "moods/scene", "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "worth/scene",
+    "minimal/scene", "moods/scene", "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene",
+    "walker/scene", "worth/scene",
 )  # fmt: skip
 SOME = ("moods/scene",)
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
