@@ -52,6 +52,7 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
         if found is not None and species in program.species:
             _check(program.species[species], found, text, place, report)
             worn[species] = found
+    _plays_without(scene, program, worn, report)
     whole = {text: found for text, found in files.items() if found is not None}
     made = CrowdBodies(
         worn,
@@ -60,6 +61,22 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
         {text: digest(body) for text, body in whole.items()},
     )
     return made, report
+
+
+def _plays_without(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
+    """Warns of a species that plays clips and wears no body that could have some."""
+    told: set[str] = set()
+    for number, line in enumerate(scene.model.crowd):
+        species = program.species.get(line.species)
+        if species is None or line.species in worn or line.species in told or (line.body or "ant") not in BODY_WORDS:
+            continue
+        told.add(line.species)
+        first = next((played for machine in species.machines for played in _plays(machine)), None)
+        if first is not None:
+            report.warning(
+                "missing-key", f"`{line.species}` plays clips, and has no `body` with any", scene.span("crowd", number, "species"),
+                f"add `body: {line.species}.glb`, or another file of a body", labels=(Label(first.span, "played here"),),
+            )  # fmt: skip
 
 
 def clip_data(clip: Clip, body: Definition) -> ClipData:

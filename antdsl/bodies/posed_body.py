@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.clip_table import clip_table
+from antdsl.bodies.agents.coarse import coarse
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.layer import Layer
@@ -30,7 +32,7 @@ class PosedBody:
     one so called, else the first that is not called `collision`."""
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]]) -> None:
-        self.clips = tuple(clips)
+        self.clips, self._whole = tuple(clips), definition
         self._table = clip_table(definition)
         layer = _worn(definition)
         self._bindings = (*layer.static, *layer.deforming)
@@ -50,6 +52,11 @@ class PosedBody:
         )
         self.own = np.concatenate([np.zeros((0, 3), np.float32), *(part[2] for part in parts)])
         self.tint = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
+
+    @cached_property
+    def coarse(self) -> PosedBody:
+        """The same with fewer triangles, for agents that are small in a picture."""
+        return PosedBody(coarse(self._whole), self.clips)
 
     def posed(self, machines: Sequence[MachineClips], count: int, threads: int = 1) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths."""

@@ -94,9 +94,12 @@ def test_another_file_is_another_input(folder: Path) -> None:
     assert changed.setting.clips["walker"]["walk"].stride == pytest.approx(1.3 / 1.75)
 
 
-def test_a_word_is_no_file_and_gives_no_clips(folder: Path) -> None:
-    shot = opened(written(folder, crowd=CROWD.replace("walker.json", "person")))
-    assert not shot.bodies and not shot.setting.clips and not shot.setting.rooms
+def test_a_word_is_no_file_and_gives_no_clips_which_is_told(folder: Path) -> None:
+    shot, report = open_scene(written(folder, crowd=2 * CROWD.replace("walker.json", "person")))
+    assert shot is not None and not shot.bodies and not shot.setting.clips and not shot.setting.rooms
+    (warning,) = report.sorted()
+    assert (warning.code, warning.span.text if warning.span else "") == ("missing-key", "walker")
+    assert warning.help == "add `body: walker.glb`, or another file of a body"
 
 
 def told(report: Report) -> list[tuple[str, str, str | None]]:

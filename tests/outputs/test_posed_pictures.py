@@ -71,7 +71,7 @@ def test_a_picture_is_made_of_its_own_frame_alone(cache: Cache) -> None:
 
 def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> None:
     crowd = crowd_at(cache, FRAMES)
-    above = view(Camera((0.0, 30.0, 30.0), (0.0, 0.0, 0.0)), 320, 180, (0.0, 1.0, 0.0))
+    above = view(Camera((0.0, 30.0, 30.0), (0.0, 0.0, 0.0)), 2560, 1440, (0.0, 1.0, 0.0))
     picture = replace(Gallery(cache).picture(FRAMES), items=())
     found = actors(picture, above)
     count = len(crowd.worn.tint) if crowd.worn else 0
@@ -108,6 +108,19 @@ def test_materials_have_their_colour_and_the_state_the_rest(cache: Cache) -> Non
     own = {tuple(round(float(x), 2) for x in colour) for colour in crowd.worn.own[crowd.worn.tint == 0]}
     assert own == {(0.52, 0.30, 0.20), (0.06, 0.08, 0.13), (0.05, 0.03, 0.02)}
     assert 0.1 < crowd.worn.tint.mean() < 0.6
+
+
+def test_small_bodies_have_fewer_triangles_and_the_same_pose(cache: Cache) -> None:
+    crowd = crowd_at(cache, FRAMES)
+    assert crowd.worn is not None
+    fine, rough = (body.posed(crowd.plays, len(crowd.position))[0] for body in (crowd.worn, crowd.worn.coarse))
+    assert len(crowd.worn.coarse.faces) < len(crowd.worn.faces) / 3
+    for k in range(3):
+        for end in (np.min, np.max):
+            assert np.abs(end(fine[:, :, k], axis=1) - end(rough[:, :, k], axis=1)).max() < 0.05
+    far = view(Camera((0.0, 90.0, 90.0), (0.0, 0.0, 0.0)), 320, 180, (0.0, 1.0, 0.0))
+    found = actors(replace(Gallery(cache).picture(FRAMES), items=()), far)
+    assert len(found.mesh.faces) == len(crowd.worn.coarse.faces) * len(crowd.position)
 
 
 def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:

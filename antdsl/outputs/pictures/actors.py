@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 CLOSE = 28.0  # pixels of body length from which the close-up body is worth its triangles
 MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
 MOST_ENLARGED = 3.0
-MOST_TRIANGLES = 20_000_000  # of bodies of a species' own that are drawn so, the nearest first; others in a plain one
+MOST_TRIANGLES = 6_000_000  # of close-up bodies of a species' own
 _DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
 
 
@@ -89,22 +89,20 @@ def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
     near = np.maximum(np.linalg.norm(position - view.eye, axis=1), 1e-9)
     pixels = scale / view.pixel_at(near)
     large = np.flatnonzero(seen & (pixels >= CLOSE))
-    close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:MOST_CLOSE]])
+    most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.faces)))
+    close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     far = np.setdiff1d(np.flatnonzero(seen), close)
     sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), MOST_ENLARGED * scale)
     if crowd.worn is not None:
-        nearest = np.flatnonzero(seen)[np.argsort(near[seen], kind="stable")]
-        most = max(1, MOST_TRIANGLES // max(1, len(crowd.worn.faces)))
-        worn, far = np.sort(nearest[:most]), np.sort(nearest[most:])
-        plain = _posed(crowd, body(crowd.body, False), far, sizes[far], np.zeros(len(far)))
-        return [mesh for mesh in (*_worn(crowd, crowd.worn, worn, sizes), plain) if len(mesh.vertices)]
+        parts = ((crowd.worn, close), (crowd.worn.coarse, far))
+        return [_worn(crowd, own, rows, sizes) for own, rows in parts if len(rows) and len(own.faces)]
     made = [_posed(crowd, body(crowd.body, True), close, scale[close], np.zeros(len(close)))]
     # Of a body a few pixels long the dark legs would hide the state's colour.
     made.append(_posed(crowd, body(crowd.body, False), far, sizes[far], np.clip(1 - pixels[far] / CLOSE, 0.0, 1.0) ** 2))
     return [mesh for mesh in made if len(mesh.vertices)]
 
 
-def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> list[Mesh]:
+def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> Mesh:
     """The bodies of some agents, each posed by what it plays, `size` (n,) long for all agents of the crowd."""
     local, normal = body.posed([each.rows(rows) for each in crowd.plays], len(rows))
     across = np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
@@ -117,7 +115,7 @@ def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -
     faces = (body.faces[None] + (np.arange(len(rows), dtype=np.int32) * count)[:, None, None]).reshape(-1, 3)
     gloss = np.full(len(rows) * count, 0.35, np.float32)
     normal = np.matmul(normal, across)
-    return [Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3), colour.reshape(-1, 3), gloss)]
+    return Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3), colour.reshape(-1, 3), gloss)
 
 
 def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
