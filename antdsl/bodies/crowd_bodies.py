@@ -74,7 +74,8 @@ def _plays_without(scene: Scene, program: Program, worn: Mapping[str, Definition
         first = next((played for machine in species.machines for played in _plays(machine)), None)
         if first is not None:
             report.warning(
-                "missing-key", f"`{line.species}` plays clips, and has no `body` with any", scene.span("crowd", number, "species"),
+                "missing-key", f"`{line.species}` plays clips, and has no `body` with any",
+                scene.span("crowd", number, "species"),
                 f"add `body: {line.species}.glb`, or another file of a body", labels=(Label(first.span, "played here"),),
             )  # fmt: skip
 

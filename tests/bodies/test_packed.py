@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 import usd_bodies
 
+from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.deformers import bound
+from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.packed import PARTS, Arrays, digest, packed, unpacked
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.posed_body import PosedBody
 
 
 @pytest.fixture(scope="module")
@@ -106,3 +110,23 @@ def _changed(document: object, path: tuple[object, ...], value: object) -> objec
         inner = inner[key]
     inner[path[-1]] = value
     return made
+
+
+def test_a_skin_with_morph_targets_is_posed_as_a_body_of_a_crowd(bodies: list[Definition]) -> None:
+    """By its deformers, in body lengths with its front ahead; its coarse form by the same without the blending."""
+    body = unpacked(packed(bodies[0]))
+    clips = tuple((name, "") for name in body.clips)
+    made, one = PosedBody(body, clips), np.ones(1, np.float32)
+    plays = [MachineClips(np.zeros(1, np.int16), one / 3, one, np.full(1, -1, np.int16), one * 0, one, one * 0)]
+    points, normals = made.posed(plays, 1)
+    table = clip_table(body)
+    poses = posed(table, body.groups, machines_playing(table, clips, plays, 1))
+    layer = body.layers["body"]
+    wanted = np.concatenate([bound(body, each, poses).points[0] for each in (*layer.static, *layer.deforming)])
+    wanted = wanted @ body.base()[:3, :3].T
+    assert len(points[0]) and {tuple(p) for p in points[0].round(4)} == {tuple(p) for p in wanted.astype(np.float32).round(4)}
+    assert np.linalg.norm(normals[0], axis=1) == pytest.approx(1, abs=1e-5)
+    rest = made.posed([], 1)[0]
+    assert np.abs(rest - points).max() > 1e-3
+    rough = made.coarse.posed(plays, 1)[0]
+    assert rough.shape[1] <= points.shape[1] and np.isfinite(rough).all()

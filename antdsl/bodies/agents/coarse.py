@@ -27,8 +27,8 @@ def coarse(definition: Definition) -> Definition:
 
 
 def coarse_shape(shape: Shape, cell: float) -> Shape:
-    """A shape whose points in one cell are their mean, and follow the joints of the first of them; triangles that have two corners
-    in one cell are left out."""
+    """A shape whose points in one cell are their mean, and follow the joints of the first of them; triangles that have two
+    corners in one cell are left out."""
     if not len(shape.points):
         return shape
     size = min(cell, float(np.ptp(shape.points, axis=0).max()) / ACROSS) or cell
