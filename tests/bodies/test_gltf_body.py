@@ -57,6 +57,13 @@ def test_a_mesh_is_a_shape_with_all_that_deformers_need(arm: Definition) -> None
     assert [part.tolist() for part in rest_box(arm)] == [[0, 1, 0], [1, 5, 1]]  # the skin, where the joints put it
 
 
+def test_a_texture_is_told_to_be_left_out() -> None:
+    tree, data = gltf_bodies.arm()
+    tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    _, told = read_gltf(gltf_bodies.binary(tree, data), "arm", nothing_beside, 20.0)
+    assert told == ["the texture of `shell` is not read, its base colour is"]
+
+
 def test_a_morph_target_is_a_shape_to_blend_with(arm: Definition) -> None:
     blend = arm.shapes["arm"].blend
     assert blend is not None and (blend.shapes, blend.channels) == (("arm.smile",), ("arm.smile",))
