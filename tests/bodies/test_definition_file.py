@@ -191,6 +191,15 @@ def test_a_mistake_is_told_at_its_place(
     assert help is None or (found[2] or "").startswith(help), found
 
 
+@pytest.mark.parametrize(("part", "what"), [(RIG, "a rig"), (LAYER, "a layer"), (GROUP, "a transform group"), (CLIP, "a clip")])
+def test_a_part_alone_is_no_definition(folder: Path, part: dict[str, Any], what: str) -> None:
+    (folder / "part.json").write_text(json.dumps(part))
+    found, report = read_definition(folder / "part.json")
+    (error,) = report.errors
+    assert found is None and error.code == "wrong-kind" and error.message.startswith(f"this is {what}, not a definition")
+    assert (error.help or "").startswith('write a file `{"antdsl_body": 1, "')
+
+
 def test_a_deformer_of_ones_own_and_channels_of_other_rigs_are_told_of_alone(folder: Path) -> None:
     layer = {"version": 2, "name": "a", "deforming": [{"transform": "hand", "shape": "s", "deformer": "lineerskinning"}]}
     group = {**GROUP, "channels": [{"name": "fost"}]}

@@ -57,6 +57,37 @@ def test_a_mesh_is_a_shape_with_all_that_deformers_need(arm: Definition) -> None
     assert [part.tolist() for part in rest_box(arm)] == [[0, 1, 0], [1, 5, 1]]  # the skin, where the joints put it
 
 
+def test_values_may_lie_between_others_and_stand_for_shares() -> None:
+    row = np.dtype([("P", "<i2", 3), ("pad", "<i2"), ("W", "u1", 4), ("J", "u1", 4)])
+    rows = np.zeros(3, row)
+    rows["P"], rows["W"], rows["J"] = [[0, 0, 0], [32767, 0, 0], [0, -32768, 16384]], [255, 0, 0, 0], [1, 0, 0, 0]
+    rows["W"][2] = (51, 204, 0, 0)
+    data = rows.tobytes()
+    view = {"buffer": 0, "byteLength": len(data), "byteStride": row.itemsize}
+
+    def accessor(start: int, kind: int, width: str, shares: bool) -> dict[str, Any]:
+        return {"bufferView": 0, "byteOffset": start, "componentType": kind, "count": 3, "type": width, "normalized": shares}
+
+    tree = {
+        "asset": {"version": "2.0"}, "extensionsRequired": ["KHR_mesh_quantization"], "buffers": [{"byteLength": len(data)}],
+        "bufferViews": [view],
+        "accessors": [accessor(0, 5122, "VEC3", True), accessor(8, 5121, "VEC4", True), accessor(12, 5121, "VEC4", False)],
+        "meshes": [{"name": "m", "primitives": [{"attributes": {"POSITION": 0, "WEIGHTS_0": 1, "JOINTS_0": 2}}]}],
+        "skins": [{"joints": [0, 1]}], "nodes": [{"name": "a"}, {"name": "b"}, {"mesh": 0, "skin": 0}],
+    }  # fmt: skip
+    shape = body_of(tree, data).shapes["m"]
+    assert shape.points == pytest.approx(np.array([[0, 0, 0], [1, 0, 0], [0, -1, 16384 / 32767]]))
+    assert shape.capture is not None and shape.capture.joints[:, 0].tolist() == [1, 1, 1]
+    assert shape.capture.weights == pytest.approx(np.array([[1, 0], [1, 0], [0.2, 0.8]]))
+
+
+def test_a_texture_is_told_to_be_left_out() -> None:
+    tree, data = gltf_bodies.arm()
+    tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    _, told = read_gltf(gltf_bodies.binary(tree, data), "arm", nothing_beside, 20.0)
+    assert told == ["the texture of `shell` is not read, its base colour is"]
+
+
 def test_a_morph_target_is_a_shape_to_blend_with(arm: Definition) -> None:
     blend = arm.shapes["arm"].blend
     assert blend is not None and (blend.shapes, blend.channels) == (("arm.smile",), ("arm.smile",))

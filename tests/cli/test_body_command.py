@@ -43,12 +43,12 @@ def test_it_tells_joints_as_a_tree_shapes_layers_and_clips(arm: Path) -> None:
         "shape        arm: 5 points, 3 triangles, follows 2 joints, blends with 1",
         "shape        arm.smile: 5 points, 3 triangles",
         "layer        body: arm by blendshape+linearskinning",
-        "clip         bend: 1 s, 30 samples/s, 1 joints, loops, stays in place, does not close",
-        "clip         hop: 1 s, 30 samples/s, 2 joints, loops, stays in place, does not close",
-        "clip         smile: 1 s, 30 samples/s, 0 joints, 1 channels, loops, stays in place, does not close",
+        "clip         bend: 1 s, 30 samples a second, 1 joints, loops, stays in place, does not close",
+        "clip         hop: 1 s, 30 samples a second, 2 joints, loops, stays in place, does not close",
+        "clip         smile: 1 s, 30 samples a second, 0 joints, 1 channels, loops, stays in place, does not close",
         "material     shell: 0.8 0.4 0.2",
     ]
-    assert "24 samples/s" in printed(str(arm), "--rate", "24")
+    assert "24 samples a second" in printed(str(arm), "--rate", "24")
     assert printed(str(arm), "--quiet") == ""
 
 
@@ -65,7 +65,7 @@ def test_metadata_groups_and_marks_are_told(arm: Path) -> None:
     )  # fmt: skip
     lines = printed(str(body)).splitlines()
     assert "group        arms: elbow 0.5, root" in lines
-    assert "clip         hop: 1 s, 30 samples/s, 2 joints, plays once, stride 2 m, top at 0.5 s" in lines
+    assert "clip         hop: 1 s, 30 samples a second, 2 joints, plays once, stride 2 m, top at 0.5 s" in lines
     assert 'metadata     by: {"type": "string", "value": "me"}' in lines
 
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.layer import Binding
 from antdsl.bodies.agents.shape import Shape
-from antdsl.bodies.agents.transforms import world_matrices
+from antdsl.bodies.agents.transforms import followed_by, world_matrices
+from antdsl.scene.geometry.matrices import applied
 
 Floats = NDArray[Any]  # float32 or float64
 
@@ -138,14 +139,17 @@ def rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def _rest_points(definition: Definition, binding: Binding, shape: Shape, world: NDArray[np.float64]) -> NDArray[np.float64]:
-    points = np.concatenate([shape.points.astype(np.float64), np.ones((len(shape.points), 1))], axis=1)
+    points = shape.points.astype(np.float64)
     if shape.capture is None or binding.deformer in ("", "blendshape"):
-        matrix = world[definition.rig.joint(binding.transform)] if binding.transform else np.eye(4)
-        return np.asarray((points @ matrix.T)[:, :3])
+        return _moved(world[definition.rig.joint(binding.transform)], points) if binding.transform else points
     chosen = [definition.rig.joint(name) for name in shape.capture.names]
-    matrices = world[chosen] @ shape.capture.inverse
-    made = np.zeros((len(points), 3))
+    matrices = followed_by(world[chosen], shape.capture.inverse)
+    made = np.zeros_like(points)
     for column in range(shape.capture.joints.shape[1]):
-        moved = np.einsum("pij,pj->pi", matrices[shape.capture.joints[:, column]], points)
-        made += moved[:, :3] * shape.capture.weights[:, column, None]
+        made += _moved(matrices[shape.capture.joints[:, column]], points) * shape.capture.weights[:, column, None]
     return made
+
+
+def _moved(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points [P, 3] by one matrix [4, 4], or each by its own [P, 4, 4]."""
+    return applied(matrix[..., :3, :], points)

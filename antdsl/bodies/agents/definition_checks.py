@@ -113,7 +113,7 @@ def _measured(found: Definition, parts: Parts, report: Report) -> Definition | N
         return found
     with np.errstate(all="ignore"):
         least, most = rest_box(found)
-        length = float(np.abs(most - least) @ np.abs(np.array(found.front)))
+        length = float((np.abs(most - least) * np.abs(np.array(found.front))).sum())
     if not np.isfinite(length) or length <= 1e-9:
         words = "the body has no length that could be measured along its front"
         report.warning("missing-key", words, parts.whole, 'add `"length": 1` to its definition')

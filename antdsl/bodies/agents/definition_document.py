@@ -67,6 +67,8 @@ class Parts:
 
 def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Parts | None:
     """The definition in a file, less what can only be told of the whole of it."""
+    if _is_part(values, node):
+        return None
     entries = values.object(node, "a definition", KNOWN, {"antdsl_body": "1"})
     if entries is None or not values.version(entries, "antdsl_body", 1):
         return None
@@ -104,6 +106,29 @@ def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Pa
         clips=clips, metadata=metadata, length=length or base.length,
     )  # fmt: skip
     return parts
+
+
+# Keys by which a part in a file of its own is known, with what it is and how a definition names it.
+_SIGNS = (
+    ("rig_version", "a rig", '"rig": {"file": "…"}'),
+    ("antdsl_clip", "a clip", '"clips": [{"file": "…"}]'),
+    ("static", "a layer", '"layers": [{"file": "…"}]'),
+    ("deforming", "a layer", '"layers": [{"file": "…"}]'),
+    ("members", "a transform group", '"groups": [{"file": "…"}]'),
+    ("asset", "glTF", '"from": "body.gltf"'),
+)
+
+
+def _is_part(values: Values, node: Node) -> bool:
+    """Complains of a file that is a part of a definition, and not one."""
+    if not isinstance(node.value, dict) or "antdsl_body" in node.value:
+        return False
+    for key, what, line in _SIGNS:
+        if key in node.value:
+            words = f"this is {what}, not a definition, which names it as one of its parts"
+            values.report.error("wrong-kind", words, values.key(node, key), f'write a file `{{"antdsl_body": 1, {line}}}`')
+            return True
+    return False
 
 
 def _base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: str) -> Definition | None:
@@ -318,7 +343,7 @@ def _axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tupl
             continue
         x, y, z = _AXES[node.value].tolist()
         found[key] = (x, y, z)
-    if abs(float(np.dot(found["front"], found["up"]))) > 0.5:
+    if any(a and b for a, b in zip(found["front"], found["up"], strict=True)):
         node = entries.get("up", entries.get("front"))
         place = values.span(node) if node is not None else None
         values.report.error("wrong-value", "a body looks and stands along the same axis", place, 'write `"up": "+y"`')

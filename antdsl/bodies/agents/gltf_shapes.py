@@ -265,6 +265,8 @@ def _materials(body: GltfBody, pieces: _Pieces) -> tuple[tuple[str, ...], NDArra
         colour = (1.0, 1.0, 1.0)
         if given is not None:
             pbr = file.object(known[given], "pbrMetallicRoughness")
+            if "baseColorTexture" in pbr:
+                body.left_out[f"the texture of `{name}` is not read, its base colour is"] = None
             red, green, blue, _ = np.clip(file.floats(pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0)), 0.0, 1.0)
             colour = (float(red), float(green), float(blue))
         body.materials.setdefault(name, colour)

@@ -162,9 +162,19 @@ def _divided(vectors: Floats, lengths: Floats, otherwise: tuple[float, float, fl
     return np.where(known[..., None], vectors / np.where(known, lengths, 1.0)[..., None], np.array(otherwise))
 
 
+def followed_by(outer: Floats, inner: Floats) -> Floats:
+    """The matrix float64[..., 4, 4] of going through `inner` and then through `outer`. Sums are written out, so that the
+    processor changes no bit."""
+    a, b = outer[..., :, :, None], inner[..., None, :, :]
+    found: Floats = ((a[..., 0, :] * b[..., 0, :] + a[..., 1, :] * b[..., 1, :]) + a[..., 2, :] * b[..., 2, :]) + a[
+        ..., 3, :
+    ] * b[..., 3, :]
+    return found
+
+
 def world_matrices(parents: NDArray[np.int32], local: Floats) -> Floats:
     """World matrices float64[J, 4, 4] of a rig's local ones, parents before children."""
     found = np.empty_like(local)
     for joint, parent in enumerate(parents):
-        found[joint] = local[joint] if parent < 0 else found[parent] @ local[joint]
+        found[joint] = local[joint] if parent < 0 else followed_by(found[parent], local[joint])
     return found

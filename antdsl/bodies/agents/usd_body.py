@@ -22,8 +22,9 @@ from antdsl.bodies.agents.gltf_shapes import rigid, unused
 from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Rig
-from antdsl.bodies.agents.transforms import one_sign, unit_quaternion
+from antdsl.bodies.agents.transforms import followed_by, one_sign, unit_quaternion
 from antdsl.bodies.agents.usd_shapes import Skin, UsdBody, read_usd_shape
+from antdsl.scene.geometry.matrices import has_inverse, inverse
 from antdsl.scene.geometry.usd import UsdStage, open_stage, pxr
 from antdsl.scene.paths import Roots
 
@@ -155,11 +156,13 @@ def _skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
             f"has a mesh `{mesh.GetPath()}` that follows `{missing[:80]}`, which its skeleton does not have", "export it anew"
         )
     bind = np.array([column_matrix(m) for m in skeleton.query.GetJointWorldBindTransforms()])[[number[path] for path in paths]]
-    flat = np.abs(np.linalg.det(bind[:, :3, :3])) < 1e-30
-    if not np.isfinite(bind).all() or flat.any():
-        raise BodyError(f"has a skeleton `{skeleton.prim.GetPath()}` with a bind transform that flattens", "export it anew")
-    inverse = np.linalg.inv(bind) @ column_matrix(target.GetGeomBindTransform())
-    return Skin(tuple(skeleton.names[number[path]] for path in paths), inverse, target)
+    if not all(has_inverse(matrix[:3]) for matrix in bind):
+        words = f"has a skeleton `{skeleton.prim.GetPath()}` with a bind transform that flattens"
+        raise BodyError(words, "export it anew")
+    back = np.tile(np.eye(4), (len(bind), 1, 1))
+    back[:, :3] = [inverse(matrix[:3]) for matrix in bind]
+    found = followed_by(back, column_matrix(target.GetGeomBindTransform()))
+    return Skin(tuple(skeleton.names[number[path]] for path in paths), found, target)
 
 
 # ---- clips

@@ -245,21 +245,21 @@ def _materials(body: UsdBody, prim: Any, face: Whole) -> tuple[tuple[str, ...], 
             names.append(name)
         return names.index(name)
 
-    whole = _material(prim) or _display(prim)
+    whole = _material(body, prim) or _display(prim)
     subsets = pxr("UsdShade").MaterialBindingAPI(prim).GetMaterialBindSubsets()
     if whole is None and not subsets:
         return (), None
     most = int(face.max()) + 1
     of_face = np.full(most, number(whole or ("default", (1.0, 1.0, 1.0))), np.int32)
     for subset in subsets:
-        bound = _material(subset.GetPrim())
+        bound = _material(body, subset.GetPrim())
         if bound is not None:
             rows = np.array(subset.GetIndicesAttr().Get(body.stage.first) or [], np.int64)
             of_face[rows[(rows >= 0) & (rows < most)]] = number(bound)
     return tuple(names), of_face[face]
 
 
-def _material(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
+def _material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]] | None:
     """The material that is bound to a prim, with its base colour; white where that is a texture."""
     material = pxr("UsdShade").MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     if not material:
@@ -267,6 +267,8 @@ def _material(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
     shader = material.ComputeSurfaceSource()[0]
     given = shader.GetInput("diffuseColor") if shader else None
     value = given.Get() if given else None
+    if given and given.HasConnectedSource():
+        body.left_out[f"the texture of `{material.GetPath()}` is not read"] = None
     colour = (1.0, 1.0, 1.0) if value is None or len(value) != 3 else tuple(float(min(max(c, 0.0), 1.0)) for c in value)
     return material.GetPrim().GetName(), (colour[0], colour[1], colour[2])
 

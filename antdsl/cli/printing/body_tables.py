@@ -83,7 +83,7 @@ def _bound(layer: Layer) -> str:
 
 
 def _played(body: Definition, clip: Clip) -> list[str]:
-    words = [f"{clip.duration:.3g} s", f"{clip.rate:.4g} samples/s", f"{len(clip.joints)} joints"]
+    words = [f"{clip.duration:.3g} s", f"{clip.rate:.4g} samples a second", f"{len(clip.joints)} joints"]
     if clip.channels:
         words.append(f"{len(clip.channels)} channels")
     words.append("loops" if clip.loop else "plays once")
