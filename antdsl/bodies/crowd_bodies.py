@@ -12,7 +12,7 @@ from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.packed import digest
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.kept_definitions import definition_at
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.plan.lowering.traversal import inside
@@ -46,7 +46,7 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
         if text in BODY_WORDS:
             continue
         if text not in files:
-            files[text], findings = read_definition(text, scene.roots, place)
+            files[text], findings = definition_at(text, scene.roots, place)
             report.extend(findings)
         found = files[text]
         if found is not None and species in program.species:

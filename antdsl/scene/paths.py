@@ -41,6 +41,8 @@ def sought() -> Iterator[Sought]:
         yield found
     finally:
         _sought.reset(before)
+        for path, root in found.items():
+            note(path, root)  # who looks from further outside sees them too
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +79,7 @@ class Roots:
     def open(self, text: str) -> int:
         """A handle on a regular file, to be closed by the caller; PathRefused says why there is none."""
         root, parts = self.locate(text)
-        _note(root.joinpath(*parts), root)
+        note(root.joinpath(*parts), root)
         return _open_below(root, parts, text)
 
     def exists(self, text: str) -> int:
@@ -110,7 +112,7 @@ class Roots:
 def read_named(path: Path, cap: int) -> bytes:
     """The bytes of a file that the person named on the command line: links are followed, anything but a regular file refused."""
     shown = str(path)
-    _note(path, None)
+    note(path, None)
     try:
         handle = open_regular(path)
     except FileNotFoundError:
@@ -131,7 +133,8 @@ def open_again(path: Path, root: Path | None) -> int:
         raise OSError(str(refused)) from None
 
 
-def _note(path: Path, root: Path | None) -> None:
+def note(path: Path, root: Path | None) -> None:
+    """Tell who looks (`sought`) that a file below a root is asked for, or would be: what was made of it is still known."""
     found = _sought.get()
     if found is not None:
         found[path] = root

@@ -102,6 +102,23 @@ def test_a_word_is_no_file_and_gives_no_clips_which_is_told(folder: Path) -> Non
     assert warning.help == "add `body: walker.glb`, or another file of a body"
 
 
+def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.bodies import kept_definitions
+    from antdsl.scene.paths import sought
+
+    times = []
+    monkeypatch.setattr(kept_definitions, "read_definition", lambda *given: times.append(given) or read_definition(*given))
+    scene = written(folder)
+    first = opened(scene)
+    with sought() as files:
+        assert opened(scene).bodies["walker"] is first.bodies["walker"] and len(times) == 1
+    assert {folder / "walker.json", folder / "parts.glb"} <= set(files)  # a preview still looks at them
+    (folder / "parts.glb").write_bytes((EXAMPLE / "parts.glb").read_bytes())
+    assert opened(scene).bodies["walker"] is not first.bodies["walker"] and len(times) == 2
+    (folder / "parts.glb").unlink()
+    assert not open_scene(scene)[1].ok
+
+
 def told(report: Report) -> list[tuple[str, str, str | None]]:
     return [(each.code, each.span.text if each.span else "", each.help) for each in report.sorted()]
 
