@@ -11,7 +11,7 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.shape import Capture, Shape
 
-CELLS = 20  # to the length of a body, and at least
+CELLS = 14  # to the length of a body, and at least
 ACROSS = 3  # to the longest side of a shape
 
 

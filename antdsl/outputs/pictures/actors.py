@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 CLOSE = 28.0  # pixels of body length from which the close-up body is worth its triangles
 MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
 MOST_ENLARGED = 3.0
-MOST_TRIANGLES = 6_000_000  # of close-up bodies of a species' own
+MOST_TRIANGLES = 2_000_000  # of close-up bodies of a species' own
 _DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
 
 
