@@ -50,6 +50,11 @@ def describe(cache: Cache) -> list[str]:
     for species in manifest.species:
         for machine in species.machines:
             lines.append(f"states       {species.name}.{machine.name}: {' '.join(state.name for state in machine.states)}")
+        if species.clips:
+            shown = (clip.name + (f" on {clip.on}" if clip.on else "") for clip in species.clips)
+            lines.append(f"clips        {species.name}: {', '.join(shown)}")
+        if species.definition is not None and species.definition < len(manifest.bodies):
+            lines.append(f"body         {species.name}: {manifest.bodies[species.definition].name}")
     lines += [f"field        {field.name}, cells of {field.cell:g} {manifest.units}" for field in manifest.fields]
     lines += [f"items        {items.name}: {' '.join(items.names)}" for items in manifest.items]
     lines += [f"mesh         {mesh.name} ({mesh.kind}){_patches(mesh, manifest.units)}" for mesh in manifest.meshes]

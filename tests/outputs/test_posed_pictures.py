@@ -62,6 +62,13 @@ def test_frames_say_what_each_machine_plays(cache: Cache) -> None:
     assert size == 2 * 24 * len(arrays["P"])  # bytes: an agent, a machine
 
 
+def test_what_is_in_a_cache_says_the_body_and_the_clips(cache: Cache) -> None:
+    from antdsl.cli.info import describe
+
+    lines = describe(cache)
+    assert "clips        walker: walk, run, idle, wave on arms" in lines and "body         walker: walker.json" in lines
+
+
 def test_a_picture_is_made_of_its_own_frame_alone(cache: Cache) -> None:
     gallery = Gallery(cache)
     for frame in range(1, FRAMES):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from functools import lru_cache
 from math import prod
 from typing import Any
 
@@ -81,8 +82,9 @@ def packed(body: Definition) -> Arrays:
     return made | {kind: np.concatenate([np.zeros(0, kind), *flat[kind]]) for kind in KINDS}
 
 
+@lru_cache(maxsize=16)
 def digest(body: Definition) -> str:
-    """A hash of all that `packed` keeps of a definition."""
+    """A hash of all that `packed` keeps of a definition, which is not changed once it is made."""
     made = hashlib.blake2b(digest_size=16)
     for name, array in packed(body).items():
         made.update(f"{name} {array.size} ".encode())
