@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import gltf_bodies
@@ -128,5 +129,12 @@ def test_a_skin_with_morph_targets_is_posed_as_a_body_of_a_crowd(bodies: list[De
     assert np.linalg.norm(normals[0], axis=1) == pytest.approx(1, abs=1e-5)
     rest = made.posed([], 1)[0]
     assert np.abs(rest - points).max() > 1e-3
+    # What has no material, or one without a colour, takes that of the state; so does one that is called `state`.
+    named = replace(body, materials={name: (0.1, 0.2, 0.3) for shape in body.shapes.values() for name in shape.materials})
+    assert (PosedBody(replace(body, materials={}), clips).tint == 1).all()
+    bare = {name: replace(shape, materials=(), material=None) for name, shape in body.shapes.items()}
+    assert (PosedBody(replace(named, shapes=bare), clips).tint == 1).all()
+    whole = {name: replace(shape, materials=("state",), material=shape.faces[:, 0] * 0) for name, shape in body.shapes.items()}
+    assert (PosedBody(replace(body, shapes=whole, materials={"state": (0.1, 0.2, 0.3)}), clips).tint == 1).all()
     rough = made.coarse.posed(plays, 1)[0]
     assert rough.shape[1] <= points.shape[1] and np.isfinite(rough).all()
