@@ -3,7 +3,7 @@ of them: the clips' lengths, strides and marks, and the room that each body take
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -108,25 +108,31 @@ def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
 
 
 def _check(species: Species, body: Definition, text: str, place: Span, report: Report) -> None:
-    """Complains once of each clip, transform group and mark that a species wants and its body does not have."""
-    told: set[tuple[str, str]] = set()
+    """Complains of the clips, transform groups and marks that a species wants and its body does not have."""
+    lacks: dict[str, tuple[str, Label]] = {}  # what to do about each, and where it is wanted
 
-    def want(what: str, name: str, known: Mapping[str, object] | set[str], span: Span, used: str) -> None:
-        if not name or name in known or (what, name) in told:
+    def want(what: str, name: str, known: Iterable[str], label: Label) -> None:
+        names = sorted(set(known))
+        if not name or name in names:
             return
-        told.add((what, name))
-        near = nearest_name(name, known)
-        listed = ", ".join(f"`{each}`" for each in sorted(known)[:_SHOWN]) + (" …" if len(known) > _SHOWN else "")
-        help = f"did you mean `{near}`?" if near else f"it has {listed}" if known else f"it has no {what}s"
-        report.error("unknown-name", f"`{text[-60:]}` has no {what} `{name}`", place, help, labels=(Label(span, used),))
+        near = nearest_name(name, names)
+        listed = ", ".join(f"`{each}`" for each in names[:_SHOWN]) + (" …" if len(names) > _SHOWN else "")
+        has = f"it has {listed}" if names else f"it has no {what}s"
+        help = f"did you mean `{near}`? {has}" if near else has  # more than a word to put in place of the file's path
+        lacks.setdefault(f"{what} `{name}`", (help, label))
 
-    marks = {mark for clip in body.clips.values() for mark in clip.marks}
+    marks = [mark for clip in body.clips.values() for mark in clip.marks]
     for machine in species.machines:
         for line in _plays(machine):
-            want("clip", line.clip, body.clips, line.span, "played here")
-            want("transform group", line.on, body.groups, line.span, "named here")
+            want("clip", line.clip, body.clips, Label(line.span, "played here"))
+            want("transform group", line.on, body.groups, Label(line.span, "named here"))
         for test in _tests(machine):
-            want("mark", test.mark, marks, test.span, "asked for here")
+            want("mark", test.mark, marks, Label(test.span, "asked for here"))
+    if lacks:
+        helps = [help if len(lacks) == 1 else f"{name}: {help}" for name, (help, _) in lacks.items()]
+        labels = tuple(label for _, label in lacks.values())
+        words = f"`{text[-60:]}` has no {', no '.join(lacks)}"
+        report.error("unknown-name", words, place, "; ".join(helps), labels=labels)
 
 
 def _plays(machine: Machine) -> Iterator[Play]:

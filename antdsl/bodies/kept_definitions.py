@@ -9,6 +9,7 @@ from pathlib import Path
 
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.agents.spoken import spoken
 from antdsl.diagnostics import Report
 from antdsl.scene.paths import Roots, Sought, note, open_again, sought
 from antdsl.source import Span
@@ -29,7 +30,8 @@ _kept: OrderedDict[tuple[object, ...], Kept] = OrderedDict()
 
 
 def definition_at(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
-    """As `read_definition` of a path that a scene names; one that was read before without a complaint is not read again."""
+    """As `read_definition` of a path that a scene names, with names as the language writes them; one that was read before
+    without a complaint is not read again."""
     key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.granted.items())))
     known = _kept.get(key)
     if known is not None and all(_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
@@ -39,6 +41,7 @@ def definition_at(text: str, roots: Roots, place: Span) -> tuple[Definition | No
         return known.definition, Report()
     with sought() as files:
         found, report = read_definition(text, roots, place)
+    found = None if found is None else spoken(found)
     _kept.pop(key, None)
     stamps = _stamps(files)
     if found is not None and not report.sorted() and all(stamp is not None for _, stamp in stamps.values()):

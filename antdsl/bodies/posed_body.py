@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.blending import posed
+from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.coarse import coarse
 from antdsl.bodies.agents.definition import Definition
@@ -52,6 +53,12 @@ class PosedBody:
         )
         self.own = np.concatenate([np.zeros((0, 3), np.float32), *(part[2] for part in parts)])
         self.tint = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
+
+    @cached_property
+    def reach(self) -> float:
+        """How far the box of the rest pose reaches from the origin, in body lengths."""
+        low, high = rest_box(self._whole)
+        return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high)))) / self._whole.length
 
     @cached_property
     def coarse(self) -> PosedBody:

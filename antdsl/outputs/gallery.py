@@ -107,13 +107,23 @@ class Gallery:
         for k in sorted({round(k) for k in np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES_FITTED))}):
             arrays = self.cache.frame(frames[k])
             place = np.asarray(arrays["P"], np.float64)
-            scale = np.asarray(arrays["pscale"], np.float64)
+            scale = np.asarray(arrays["pscale"], np.float64) * self._reaches(arrays)
             there = np.isfinite(place).all(axis=1) & np.isfinite(scale)
             place, scale = place[there], scale[there]
             if len(place):
                 outermost = (place @ ways + scale[:, None]).argmax(axis=0)
                 found.append(place[outermost] + ways.T * scale[outermost, None])
         return np.concatenate(found)
+
+    def _reaches(self, arrays: Arrays) -> NDArray[np.float64] | float:
+        """How far the body of each agent reaches from where it stands, in its lengths: 1 but for bodies of their own."""
+        reach = np.ones(len(self.manifest.species))
+        for number, species in enumerate(self.manifest.species):
+            if species.definition is not None:
+                reach[number] = max(1.0, self._body(number).reach)
+        if "species" not in arrays or not len(reach):
+            return float(reach.max(initial=1.0))
+        return reach[np.clip(np.asarray(arrays["species"], np.int64), 0, len(reach) - 1)]
 
     def camera(self, frame: int) -> Camera | None:
         """The scene's own camera at a frame, if it has one."""
@@ -176,13 +186,18 @@ class Gallery:
         plays = machines_of(species, arrays, len(crowd.position))
         if species.definition is None or plays is None:
             return crowd
+        return replace(crowd, worn=self._body(number), plays=plays)
+
+    def _body(self, number: int) -> PosedBody:
+        """The body of its own that a species has."""
+        species = self.manifest.species[number]
         if number not in self._worn:
             try:
-                found = definition_of(self.manifest, self.static, species.definition)
+                found = definition_of(self.manifest, self.static, species.definition or 0)
             except BodyError as why:
                 raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
             self._worn[number] = PosedBody(found, tuple((clip.name, clip.on) for clip in species.clips))
-        return replace(crowd, worn=self._worn[number], plays=plays)
+        return self._worn[number]
 
     def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """The crowd with its paths and the rays of its feelers, where they are to be seen."""

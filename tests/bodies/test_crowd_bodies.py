@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.bodies.crowd_bodies import clip_data, room_of
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot, check_path, open_scene
@@ -119,6 +120,29 @@ def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, m
     assert not open_scene(scene)[1].ok
 
 
+def test_names_of_files_are_spoken_as_the_language_writes_them(folder: Path) -> None:
+    text = (folder / "walker.json").read_text(encoding="utf-8")
+    for old, new in (("walk", "Armature|Walk"), ("wave", "Wave 01"), ("arms", "Right.Arm"), ("left", "Left-foot")):
+        text = text.replace(f'"{old}"', f'"{new}"')
+    (folder / "walker.json").write_text(text, encoding="utf-8")
+    program = PROGRAM.replace("play walk", "play armature_walk").replace("play wave(on: arms)", "play wave_01(on: right_arm)")
+    shot = opened(written(folder, program.replace("clip at left", "clip at left_foot")))
+    assert sorted(shot.bodies["walker"].clips) == ["armature_walk", "idle", "run", "wave_01"]
+    assert shot.setting.clips["walker"]["armature_walk"].marks["left_foot"] == 0
+    (error,) = open_scene(written(folder))[1].errors
+    assert error.message == "`walker.json` has no clip `walk`, no clip `wave`, no transform group `arms`, no mark `left`"
+    assert (
+        "clip `wave`: did you mean `wave_01`? it has `armature_walk`, `idle`, `run`, `wave_01`; transform group `arms`: it has `right_arm`"
+        in str(error.help)
+    )
+    assert [label.text for label in error.labels] == ["played here", "played here", "named here", "asked for here"]
+
+
+def test_names_that_sound_alike_stay_apart() -> None:
+    wanted = {"Walk": "walk_2", "walk": "walk", "WALK": "walk_3", "01 run": "n01_run", "|": "n"}
+    assert spoken_names(wanted) == wanted
+
+
 def told(report: Report) -> list[tuple[str, str, str | None]]:
     return [(each.code, each.span.text if each.span else "", each.help) for each in report.sorted()]
 
@@ -145,6 +169,7 @@ def test_what_does_not_fit_is_told_at_its_place(
     for report in (open_scene(scene)[1], check_path(scene)[1]):
         (error,) = report.errors
         assert (error.code, error.span.text if error.span else "") == (code, place), str(report)
+        assert error.fix is None or new.endswith("parson")  # the path of the body is not what to change
         if help is not None:
             assert error.help is not None and help in error.help
     if code == "unknown-name":
