@@ -131,10 +131,8 @@ def test_names_of_files_are_spoken_as_the_language_writes_them(folder: Path) -> 
     assert shot.setting.clips["walker"]["armature_walk"].marks["left_foot"] == 0
     (error,) = open_scene(written(folder))[1].errors
     assert error.message == "`walker.json` has no clip `walk`, no clip `wave`, no transform group `arms`, no mark `left`"
-    assert (
-        "clip `wave`: did you mean `wave_01`? it has `armature_walk`, `idle`, `run`, `wave_01`; transform group `arms`: it has `right_arm`"
-        in str(error.help)
-    )
+    assert "clip `wave`: did you mean `wave_01`? it has `armature_walk`, `idle`, `run`, `wave_01`; " in str(error.help)
+    assert "transform group `arms`: it has `right_arm`" in str(error.help)
     assert [label.text for label in error.labels] == ["played here", "played here", "named here", "asked for here"]
 
 
