@@ -281,6 +281,11 @@ class Register:
     holds: tuple[Any, ...] = ()  # kind, exponents of its dimension, and of whom or what it is
 
 
+def begun_with(attribute: str) -> str:
+    """The temp in which the scene says what an agent's attribute is at birth; infinite where it says nothing."""
+    return f"~born.{attribute}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MachinePlan:
     """Registers of a machine are `NAME.state`, `.previous`, `.next` (I32) and `.time_in_state` (F32, seconds)."""

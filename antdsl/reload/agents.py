@@ -13,9 +13,12 @@ from antdsl.plan import ir
 from antdsl.plan.pair_registers import pair_values
 from antdsl.reload.footing import TOLD, stand, turn
 from antdsl.runtime.binding.birth_values import birth_values, params_at_birth
+from antdsl.runtime.binding.placing import give_at_birth
+from antdsl.runtime.binding.reuse import digest
 from antdsl.runtime.lifecycle import come_alive
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import Population, World, add_rows, stored_registers
+from antdsl.scene.setting import Setting
 
 Rows = NDArray[np.intp]
 _ALWAYS = frozenset(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in "xyz") | {"group"}
@@ -67,6 +70,10 @@ def complete(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
     lasting = (register for register, each in population.plan.registers.items() if each.role != "temp")
     if not len(population) or all(register in values for register in lasting):
         return
+    for crowd in world.setting.crowds:
+        if crowd.species == name and crowd.place.values:
+            first = (population.born == world.setting.first_frame) & (population.now["group"] == crowd.group)
+            give_at_birth(population, np.flatnonzero(first), crowd.place)
     come_alive(world, {name: np.arange(len(population))})
     population.effects = Effects()
     _put(population, values)
@@ -125,7 +132,13 @@ def _rewritten(old: World, world: World, before: ir.SpeciesPlan, after: ir.Speci
     one, other = birth_values(before, params_at_birth(old)), birth_values(after, params_at_birth(world))
     stored = stored_registers(before) | stored_registers(after) | _ALWAYS
     attributes = {name for name, register in after.registers.items() if register.role == "attribute"}
-    return {name for name in attributes - stored if one.get(name) != other.get(name)}
+    placed = {name for name in attributes if _given(old.setting, before.name, name) != _given(world.setting, after.name, name)}
+    return {name for name in attributes - stored if one.get(name) != other.get(name) or name in placed}
+
+
+def _given(setting: Setting, species: str, attribute: str) -> list[str]:
+    """Digests of what places of the scene give to those who begin there, line by line."""
+    return [digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
 
 
 def _note(names: list[str], register: str) -> None:

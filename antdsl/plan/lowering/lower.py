@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import log
 
@@ -30,20 +30,28 @@ DEEP = 20_000  # frames of our own recursion over expressions; their nesting is 
 
 
 def lower(
-    program: model.Program, *, orders: Mapping[str, Sequence[str]] | None = None, notes: dict[str, Notes] | None = None
+    program: model.Program,
+    *,
+    orders: Mapping[str, Sequence[str]] | None = None,
+    notes: dict[str, Notes] | None = None,
+    begun_with: Mapping[str, Collection[str]] | None = None,
 ) -> tuple[ir.Plan, Report]:
     """The plan of a program, and complaints about what checks but cannot run yet.
 
     `orders`: for a species the order of its layers, each by its text or its word before the bracket. `notes` gets, for each
-    species, which nodes stand for which part of its text."""
+    species, which nodes stand for which part of its text. `begun_with`: for a species the attributes that the scene may give
+    to an agent at its birth."""
     report = Report()
     builder = Builder()
 
     def species_plan(s: model.Species) -> ir.SpeciesPlan:
         if notes is None:
-            return _species(Writer(builder, program, s, report, RULES), (orders or {}).get(s.name))
-        notes[s.name] = Notes()
-        return _species(NotingWriter(builder, program, s, report, RULES, notes[s.name]), (orders or {}).get(s.name))
+            w = Writer(builder, program, s, report, RULES)
+        else:
+            notes[s.name] = Notes()
+            w = NotingWriter(builder, program, s, report, RULES, notes[s.name])
+        w.begun_with = frozenset((begun_with or {}).get(s.name, ()))
+        return _species(w, (orders or {}).get(s.name))
 
     with _deep():
         species = {s.name: species_plan(s) for s in program.species.values()}
