@@ -29,6 +29,7 @@ RULES: Final = 64  # of one `fuzzy`
 ATTRIBUTES: Final = 256
 FIELDS: Final = 64
 STRONGEST: Final = 16  # others whom one agent keeps a value per pair about
+TOUCHED: Final = 8  # others of a species whom one agent knows that it touches
 
 # scene
 SCENE_BYTES: Final = 1 * MIB

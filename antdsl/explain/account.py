@@ -17,7 +17,7 @@ from antdsl.explain.sensing import draws, fields, seen, senses
 from antdsl.explain.tracing import Trace
 from antdsl.explain.value_text import place, triple
 from antdsl.plan.lowering.source_map import resting_site
-from antdsl.program.model import Species
+from antdsl.program.model import Handler, Species
 from antdsl.runtime.world import AXES, Population, World
 
 PLACES = 256  # of each set
@@ -65,6 +65,13 @@ def _places(trace: Trace) -> tuple[Triple, tuple[Triple, ...]]:
     return own, tuple(dict.fromkeys(found))
 
 
+def _collides(handler: Handler, trace: Trace) -> bool:
+    """Whether a handler of collisions has run: its agent has begun to touch somebody."""
+    if handler.event != "collision":
+        return False
+    return any(node.op == "contact" and node.attrs[0] == handler.of and value[0] != -1 for node, value in trace.senses.items())
+
+
 def _account(replay: Replay, frame: int, world: World, population: Population, trace: Trace) -> Explanation:
     """All that is known before the step has its effects."""
     program = replay.shot.program.species[population.name]
@@ -75,7 +82,7 @@ def _account(replay: Replay, frame: int, world: World, population: Population, t
     handlers = tuple(
         place(handler.span)
         for handler in program.handlers
-        if handler.event in population.events and population.events[handler.event][trace.row]
+        if (handler.event in population.events and population.events[handler.event][trace.row]) or _collides(handler, trace)
     )
     return Explanation(
         scene=Path(replay.shot.scene.source.path).name,

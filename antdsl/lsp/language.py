@@ -74,7 +74,7 @@ def signature(node: nodes.Behaviour) -> str:
 
 
 def _event(key: Key) -> str | None:
-    known = {"spawn": "happens once, at birth", "collision": "two agents touch"}
+    known = {"spawn": "happens once, at birth", "collision": "its body begins to touch another's"}
     return markdown(f"on {key[1]}", known.get(key[1], "an event: seen once, in the step after it was raised"))
 
 

@@ -180,12 +180,13 @@ class Param:
 
 @value
 class Handler:
-    """`event`: spawn, collision, or an emitted one. `other` is bound for a collision."""
+    """`event`: spawn, collision, or an emitted one. `other` is bound for a collision with an agent of the species `of`."""
 
     event: str
     other: Binding | None
     actions: tuple[Statement, ...]
     span: Span
+    of: str = ""
 
 
 @value

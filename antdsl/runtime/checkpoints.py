@@ -129,6 +129,7 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         world.detail.counts = _take(arrays, "lod.counts", world.detail.counts.shape).copy()
     world.grids.clear()
     world.clearances.clear()
+    world.touching = None
     pose(world, world.frame)
 
 

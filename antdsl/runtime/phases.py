@@ -27,6 +27,7 @@ def sense(world: World) -> None:
     world.stepping = True
     world.grids.clear()
     world.clearances.clear()
+    world.touching = None
     world.faults.latest = None
     for items in world.items.values():
         items.show()

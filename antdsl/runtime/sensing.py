@@ -16,6 +16,7 @@ from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
 from antdsl.runtime.about import clear_velocity, widest_gap
+from antdsl.runtime.collisions import contact
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
 from antdsl.runtime.world import AXES, Population, World
@@ -261,6 +262,13 @@ def _widest_gap(world: World, population: Population, node: ir.Node, rows: Rows,
     return widest_gap(world, population, _numbered(rows), within, most)
 
 
+def _contact(world: World, population: Population, node: ir.Node, rows: Rows, *touched: Value) -> Value:
+    """`touched`: ids of those whom the agent touched until now."""
+    known = np.stack([np.asarray(_spread(each, rows), np.int64) for each in touched], axis=1)
+    whom, known = contact(world, population, node.attrs[0], _numbered(rows), known)
+    return whom, *(np.ascontiguousarray(ids) for ids in known.T)
+
+
 SENSES: Mapping[str, Callable[..., Value]] = {
     "id": _id,
     "age": _age,
@@ -285,4 +293,5 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "noise": _noise,
     "clear.velocity": _clear_velocity,
     "gap.widest": _widest_gap,
+    "contact": _contact,
 }

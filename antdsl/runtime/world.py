@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.lod import Detail
     from antdsl.runtime.motion_measures import Motion
     from antdsl.senses.neighbours import CellGrid
+from antdsl.senses.touching import Touching
 
 DTYPES: Mapping[ir.Kind, type[np.generic]] = {
     ir.Kind.F32: np.float32,
@@ -199,6 +200,7 @@ class World:
     worked: dict[str, float] = field(default_factory=dict)  # the same of the processors, all threads together
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
+    touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: nobody has asked
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name

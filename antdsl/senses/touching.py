@@ -34,6 +34,16 @@ class Pairs:
     all_of_them: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Touching:
+    """Whom each agent of a species touches of one species, the deepest first, then by id: those of row r are `ids[starts[r]:
+    starts[r + 1]]`. `near`: so deep that a contact may begin."""
+
+    starts: Rows
+    ids: NDArray[np.int64]
+    near: NDArray[np.bool_]
+
+
 def within_reach(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64]) -> Pairs:
     """Pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z float64[n],
     mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place

@@ -51,7 +51,7 @@ class Asker:
         for items in world.items.values():
             items.show()
         there = copy(world)
-        there.plan, there.backend, there.grids, there.clearances = self.plan.plan, self.backend, {}, {}
+        there.plan, there.backend, there.grids, there.clearances, there.touching = self.plan.plan, self.backend, {}, {}, None
         there.populations = {name: self._judged(there, name) for name in self.plan.plan.species}
         there.spec_values = dict.fromkeys(self.names, np.float32(0))  # nobody has been asked yet
         self.backend.begin(there)

@@ -196,8 +196,8 @@ class Builder:
         return n.Start(self.word(parts[1]), self.over(parts))
 
     def on(self, parts: list[Any]) -> n.On:
-        _, event, _, variable, _, body = parts
-        return n.On(self.word(event), self.word(variable), body.lines, self.over(parts))
+        _, event, _, variable, species, _, body = parts
+        return n.On(self.word(event), self.word(variable), self.word(species), body.lines, self.over(parts))
 
     def layers(self, parts: list[Any]) -> n.Layers:
         return n.Layers(self.word(parts[1]), parts[2].lines, self.over(parts))

@@ -407,10 +407,11 @@ class Start:
 
 @node
 class On:
-    """`on EVENT { … }`, `on collision(other) { … }`."""
+    """`on EVENT { … }`, `on collision(other) { … }`, `on collision(other: SPECIES) { … }`."""
 
     event: Name
     variable: Name | None
+    species: Name | None
     actions: tuple[Action, ...]
     span: Span
 

@@ -144,7 +144,7 @@ def explained(*words: str) -> tuple[int, str]:
         ("amber", ("a colour of a state",)),
         ("steering", ("`wander`", "`seek`")),
         ("noise", ("scale: length", "noise(scale: 20 mm")),
-        ("collision", ("two agents touch",)),
+        ("collision", ("its body begins to touch another's",)),
         ("wander()", ("behaviour wander(",)),
         ("circle", ("depend on each other in a circle",)),
     ],

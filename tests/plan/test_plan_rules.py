@@ -180,17 +180,12 @@ def test_chains_of_lets_do_not_go_deep_or_grow():
 # --- not yet ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("members", "line"),
-    [("start s\non collision(other) { x += 1 }\nx = 0\nstate s { steer heading * x }", 11)],
-)
-def test_what_cannot_run_is_refused_at_its_place(members, line):
-    world = "ant 1\nworld {\n  surface ground\n  solid hill\n  items food\n  items nest\n  obstacle stones\n  curve way_in\n}\n"
-    program = f"species a {{ {members} }}"
-    _, report = lowered(program, world)
+def test_what_cannot_run_is_refused_at_its_place():
+    world = "ant 1\nworld {\n  surface ground\n  obstacle stones\n}\nfield trail on stones { cell 4 mm; half_life 4 s }\n"
+    _, report = lowered("species a {\n  start s\n  state s { steer heading * trail }\n}", world)
     assert set(codes(report)) == {"not-yet"}
     places = [d.span.source.line_column(d.span.start)[0] for d in report.diagnostics if d.span]
-    assert line in places
+    assert places == [6]
     assert all(d.help for d in report.diagnostics)
 
 

@@ -93,7 +93,8 @@ def test_every_operation_is_covered():
         "reduce.nth_item",
         "clear.velocity",
         "gap.widest",
-    }  # tests/specs/test_specs.py, tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py,
+        "contact",
+    }  # tests/specs/test_specs.py, tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py, tests/runtime/test_collisions.py,
     wanted = set(ir.OPS) - elsewhere  # tests/runtime/test_meaning_others.py
     wanted |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py
     lacking = wanted - operations(plans.rich()) - operations(surfaces_plan())

@@ -145,7 +145,7 @@ def _compared(request: Request) -> Iterator[Item]:
 
 def _on(request: Request) -> Iterator[Item]:
     yield Item("spawn", "keyword", "once, at birth")
-    yield Item("collision", "keyword", "two agents touch", "", "collision(${1:other})", True)
+    yield Item("collision", "keyword", "its body begins to touch another's", "", "collision(${1:other})", True)
     yield from _events(request)
 
 

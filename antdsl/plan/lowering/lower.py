@@ -11,7 +11,7 @@ from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
-from antdsl.plan.lowering import birth, blending, pair_values
+from antdsl.plan.lowering import birth, blending, collisions, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import own, scalar, truth, vector
 from antdsl.plan.lowering.lazy import lazy
@@ -80,6 +80,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     species = w.species
     birth.declare(w)
     blending.declare(w)
+    collisions.declare(w)
     for latch in species.latches:
         w.declare(latch.key or latch.name, Kind.BOOL, "memory")
     machines = [MachineWriter(w, machine) for machine in species.machines]
@@ -124,8 +125,9 @@ def _decide(w: Writer, machines: list[MachineWriter]) -> None:
             _relax(w, attribute)
     for latch in w.species.latches:
         _latch(w, latch)
+    met = collisions.notice(w)
     for number, handler in enumerate(w.species.handlers, 1):
-        _handler(w, handler, number)
+        _handler(w, handler, number, met)
     for machine in machines:
         machine.decide()
 
@@ -158,13 +160,16 @@ def _latch(w: Writer, latch: model.Binding) -> None:
         complain(w, missing)
 
 
-def _handler(w: Writer, handler: model.Handler, number: int) -> None:
+def _handler(w: Writer, handler: model.Handler, number: int, met: Mapping[str, Node]) -> None:
+    """`met`: whom an agent has begun to touch, by species."""
     if handler.event == "spawn":
         return
     if handler.event == "collision":
-        complain(w, NotYet("`on collision`", handler.span, "leave the block out"))
-        return
-    with w.region(w.b("event", attrs=(handler.event,)), handler.span):
+        collisions.bind(w, handler, met[handler.of])
+        noticed = w.b("ne", met[handler.of], w.b.agent(-1))
+    else:
+        noticed = w.b("event", attrs=(handler.event,))
+    with w.region(noticed, handler.span):
         write(w, handler.actions, f"{w.species.name}.on.{handler.event}#{number}")
 
 

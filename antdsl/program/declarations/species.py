@@ -256,17 +256,32 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Han
     assert names is not None
     keys = events.setdefault(event, Keys(f"{names.name}.on.{event}"))
     scope = scope.inside(keys=keys, no_keep="an event happens now and then")
-    other = None
+    other, met = None, _met(scope, node) if event == "collision" else ""
     if event == "collision" and node.variable is not None:
-        other = Binding(node.variable.text, "element", Type(Kind.AGENT, Dim(), names.name), Rate.AGENT, node.variable.span)
-        scope = scope.inside(locals={node.variable.text: other})
+        if met:
+            other = Binding(node.variable.text, "element", Type(Kind.AGENT, Dim(), met), Rate.AGENT, node.variable.span)
+        scope = scope.inside(locals={node.variable.text: other or bad(node.variable.span)})
     elif node.variable is not None:
         scope.report.error("wrong-argument", f"`on {event}` does not say who", node.variable.span, f"write `on {event} {{ … }}`")
         scope = scope.inside(locals={node.variable.text: bad(node.variable.span)})
     if event not in EVENTS:
         scope.use("on", event)
         scope.use("heard", f"{event} {scope.species.name if scope.species else ''}")
-    return model.Handler(event, other, statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span)
+    return model.Handler(event, other, statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span, met)
+
+
+def _met(scope: Scope, node: nodes.On) -> str:
+    """The species whose agents a collision is with: the agent's own, or the one that is said; "" after a complaint."""
+    assert scope.species is not None
+    if node.species is None:
+        return scope.species.name
+    found = referable(scope, node.species)
+    if found is not None and found.kind is not Kind.AGENT:
+        scope.report.error(
+            "wrong-kind", f"`{node.species.text}` are items, and a collision is with an agent", node.species.span,
+            f"ask in a state, `when touching({node.species.text}) -> …`",
+        )  # fmt: skip
+    return found.of or "" if found is not None and found.kind is Kind.AGENT else ""
 
 
 # --- layers ----------------------------------------------------------------------------------------------------------

@@ -108,7 +108,7 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
             return None
         change = added(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
         return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of, over, element)
-    if block.commuting and name not in ("heading", "velocity"):
+    if block.commuting and name not in ("heading", "velocity") and type.kind not in (Kind.AGENT, Kind.ITEM):
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
         scope.report.error(
             "not-commuting", f"`{what}` is set in a handler, where several events may come at once", line.span,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from math import pi
 
+from antdsl import limits
 from antdsl.program.tables.rows import Arg, Builtin, Cost, Part, Sense
 
 HALF_TURN = (0.0, pi * (1 + 1e-6))  # an angle in float32 may come out a little larger than half a turn
@@ -256,6 +257,15 @@ _ROWS = (
             ),
         ),
         operands="ff",
+    ),
+    Sense(
+        "contact",
+        "species",
+        (Part("whom", "l"), *(Part(f"touched{number}", "l") for number in range(1, limits.TOUCHED + 1))),
+        "the id of the deepest agent that the body has begun to touch, -1 for nobody, and of all that it touches then; operands: "
+        "of those whom it touched until now",
+        operands="l" * limits.TOUCHED,
+        trace="{whom} touched",
     ),
 )
 SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}

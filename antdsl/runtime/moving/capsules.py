@@ -37,14 +37,15 @@ def capsule_of(world: World, species: str) -> Capsule:
 
 
 class Crowd:
-    """All agents of a world, species by species, whose properties are read as one array each when they are asked for."""
+    """All agents of a world, species by species, whose properties are read as one array each when they are asked for: as they are
+    now, or as they were at the `start` of the step."""
 
-    def __init__(self, world: World) -> None:
-        self.world = world
+    def __init__(self, world: World, start: bool = False) -> None:
+        self.world, self._start = world, start
         self.species = [population for population in world.populations.values() if len(population)]
         self.first = np.cumsum([0, *(len(population) for population in self.species)])
         self._capsules = [capsule_of(world, population.name) for population in self.species]
-        size = self.of(lambda p: np.maximum(p.now["size"], np.float32(0))).astype(np.float64)
+        size = self.of(lambda p: np.maximum(self._registers(p)["size"], np.float32(0))).astype(np.float64)
         self.radius = size * self._shares("width") * 0.5
         self.half = np.maximum(size * self._shares("length") * 0.5 - self.radius, 0.0)
         self.key = self.of(lambda p: p.ids + self.species.index(p) * _SPECIES)
@@ -64,7 +65,10 @@ class Crowd:
 
     def vector(self, name: str) -> tuple[NDArray[np.float32], ...]:
         """The three registers of a vector."""
-        return tuple(self.of(lambda p, axis=axis: p.now[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+        return tuple(self.of(lambda p, axis=axis: self._registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+
+    def _registers(self, population: Population) -> dict[str, NDArray[Any]]:
+        return population.start if self._start else population.now
 
     def _shares(self, name: str) -> Floats | float:
         """A number of each capsule, in body lengths: one for all where they have one body."""

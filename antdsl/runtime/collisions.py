@@ -1,0 +1,77 @@
+"""Which bodies touch as a step begins, and with whom a contact has begun: what `on collision` is told.
+
+Two touch when the gap between their capsules is below a small share of the room of both, and do so until it has grown to several
+times that: who is pressed against another and shakes a little does not collide again and again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.moving.capsules import Crowd, find
+from antdsl.runtime.world import Population, World
+from antdsl.senses.touching import Touching
+
+Ids = NDArray[np.int64]
+Rows = NDArray[np.intp]
+
+_BEGINS = 0.02  # of the sum of two radii: a gap below which a contact begins
+_ENDS = 0.25  # of the same: a gap above which it is over
+
+
+def contact(world: World, population: Population, of: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
+    """The id of the deepest agent of a species whom each of some agents has begun to touch, -1 for nobody, and the ids of all
+    that it touches from now on. `touched` (n, k): those before, -1 where there is none; where all are taken nobody is noticed."""
+    found = np.full(len(rows), -1, np.int64)
+    known = _touching(world).get((population.name, of))
+    if known is None:
+        return found, np.full_like(touched, -1)
+    first, count = known.starts.take(rows), known.starts.take(rows + 1) - known.starts.take(rows)
+    who = np.repeat(np.arange(len(rows)), count)
+    pairs = np.arange(len(who)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
+    ids = known.ids.take(pairs)
+    same = touched.take(who, axis=0) == ids[:, None]
+    lasting = np.zeros(touched.shape, np.bool_)
+    pair, slot = np.nonzero(same)
+    lasting[who.take(pair), slot] = True
+    touched = np.where(lasting, touched, -1)
+    free = touched == -1
+    new = np.flatnonzero(known.near.take(pairs) & ~same.any(axis=1) & free.any(axis=1).take(who))
+    noticing, deepest = np.unique(who.take(new), return_index=True)
+    found[noticing] = ids.take(new.take(deepest))
+    touched[noticing, free[noticing].argmax(axis=1)] = found[noticing]
+    return found, touched
+
+
+def _touching(world: World) -> Mapping[tuple[str, str], Touching]:
+    """Who touches whom as the step began, by both species; found once in a step."""
+    if world.touching is None:
+        world.touching = _found(Crowd(world, start=True))
+    return world.touching
+
+
+def _found(crowd: Crowd) -> dict[tuple[str, str], Touching]:
+    found: dict[tuple[str, str], Touching] = {}
+    if len(crowd) < 2:
+        return found
+    pairs = find(crowd)
+    gap, _ = pairs.gaps()
+    room = pairs.radius.take(pairs.i) + pairs.radius.take(pairs.j)
+    kept = np.flatnonzero(gap < _ENDS * room)
+    i, j = pairs.rows.take(pairs.i.take(kept)), pairs.rows.take(pairs.j.take(kept))
+    one, other, gap = np.concatenate([i, j]), np.concatenate([j, i]), np.tile(gap.take(kept), 2)
+    near = gap < _BEGINS * np.tile(room.take(kept), 2)
+    kinds: Any = [np.searchsorted(crowd.first, rows, "right") - 1 for rows in (one, other)]
+    for a, species in enumerate(crowd.species):
+        for b, met in enumerate(crowd.species):
+            some = np.flatnonzero((kinds[0] == a) & (kinds[1] == b))
+            if not len(some):
+                continue
+            row, ids = one.take(some) - crowd.first[a], met.ids.take(other.take(some) - crowd.first[b])
+            order = np.lexsort((ids, gap.take(some), row))
+            starts = np.searchsorted(row.take(order), np.arange(len(species) + 1))
+            found[species.name, met.name] = Touching(starts, ids.take(order), near.take(some).take(order))
+    return found
