@@ -309,7 +309,7 @@ class SpeciesPlan:
     `decide`, `act`, `blend` run in this order each step; claims are settled between decide and act.
     Vectors are registers NAME.x NAME.y NAME.z. Registers that every species has: position velocity heading up (vectors), push (vector, temp),
     size mass radius clearance max_speed max_force max_turn response group. max_turn inf is no limit.
-    A species that says how fast it goes at least has min_speed too, one with `face` lines the temp ~face, nothing where it faces where it goes. `response` 0 or `kinematic`: the push is a velocity change at once."""
+    All have `moved` where the program asks how far contacts pushed anybody. A species that says how fast it goes at least has min_speed too, one with `face` lines the temp ~face, nothing where it faces where it goes. `response` 0 or `kinematic`: the push is a velocity change at once."""
 
     name: str
     registers: dict[str, Register]

@@ -39,6 +39,7 @@ DTYPES: Mapping[ir.Kind, type[np.generic]] = {
     ir.Kind.I64: np.int64,
 }
 AXES = ("x", "y", "z")
+PUSHED = "moved"  # mm, by contacts in one step; a register of those whose program asks
 MOVED = tuple(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in AXES)
 
 
@@ -224,7 +225,7 @@ class World:
 
 def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
     """Registers that some block or phase may change after birth."""
-    found = set(MOVED)
+    found = {*MOVED, PUSHED}
     pending: list[ir.Block] = [plan.decide, plan.act, plan.blend]
     while pending:
         for statement in pending.pop().statements:

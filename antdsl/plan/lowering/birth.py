@@ -29,6 +29,8 @@ def declare(w: Writer) -> None:
     for name in (*GIVEN, "group"):
         if name != "min_speed" or keeps_moving(w.species):
             w.declare(name, Kind.F32, "attribute")
+    if w.measures_pushes:
+        w.declare("moved", Kind.F32, "attribute")
     for attribute in w.species.attributes:
         if attribute.each:
             pair_values.declare(w, attribute)

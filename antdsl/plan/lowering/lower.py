@@ -13,7 +13,7 @@ from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
 from antdsl.plan.lowering import birth, blending, collisions, pair_values
 from antdsl.plan.lowering.actions import complain, write
-from antdsl.plan.lowering.expressions import own, scalar, truth, vector
+from antdsl.plan.lowering.expressions import measures_pushes, own, scalar, truth, vector
 from antdsl.plan.lowering.lazy import lazy
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.resting import stand_still
@@ -43,6 +43,7 @@ def lower(
     to an agent at its birth."""
     report = Report()
     builder = Builder()
+    pushes = measures_pushes(program)
 
     def species_plan(s: model.Species) -> ir.SpeciesPlan:
         if notes is None:
@@ -50,6 +51,7 @@ def lower(
         else:
             notes[s.name] = Notes()
             w = NotingWriter(builder, program, s, report, RULES, notes[s.name])
+        w.measures_pushes = pushes
         w.begun_with = frozenset((begun_with or {}).get(s.name, ()))
         return _species(w, (orders or {}).get(s.name))
 
