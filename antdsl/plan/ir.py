@@ -321,6 +321,7 @@ class SpeciesPlan:
     handles: tuple[str, ...]  # events
     layers: tuple[LayerPlan, ...]
     lazy: tuple[Node, ...] = ()  # worth keeping for the whole step once computed: senses used in more than one region
+    rests: Mapping[str, Node] = field(default_factory=dict)  # of values per pair what they begin with and return to, rate RUN
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,6 +12,7 @@ from antdsl.numerics.vector_rows import length
 from antdsl.plan import ir
 from antdsl.plan.pair_registers import pair_values
 from antdsl.reload.footing import TOLD, stand, turn
+from antdsl.runtime.binding.bind_world import run_value
 from antdsl.runtime.binding.birth_values import birth_values, params_at_birth
 from antdsl.runtime.binding.placing import give_at_birth
 from antdsl.runtime.binding.reuse import digest
@@ -56,7 +57,7 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
     values = {register: before.now[register][rows] for register in _same(old, world, before.plan, after.plan, migrated)}
     _states(before.plan, after.plan, values, migrated)
     _items(old, world, after.plan, values)
-    _pairs(before, after.plan, rows, values)
+    _pairs(before, world, after.plan, rows, values)
     _put(after, values)
     turn(world, after, moved[rows])
     migrated.moved = int(np.count_nonzero(length(after.position - before.position[rows]) > TOLD))
@@ -176,14 +177,16 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
         values[f"{machine.name}.time_in_state"] = np.where(lost, 0, time).astype(time.dtype)
 
 
-def _pairs(before: Population, after: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]) -> None:
-    """Values per pair of which fewer are kept by now: of each agent the strongest, those farthest from 0, the lesser id first."""
+def _pairs(before: Population, world: World, after: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]) -> None:
+    """Values per pair of which fewer are kept by now: of each agent the strongest, those farthest from what they begin with and
+    return to in the edited program, the lesser id first."""
     old = pair_values(before.plan.registers)
     for name, slots in pair_values(after.registers).items():
         if len(slots) >= len(old.get(name, ())) or slots[0][0] not in values:
             continue
         who, value = (np.stack([before.now[each[part]][rows] for each in old[name]], axis=1) for part in (0, 1))
-        strength = np.where(who < 0, np.float32(-1), np.abs(value))
+        rest = np.float32(run_value(world, after.rests[name]))
+        strength = np.where(who < 0, np.float32(-1), np.abs(value - rest))
         order = np.lexsort((who, -strength), axis=1)[:, : len(slots)]
         for k, names in enumerate(slots):
             for register, array in zip(names, (who, value), strict=True):

@@ -104,7 +104,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     events = tuple(sorted({node.attrs[0] for node in nodes if node.op == "event"}))
     return ir.SpeciesPlan(
         species.name, w.registers, tuple(m.plan() for m in machines), born, decide, act, blend, events, layers,
-        lazy(decide, act, blend),
+        lazy(decide, act, blend), {a.name: pair_values.at_rest(w, a) for a in species.attributes if a.each},
     )  # fmt: skip
 
 
