@@ -15,8 +15,9 @@ from compilers import need_numba
 ROOT = Path(__file__).resolve().parents[2]
 # One of each example; what lies beside them has the same program and ground.
 SCENES = (
-    "alarm/scene", "anthill/scene", "flocking/scene", "flow/scene", "foraging/scene", "foraging_study/default",
-    "minimal/scene", "moods/scene", "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "worth/scene",
+    "alarm/scene", "anthill/scene", "arena/scene", "battle/scene", "bridge/scene", "evacuation/scene", "flocking/scene",
+    "flow/scene", "foraging/scene", "foraging_study/default", "minimal/scene", "moods/scene", "roaches/scene",
+    "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "worth/scene",
 )  # fmt: skip
 SOME = ("moods/scene",)
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
