@@ -26,6 +26,7 @@ def sense(world: World) -> None:
     when first needed. From here on `time` and `frame` are those of the frame that is made."""
     world.stepping = True
     world.grids.clear()
+    world.trees.clear()
     world.clearances.clear()
     world.touching = None
     world.faults.latest = None

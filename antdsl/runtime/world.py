@@ -200,6 +200,7 @@ class World:
     timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
     worked: dict[str, float] = field(default_factory=dict)  # the same of the processors, all threads together
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
+    trees: dict[str, Any] = field(default_factory=dict)  # of this step, by species: k-d trees of all
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
     touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: nobody has asked
     transitions: dict[str, int] = field(default_factory=dict)

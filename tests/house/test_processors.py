@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -10,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from children import child_environment
 from compilers import need_numba
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,11 +37,11 @@ def disabled() -> str:
 
 
 def hashes(scenes: tuple[str, ...], frames: int, most: int, settings: dict[str, str], before: tuple[str, ...] = ()) -> str:
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("NPY_", "NUMBA_", "GLIBC_", "OPENBLAS_"))}
+    clean = {k: v for k, v in child_environment().items() if not k.startswith(("NPY_", "NUMBA_", "GLIBC_", "OPENBLAS_"))}
     paths = [str(ROOT / "examples" / f"{scene}.yaml") for scene in scenes]
     made = subprocess.run(
         [*before, sys.executable, str(ROOT / "tests" / "state_hashes.py"), "--frames", str(frames), "--most", str(most), *paths],
-        env={**clean, "PYTHONPATH": str(ROOT), **settings}, capture_output=True, text=True,
+        env={**clean, **settings}, capture_output=True, text=True,
     )  # fmt: skip
     assert made.returncode == 0, made.stderr[-3000:]
     return made.stdout

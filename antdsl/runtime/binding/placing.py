@@ -103,6 +103,7 @@ def _radii(
         populations={name: empty_population(p.plan, world.ground) for name, p in world.populations.items()},
         faults=FaultLog(),
         grids={},
+        trees={},
         clearances={},
         transitions={},
         detail=None,
