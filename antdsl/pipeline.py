@@ -112,13 +112,13 @@ def open_scene(
     program = with_fields(program, scene, {**scene.model.set, **given})
     program = with_changed_fields(program, choices.changes)
     orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
-    lowered, findings = plan.lower(program, orders=orders)
-    report.extend(findings)
-    if not report.ok:
-        return None, report
     setting, findings, meshes = stage(scene, program, given)
     report.extend(findings)
     if setting is None or not report.ok:
+        return None, report
+    lowered, findings = plan.lower(program, orders=orders, begun_with=setting.begun_with)
+    report.extend(findings)
+    if not report.ok:
         return None, report
     setting = with_changed_params(setting, scene, program, choices.changes)
     inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes}

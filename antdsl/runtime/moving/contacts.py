@@ -26,7 +26,7 @@ from antdsl.numerics.vectors import Vector, dot
 from antdsl.runtime.moving.capsules import Crowd, Near, find, part_of
 from antdsl.runtime.moving.falling import floating, pushed_in_the_air
 from antdsl.runtime.moving.obstacles import slide_some
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.runtime.world import AXES, PUSHED, Population, World
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -101,10 +101,11 @@ def resolve(world: World, began: Stood, dt: float) -> None:
         _face_as_before(crowd, near, stopped, began.headings)
     for _ in range(effort.rounds):
         asked = _apart(crowd, near, which, held, before, dt, effort, share, cut)
-        cut = np.zeros_like(cut)
+        pushed, cut = asked - cut, np.zeros_like(cut)
         some = np.flatnonzero((asked[0] != 0) | (asked[1] != 0) | (asked[2] != 0))
         got = _walked(crowd, near.rows.take(some), asked.take(some, axis=1), before, dt)
         near.middle[:, some] += got
+        _note_pushes(crowd, near.rows.take(some), pushed.take(some, axis=1), asked.take(some, axis=1), got)
         wanted = asked.take(some, axis=1)
         short = wanted - got
         missed = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
@@ -115,6 +116,17 @@ def resolve(world: World, began: Stood, dt: float) -> None:
         touched = np.zeros(len(held), np.bool_)
         touched[some[missed]] = True
         which = np.flatnonzero(touched.take(near.i) | touched.take(near.j))
+
+
+def _note_pushes(crowd: Crowd, rows: Rows, pushed: Floats, asked: Floats, got: Floats) -> None:
+    """Add to how far rows of a crowd, ascending, were pushed in this step, where their program asks. Of what they were `asked` to
+    go, (3, k) mm, only what others `pushed` counts, not what their own step was cut by; and of that what they `got`."""
+    short = np.where((pushed == 0).all(axis=0), 0.0, got - (asked - pushed))
+    far = np.sqrt(dot(short, short)).astype(_F)
+    for number, population in enumerate(crowd.species):
+        if PUSHED in population.now:
+            first, last = np.searchsorted(rows, crowd.first[number : number + 2])
+            population.now[PUSHED][rows[first:last] - crowd.first[number]] += far[first:last]
 
 
 def _walked(crowd: Crowd, rows: Rows, gone: Floats, before: Mapping[str, Floats], dt: float) -> Floats:
