@@ -116,6 +116,7 @@ def open_scene(
     report.extend(findings)
     if setting is None or not report.ok:
         return None, report
+    report = _less_what_the_scene_gives(report, program, setting)
     lowered, findings = plan.lower(program, orders=orders, begun_with=setting.begun_with)
     report.extend(findings)
     if not report.ok:
@@ -211,5 +212,14 @@ def check_path(
         from antdsl.scene.overriding import overrides
         from antdsl.scene.staging.stage_scene import stage
 
-        report.extend(stage(scene, program, overrides(scene, program, choices.params, Report()))[1])
+        setting, findings, _ = stage(scene, program, overrides(scene, program, choices.params, Report()))
+        report.extend(findings)
+        if setting is not None:
+            report = _less_what_the_scene_gives(report, program, setting)
     return program, report
+
+
+def _less_what_the_scene_gives(report: Report, program: Program, setting: Setting) -> Report:
+    """Without warnings that an attribute is always the same where places of the scene give it to who begins there."""
+    given = [a.span for name, of in setting.begun_with.items() for a in program.species[name].attributes if a.name in of]
+    return Report([d for d in report.diagnostics if d.code != "constant-attribute" or d.span not in given])

@@ -12,7 +12,7 @@ pxr = pytest.importorskip("pxr")
 
 from antdsl import limits  # noqa: E402
 from antdsl.diagnostics import Report  # noqa: E402
-from antdsl.pipeline import Choices, Shot, open_scene, simulate  # noqa: E402
+from antdsl.pipeline import Choices, Shot, check_path, open_scene, simulate  # noqa: E402
 from antdsl.reload import take_over  # noqa: E402
 from antdsl.runtime import Options, bind  # noqa: E402
 from antdsl.runtime.world import Population  # noqa: E402
@@ -257,7 +257,6 @@ BOIDS = """ant 1
 use steering
 world { surface floor }
 species roach {
-  # antdsl: ignore[constant-attribute] the empties give them
   size  30 mm
   radius size / 2
   max_speed 200 mm/s
@@ -330,7 +329,8 @@ def test_headings_lie_along_a_slope(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("backend", ["numpy", "reference"])
 def test_properties_of_empties_are_what_agents_begin_with(tmp_path: Path, backend: str) -> None:
-    shot, _ = boids(tmp_path)
+    shot, report = boids(tmp_path)
+    assert [d.code for d in (*report.diagnostics, *check_path(tmp_path / "scene.yaml")[1].diagnostics)] == []
     crowd = bind(shot.plan, shot.setting, Options(backend=backend)).populations["roach"]
     own = of_all(crowd, "size", "radius", "nerve", "calm", "reach", "seen")
     assert own[0].tolist() == [50, 25, 0.75, 0, 200, 200], "in the file's unit; what is worked out from it follows"
