@@ -99,9 +99,10 @@ def setting(ground: meshes.Mesh, count: int, **more: object) -> Setting:
 
 
 def test_both_borders_of_a_strip_are_read_in_its_own_cells() -> None:
-    """They lie where two cells meet, at 31 mm: what is beyond the border is the same of both, though a cell has one of its ends."""
+    """They lie where two cells meet, at 31 mm; a cell has one of its ends, and so the cells beside one border are the surface's too."""
     made = setting(meshes.grid(62.0, 7), 4)
-    stands, faces = [(0.4, 0, 27.3), (0.4, 0, -27.3), (27.3, 0, 8.4), (-27.3, 0, 8.4)], [(1, 0, 0), (-1, 0, 0), (0, 0, -1), (0, 0, 1)]
+    stands = [(0.4, 0, 27.3), (0.4, 0, -27.3), (27.3, 0, 8.4), (-27.3, 0, 8.4)]
+    faces = [(1, 0, 0), (-1, 0, 0), (0, 0, -1), (0, 0, 1)]
     got, world = smelled(made, stands, faces, (0, 1, 0), "10 mm", "-90 deg")
     ends = [(0.4, 0, 30), (0.4, 0, -30), (30, 0, 8.4), (-30, 0, 8.4)]
     assert got == [cell(world, end, (0, 1, 0)) for end in ends]
