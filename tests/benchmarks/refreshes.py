@@ -1,13 +1,14 @@
 """Distances of all pairs refreshed by how far apart they were, beside the search of cells that antdsl does in every step.
 
-`python tests/benchmarks/refreshes.py` prints the document's bands (R08), and a table for `examples/roaches` with 500 and 5,000: it
-runs the scene, keeps where everybody was, and does both on the same places. They have to find the same pairs in every frame."""
+`python tests/benchmarks/refreshes.py` prints the document's bands (R08), and a table for `examples/roaches` with 500 and 5,000:
+it runs the scene, keeps where everybody was, and does both on the same places. They have to find the same pairs each time."""
 
 from __future__ import annotations
 
 import argparse
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
@@ -104,7 +105,7 @@ def row(scene: str, frames: int) -> str:
     """A line of the table, in Markdown."""
     places, sight = walked(scene, frames), SIGHT[scene]
     agents = places[0].shape[1]
-    stride = max(float(np.sqrt(((b - a) ** 2).sum(axis=0)).max()) for a, b in zip(places, places[1:], strict=False))
+    stride = max(float(np.sqrt(((b - a) ** 2).sum(axis=0)).max()) for a, b in pairwise(places))
     searched(places[0], sight)  # whatever is compiled is compiled now
     schedule = Refreshes.of(agents, sight, 2 * stride * 1.0001)
     ours: list[float] = []
@@ -134,9 +135,7 @@ def main() -> None:
     for name, closing in (("one of the two moves", 0.1), ("both move", 0.2)):
         ranges = ", ".join(f"{low:.1f} to {high:.1f}" for low, high in refreshed(6, 6, 1.0, closing))
         print(f"frame 6, {name}: {ranges}")
-    print(
-        "| roaches | pairs | sight | longest step | pairs measured a frame | schedule, CPU ms (most) | search, CPU ms (median) | ratio |"
-    )
+    print("| roaches | pairs | sight | longest step | measured a frame | schedule, CPU ms (most) | search (median) | ratio |")
     print("|---|---|---|---|---|---|---|---|")
     for scene in SIGHT:
         print(row(scene, asked.frames), flush=True)

@@ -99,7 +99,7 @@ def setting(ground: meshes.Mesh, count: int, **more: object) -> Setting:
 
 
 def test_both_borders_of_a_strip_are_read_in_its_own_cells() -> None:
-    """They lie where two cells meet, at 31 mm; a cell has one of its ends, and so the cells beside one border are the surface's too."""
+    """They lie where two cells meet, at 31 mm; of voxels there only those beyond one border touch the surface."""
     made = setting(meshes.grid(62.0, 7), 4)
     stands = [(0.4, 0, 27.3), (0.4, 0, -27.3), (27.3, 0, 8.4), (-27.3, 0, 8.4)]
     faces = [(1, 0, 0), (-1, 0, 0), (0, 0, -1), (0, 0, 1)]
