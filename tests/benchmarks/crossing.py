@@ -46,8 +46,8 @@ PERSON = """ant 1
 
 @dataclass(frozen=True, slots=True)
 class Crossed:
-    """`seconds` until all were there (inf: not all), the least distance of two at the end of any step (`nearest`, mm), how many are
-    `left` at the end, and how many of them hardly moved over the last seconds (`stuck`); CPU milliseconds of a step."""
+    """`seconds` until all were there (inf: not all), the least distance of two at the end of any step (`nearest`, mm), how many
+    are `left` at the end, and how many of them hardly moved over the last seconds (`stuck`); CPU milliseconds of a step."""
 
     seconds: float
     nearest: float
