@@ -37,7 +37,7 @@ PERSON = """ant 1
   state go {{
     let off = {off}
     let way = rotate(unit(off), about: up, by: normal(0 deg, 1 deg)) * min(length(off) / 1 m, 1)
-    steer match(clear_velocity(way * max_speed, within: 6 m, horizon: 2 s))
+    steer match(clear_velocity(way * max_speed, within: {within:g} m, horizon: 2 s))
     {ends}
   }}
 }}
@@ -66,9 +66,9 @@ def world_of(text: str, places: Floats, surface: tuple[Floats, NDArray[np.int32]
     return bind(passes.optimise(plan.lower(program)[0]), setting, Options(threads=1))
 
 
-def circle(agents: int, seconds: float) -> Crossed:
-    """All on a circle, with 0.7 m for each, go to its other side."""
-    text = PERSON.format(world="", goal="-position", off="goal - position", ends="")
+def circle(agents: int, seconds: float, within: float = 6.0) -> Crossed:
+    """All on a circle, with 0.7 m for each, go to its other side; they look `within` so many metres."""
+    text = PERSON.format(within=within, world="", goal="-position", off="goal - position", ends="")
     angle, radius = 2 * np.pi * np.arange(agents) / agents, max(agents * APART / (2 * np.pi), 4000.0)
     places = np.stack([radius * np.cos(angle), np.zeros(agents), radius * np.sin(angle)], axis=1)
     return crossed(world_of(text, places), -places, seconds)
@@ -78,6 +78,7 @@ def corridor(agents: int, seconds: float, wide: float, long: float = 24_000.0) -
     """Half of them from either end of a corridor (mm), in rows, to the other end, where they are gone. Its borders stop feet,
     so bodies may lean over them by half of their width."""
     text = PERSON.format(
+        within=6.0,
         world="world { surface floor }\n",
         goal="vector(if dot(position, vector(1, 0, 0)) < 0 mm then 1 mm else -1 mm, 0 mm, 0 mm)",
         off="goal * 10000",
@@ -130,9 +131,12 @@ def main() -> None:
     parser.add_argument("agents", type=int)
     parser.add_argument("seconds", type=float)
     parser.add_argument("--wide", type=float, default=5.0, help="metres")
+    parser.add_argument("--within", type=float, default=6.0, help="metres, on the circle")
     asked = parser.parse_args()
     most = asked.seconds
-    found = circle(asked.agents, most) if asked.where == "circle" else corridor(asked.agents, most, asked.wide * 1000)
+    found = (
+        circle(asked.agents, most, asked.within) if asked.where == "circle" else corridor(asked.agents, most, asked.wide * 1000)
+    )
     print(f"{asked.where}, {asked.agents}: all there after {found.seconds:.1f} s, {found.left} not, {found.stuck} of these stuck")
     print(f"least distance {found.nearest / 1000:.2f} m of 0.40 m, {found.cost:.1f} ms a step")
 
