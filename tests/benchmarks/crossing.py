@@ -133,10 +133,10 @@ def main() -> None:
     parser.add_argument("--wide", type=float, default=5.0, help="metres")
     parser.add_argument("--within", type=float, default=6.0, help="metres, on the circle")
     asked = parser.parse_args()
-    most = asked.seconds
-    found = (
-        circle(asked.agents, most, asked.within) if asked.where == "circle" else corridor(asked.agents, most, asked.wide * 1000)
-    )
+    if asked.where == "circle":
+        found = circle(asked.agents, asked.seconds, asked.within)
+    else:
+        found = corridor(asked.agents, asked.seconds, asked.wide * 1000)
     print(f"{asked.where}, {asked.agents}: all there after {found.seconds:.1f} s, {found.left} not, {found.stuck} of these stuck")
     print(f"least distance {found.nearest / 1000:.2f} m of 0.40 m, {found.cost:.1f} ms a step")
 
