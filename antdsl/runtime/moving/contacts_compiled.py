@@ -79,29 +79,26 @@ def bent(i, j, way, free, walked, magic, step):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _share(i, j, pairs, gap, least, light, heap, level, share):  # type: ignore[no-untyped-def]
+def _share(i, j, deep, light, heap, level, share):  # type: ignore[no-untyped-def]
     """As `contacts._shares`, into `share` (2, m)."""
-    count = light.size
-    locked, spread, deepest = np.zeros(count), np.empty(count), 0.0
-    for pair in pairs:
-        if gap[pair] < -least[pair]:
-            deepest = max(deepest, -gap[pair])
-    for pair in pairs:
-        if gap[pair] < -least[pair]:
-            deep = _rounded(-gap[pair] / deepest)
-            locked[i[pair]] += deep
-            locked[j[pair]] += deep
+    locked, spread = np.zeros(light.size), np.empty(light.size)
+    deepest = deep.max()
+    for n in range(i.size):
+        if deep[n] > 0:
+            part = _rounded(deep[n] / deepest)
+            locked[i[n]] += part
+            locked[j[n]] += part
     for _ in range(_SPREADS):
         spread[:] = locked
-        for pair in pairs:
-            if gap[pair] < -least[pair]:
-                spread[i[pair]] += locked[j[pair]]
-                spread[j[pair]] += locked[i[pair]]
+        for n in range(i.size):
+            if deep[n] > 0:
+                spread[i[n]] += locked[j[n]]
+                spread[j[n]] += locked[i[n]]
         highest = spread.max()
-        for k in range(count):
+        for k in range(locked.size):
             locked[k] = _rounded(spread[k] / highest)
-    for n in range(pairs.size):
-        p, q = i[pairs[n]], j[pairs[n]]
+    for n in range(i.size):
+        p, q = i[n], j[n]
         first, second = locked[p], locked[q]
         outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap[p], heap[q])
         outer = 0.5 + outward * (second - first) / max(first + second, 1e-300)
@@ -127,24 +124,36 @@ def look(  # type: ignore[no-untyped-def]  # numba takes the types from the call
     i, j, which, gap, way, least, light, heap, normal, walked, most, room, cut, gone, magic, sweeps, slow
 ):  # fmt: skip
     """As `contacts._look`, where two part by `slow` of their overlap."""
-    count = light.size
-    met, there = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-    touching = False
+    number, m, count = np.zeros(light.size, np.intp), 0, 0  # of who touches 1, then of who is in a pair with one of these
     for pair in range(i.size):
         if which[pair] and gap[pair] < -least[pair]:
-            met[i[pair]] = met[j[pair]] = touching = True
-    if not touching:
+            number[i[pair]] = number[j[pair]] = 1
+            m += 1
+    if not m:
         return False
-    pairs, m = np.empty(i.size, np.intp), 0
+    m = 0
     for pair in range(i.size):
-        if which[pair] and (met[i[pair]] or met[j[pair]]):
-            there[i[pair]] = there[j[pair]] = True
+        m += which[pair] and (number[i[pair]] == 1 or number[j[pair]] == 1)
+    pairs, first, second = np.empty(m, np.intp), np.empty(m, np.intp), np.empty(m, np.intp)
+    m = 0
+    for pair in range(i.size):
+        if which[pair] and (number[i[pair]] == 1 or number[j[pair]] == 1):
             pairs[m] = pair
             m += 1
-    pairs = pairs[:m]
-    level, share, ways = np.empty((2, m)), np.empty((2, m)), np.empty((2, m, 3))
+    some = np.empty(min(light.size, 2 * m), np.intp)
+    number[:] = -1
+    for n in range(m):
+        for side in range(2):
+            k = j[pairs[n]] if side else i[pairs[n]]
+            if number[k] < 0:
+                number[k], some[count] = count, k
+                count += 1
+        first[n], second[n] = number[i[pairs[n]]], number[j[pairs[n]]]
+    some = some[:count]
+    deep, level, share, ways = np.empty(m), np.empty((2, m)), np.empty((2, m)), np.empty((2, m, 3))
     for n in range(m):
         pair = pairs[n]
+        deep[n] = -gap[pair] if gap[pair] < -least[pair] else 0.0
         v = _of(way, pair)
         for side in range(2):
             up = _of(normal, j[pair] if side else i[pair])
@@ -152,20 +161,21 @@ def look(  # type: ignore[no-untyped-def]  # numba takes the types from the call
             ways[side, n, 0], ways[side, n, 1], ways[side, n, 2] = along
             level[side, n] = dot(along, along)
             v = _negative(v)
-    _share(i, j, pairs, gap, least, light, heap, level, share)
+    _share(first, second, deep, light[some], heap[some], level, share)
     for side in range(2):
         for n in range(m):
             factor = share[side, n] / max(level[side, n], _STEEPEST)
             for axis in range(3):
                 ways[side, n, axis] *= factor
-    led, sums, weight, contacts = gone.copy(), np.empty((3, count)), np.empty(count), np.empty(count, np.int64)
+    led, sums, weight, contacts = np.zeros((3, count)), np.empty((3, count)), np.empty(count), np.empty(count, np.int64)
+    for k in range(count):
+        _put(led, k, _of(gone, some[k]))
     for _ in range(sweeps):
         sums[:], weight[:], contacts[:] = 0.0, 0.0, 0
         touching = False
         for n in range(m):
-            pair = pairs[n]
-            p, q = i[pair], j[pair]
-            one, other = minus(_of(led, p), _of(gone, p)), minus(_of(led, q), _of(gone, q))
+            pair, p, q = pairs[n], first[n], second[n]
+            one, other = minus(_of(led, p), _of(gone, i[pair])), minus(_of(led, q), _of(gone, j[pair]))
             left = gap[pair] + dot(_of(way, pair), minus(one, other))
             if left < -least[pair]:
                 touching = True
@@ -177,10 +187,11 @@ def look(  # type: ignore[no-untyped-def]  # numba takes the types from the call
         if not touching:
             break
         for k in range(count):
-            if there[k]:
-                part = (1 + (_EAGER - 1) * heap[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
-                asked = plus(_of(led, k), times(_of(sums, k), part))
-                asked = _within(asked, _negative(_of(cut, k)), room[k])
-                _put(led, k, _within(asked, _of(walked, k), most[k]))
-    gone[:] = led
+            at = some[k]
+            part = (1 + (_EAGER - 1) * heap[at] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
+            asked = plus(_of(led, k), times(_of(sums, k), part))
+            asked = _within(asked, _negative(_of(cut, at)), room[at])
+            _put(led, k, _within(asked, _of(walked, at), most[at]))
+    for k in range(count):
+        _put(gone, some[k], _of(led, k))
     return True
