@@ -40,9 +40,10 @@ def within_reach(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDA
     """Pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z float64[n],
     mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place
     and reach are in no pair."""
-    fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
-    rows = None if fit.all() else np.flatnonzero(fit)
-    if rows is not None:
+    rows = None
+    if not (np.isfinite(place[0].sum() + place[1].sum() + place[2].sum() + reach.sum()) and reach.min(initial=1.0) > 0):
+        fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
+        rows = np.flatnonzero(fit)
         place, reach, order = (place[0][rows], place[1][rows], place[2][rows]), reach[rows], order[rows]
     if not len(reach):
         return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), True)

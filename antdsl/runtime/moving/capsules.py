@@ -121,7 +121,8 @@ class Near:
 
 def find(crowd: Crowd) -> Near:
     """The pairs of a crowd that are no farther apart than both are wide."""
-    pairs = within_reach(crowd.middle, crowd.half + crowd.radius * (1 + 2 * SLACK), crowd.key)
+    x, y, z = crowd.middle
+    pairs = within_reach((x, y, z), crowd.half + crowd.radius * (1 + 2 * SLACK), crowd.key)
     late = crowd.key.take(pairs.i) > crowd.key.take(pairs.j)
     i, j = np.where(late, pairs.j, pairs.i), np.where(late, pairs.i, pairs.j)
     ahead, up = (np.stack(crowd.vector(name)).astype(np.float64) for name in ("heading", "up"))

@@ -1,4 +1,4 @@
-"""How near capsules are to each other, pair by pair: the same operations in the same order as `capsules`, and so the same bits."""
+"""How near capsules are to each other by one loop: the same operations in the same order as `capsules`, and so the same bits."""
 
 from __future__ import annotations
 

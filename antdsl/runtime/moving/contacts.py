@@ -34,7 +34,7 @@ Flags = NDArray[np.bool_]
 
 _F = np.float32
 _DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
-_WORTH = 0.04  # of the room of two: an overlap that is looked at again
+_SEEN = 0.05  # of the room of two: an overlap for which more is walked
 _FINE = 40  # digits of a term in a sum, below the widest overlap
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 _SHARES = 1 << 20  # a share is a multiple of one in so many
@@ -66,7 +66,7 @@ class Effort:
     rounds: int
 
 
-EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(4, 3, 3)}
+EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(4, 3, 2)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +105,7 @@ def resolve(world: World, began: Stood, dt: float) -> None:
         changed = _moved(cut)
         changed[stopped] = True
         near.measure(cut, changed)
-    worth = (near.radius.take(near.i) + near.radius.take(near.j)) * _WORTH
+    visible = (near.radius.take(near.i) + near.radius.take(near.j)) * _SEEN
     which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, _Walking(crowd, began, dt)
     for _ in range(effort.rounds):
         asked = _apart(near, agents, which, held, walked, deep, effort, share, cut)
@@ -126,7 +126,7 @@ def resolve(world: World, began: Stood, dt: float) -> None:
         touched[some[missed]] = True
         which = touched.take(near.i) | touched.take(near.j)
         near.measure(cut, touched)
-        if not (which & (near.gap < -worth)).any():
+        if not (which & (near.gap < -visible)).any():
             break
         walked = agents.walked(crowd, near.rows)
 
@@ -192,9 +192,7 @@ def _apart(
     least = (near.radius.take(near.i) + near.radius.take(near.j)) * _DEAD
     magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) + 1 - _FINE + 52)
     which, gone = which.copy(), cut.copy()
-    for look in range(effort.looks):
-        if look and not (which & (near.gap * _DEAD < -least * _WORTH)).any():
-            break
+    for _ in range(effort.looks):
         before = gone.copy()
         if not _look(near, which, least, light, heap, agents.normal, walked, most, room, cut, gone, magic, effort.sweeps, share):
             break

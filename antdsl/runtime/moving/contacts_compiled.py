@@ -1,4 +1,4 @@
-"""The passes of `contacts` over pairs as loops: the same operations in the same order, sums exact in any, and so the same bits."""
+"""The passes of `contacts` over pairs as loops: the same operations, and sums that are exact in any order, so the same bits."""
 
 from __future__ import annotations
 
@@ -42,8 +42,7 @@ def _negative(v):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bent(i, j, way, free, walked, magic, step):  # type: ignore[no-untyped-def]
-    """Steps (3, k) bent along half-planes of pairs, and then cut, from those `walked` into `step`. `free` (2 m): how far the first
-    and then the second of each pair may go towards the other."""
+    """As `contacts._bent`, into `step` (3, k)."""
     count, m = walked.shape[1], i.size
     sums, met, part = np.empty((3, count)), np.empty(count, np.int64), np.ones(count)
     step[:] = walked
