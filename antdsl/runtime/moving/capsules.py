@@ -49,12 +49,12 @@ class Crowd:
         self.radius = size * self._shares("width") * 0.5
         self.half = np.maximum(size * self._shares("length") * 0.5 - self.radius, 0.0)
         self.key = self.of(lambda p: p.ids + self.species.index(p) * _SPECIES)
-        high, ahead = size * self._shares("height"), size * self._shares("ahead")
+        high, self.ahead = size * self._shares("height"), size * self._shares("ahead")  # of the trunk's middle from the feet, mm
         heading, up = self.vector("heading"), self.vector("up")
         place = self.of(lambda p: p.position)
         self.middle = np.empty((3, len(self)))  # mm
         for k in range(3):
-            self.middle[k] = (place[:, k] + up[k] * high) + heading[k] * ahead
+            self.middle[k] = (place[:, k] + up[k] * high) + heading[k] * self.ahead
 
     def __len__(self) -> int:
         return int(self.first[-1])

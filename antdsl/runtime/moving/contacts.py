@@ -328,7 +328,9 @@ def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str
         heading = vec.unit(vec.flat(vec.take(facing[population.name], own), up), now)
         for axis, component in zip(AXES, heading, strict=True):
             population.now[f"heading.{axis}"][own] = component
+        turned = near.ahead[:, stopped[first:last]]
         near.ahead[:, stopped[first:last]] = heading
+        near.middle[:, stopped[first:last]] += (heading - turned) * crowd.ahead.take(rows[first:last])
 
 
 def _cut(near: Near, agents: _Agents, walked: Floats, gap: Floats, way: Floats) -> tuple[Floats, Rows]:
