@@ -24,7 +24,8 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-SLACK = 0.15  # of its width: how far beyond its trunk an agent is looked about, since it will yet be moved
+_SLACK = 0.3  # of its width: how far beyond its trunk an agent is looked about, since it will yet be moved
+_ABOUT = 1.5  # widths that two are apart, up to which they may yet meet
 _OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
 _NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
 _SPREAD = 0x9E3779B1  # an odd number, that numbers pairs of ids
@@ -120,9 +121,9 @@ class Near:
 
 
 def find(crowd: Crowd) -> Near:
-    """The pairs of a crowd that are no farther apart than both are wide."""
+    """The pairs of a crowd that may meet."""
     x, y, z = crowd.middle
-    pairs = within_reach((x, y, z), crowd.half + crowd.radius * (1 + 2 * SLACK), crowd.key)
+    pairs = within_reach((x, y, z), crowd.half + crowd.radius * (1 + 2 * _SLACK), crowd.key)
     late = crowd.key.take(pairs.i) > crowd.key.take(pairs.j)
     i, j = np.where(late, pairs.j, pairs.i), np.where(late, pairs.i, pairs.j)
     ahead, up = (np.stack(crowd.vector(name)).astype(np.float64) for name in ("heading", "up"))
@@ -130,7 +131,7 @@ def find(crowd: Crowd) -> Near:
     gap, way = np.empty(len(i)), np.empty((3, len(i)))
     all_of_them = Near(crowd, number, i, j, crowd.middle, ahead, up, crowd.half, crowd.radius, gap, way)
     all_of_them.measure(np.zeros((3, 1)), every)
-    kept = np.flatnonzero(gap < crowd.radius.take(i) + crowd.radius.take(j))
+    kept = np.flatnonzero(gap < (crowd.radius.take(i) + crowd.radius.take(j)) * _ABOUT)
     rows, i, j = part_of(len(crowd), i.take(kept), j.take(kept))
     middle, ahead, up = (v.take(rows, axis=1) for v in (crowd.middle, ahead, up))
     gap, way = gap.take(kept), way.take(kept, axis=1)
