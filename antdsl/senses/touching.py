@@ -82,6 +82,8 @@ def _of_class(
     i, j = _near(place, reach, i, j)
     if smaller is None:
         return Pairs(i, j, whole)
+    if order is not None:
+        smaller = smaller[stable_order(order[smaller])]
     near, far, entire = grid.asked_by(place, smaller)
     near, far = _near(place, reach, near, far)
     return Pairs(np.concatenate([i, near]), np.concatenate([j, far]), whole and entire)
