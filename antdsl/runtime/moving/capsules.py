@@ -98,26 +98,30 @@ class Near:
 
     def measure(self, gone: Floats, changed: Flags) -> None:
         """Measure anew the pairs of which a row has `changed` (k), once rows have gone by (3, k) mm."""
-        self._measure(self.middle + gone, changed, self.gap, self.way)
+        self._measure(gone, changed, self.gap, self.way)
 
     def before(self, walked: Floats) -> tuple[Floats, Floats]:
         """Gaps and ways of all pairs before rows `walked` (3, k) mm, as these face now."""
         gap, way = np.empty_like(self.gap), np.empty_like(self.way)
-        self._measure(self.middle - walked, np.ones(len(self.rows), np.bool_), gap, way)
+        self._measure(-walked, np.ones(len(self.rows), np.bool_), gap, way)
         return gap, way
 
-    def _measure(self, at: Floats, changed: Flags, gap: Floats, way: Floats) -> None:
+    def _measure(self, gone: Floats, changed: Flags, gap: Floats, way: Floats) -> None:
         if compiled.wanted(len(self.i)):
             from antdsl.runtime.moving.capsules_compiled import measured
 
             lost = np.empty(len(self.i), np.intp)
-            count = measured(at, self.ahead, self.up, self.half, self.radius, self.i, self.j, changed, gap, way, lost)
+            capsules = (self.ahead, self.up, self.half, self.radius)
+            count = measured(self.middle, gone, *capsules, self.i, self.j, changed, gap, way, lost)
             which = lost[:count]
         else:
             which = np.flatnonzero(changed.take(self.i) | changed.take(self.j))
         if len(which):
-            i, j = self.i.take(which), self.j.take(which)
-            gap[which], way[:, which] = _gaps(self, at, i, j)
+            gap[which], way[:, which] = self.measured(gone, which)
+
+    def measured(self, gone: Floats, which: Rows) -> tuple[Floats, Floats]:
+        """Gaps and ways of some pairs, once rows have gone by (3, k) mm."""
+        return _gaps(self, self.middle + gone, self.i.take(which), self.j.take(which))
 
 
 def find(crowd: Crowd) -> Near:
@@ -130,7 +134,7 @@ def find(crowd: Crowd) -> Near:
     every, number = np.ones(len(crowd), np.bool_), np.arange(len(crowd))
     gap, way = np.empty(len(i)), np.empty((3, len(i)))
     all_of_them = Near(crowd, number, i, j, crowd.middle, ahead, up, crowd.half, crowd.radius, gap, way)
-    all_of_them.measure(np.zeros((3, 1)), every)
+    all_of_them.measure(np.zeros_like(crowd.middle), every)
     kept = np.flatnonzero(gap < (crowd.radius.take(i) + crowd.radius.take(j)) * _ABOUT)
     rows, i, j = part_of(len(crowd), i.take(kept), j.take(kept))
     middle, ahead, up = (v.take(rows, axis=1) for v in (crowd.middle, ahead, up))

@@ -42,15 +42,15 @@ def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measured(at, ahead, up, half, radius, i, j, changed, gap, way, lost):  # type: ignore[no-untyped-def]
-    """Measure pairs of which a row has `changed`, into `gap` and `way`; gives how many have no way of their own, which are the
-    first of `lost`. As `capsules.Near`."""
+def measured(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, lost):  # type: ignore[no-untyped-def]
+    """As `capsules.Near.measure`, into `gap` and `way`; gives how many pairs have no way of their own, which are the first of
+    `lost`."""
     count = 0
     for pair in range(i.size):
         p, q = i[pair], j[pair]
         if not (changed[p] or changed[q]):
             continue
-        away = minus(_of(at, p), _of(at, q))
+        away = minus(plus(_of(middle, p), _of(gone, p)), plus(_of(middle, q), _of(gone, q)))
         found = _gap(
             away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
         )  # fmt: skip

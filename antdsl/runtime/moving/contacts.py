@@ -66,7 +66,7 @@ class Effort:
     rounds: int
 
 
-EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(4, 3, 2)}
+EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 2)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,11 +191,21 @@ def _apart(
     light = np.where(held, 0.0, 1 / agents.mass)
     least = (near.radius.take(near.i) + near.radius.take(near.j)) * _DEAD
     magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) + 1 - _FINE + 52)
-    which, gone = which.copy(), cut.copy()
-    for _ in range(effort.looks):
+    which, gone, looks = which.copy(), cut.copy(), effort.looks
+    if compiled.wanted(len(near.i)):
+        from antdsl.runtime.moving.contacts_compiled import parted
+
+        lost = np.empty(len(near.i), np.intp)
+        capsules = (near.middle, near.ahead, near.up, near.half, near.radius, near.i, near.j, near.gap, near.way)
+        limits = (light, heap, agents.normal, walked, most, room, cut, gone)
+        while looks:
+            looks, count = parted(*capsules, which, *limits, magic, looks, effort.sweeps, share, lost)
+            some = lost[:count]
+            near.gap[some], near.way[:, some] = near.measured(gone, some)
+        return gone
+    for _ in range(looks):
         before = gone.copy()
-        if not _look(near, which, least, light, heap, agents.normal, walked, most, room, cut, gone, magic, effort.sweeps, share):
-            break
+        _look(near, which, least, light, heap, agents.normal, walked, most, room, cut, gone, magic, effort.sweeps, share)
         changed = _moved(gone - before)
         if not changed.any():
             break
@@ -219,19 +229,13 @@ def _look(
     magic: float,
     sweeps: int,
     share: float,
-) -> bool:
-    """Change by what (3, k) rows are `gone`, for some pairs (m) as they were last measured; says whether any overlaps more than
-    the `least` (m) that counts."""
+) -> None:
+    """Change by what (3, k) rows are `gone`, for some pairs (m) as they were last measured; overlaps of less than the `least` (m)
+    do not count."""
     count = len(near.rows)
-    if compiled.wanted(len(near.i)):
-        from antdsl.runtime.moving.contacts_compiled import look
-
-        agents = (light, heap, normal, walked, most, room, cut, gone)
-        found: bool = look(near.i, near.j, which, near.gap, near.way, least, *agents, magic, sweeps, share)
-        return found
     touching = np.flatnonzero(which & (near.gap < -least))
     if not len(touching):
-        return False
+        return
     met = np.zeros(count, np.bool_)
     met[near.i.take(touching)] = True
     met[near.j.take(touching)] = True
@@ -250,7 +254,6 @@ def _look(
         led = _within(led + asked, back, room)
         led = _within(led, walked, most)
     gone[:, some] = led
-    return True
 
 
 class _Pairs:

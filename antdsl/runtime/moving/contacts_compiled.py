@@ -6,9 +6,10 @@ import numpy as np
 
 from antdsl.numerics.kernel_cache import njit
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
+from antdsl.runtime.moving.capsules_compiled import measured
 
 _FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts`
-_OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST = 10.0, 1.0, 1 / 64, 1.5, 0.1
+_OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 
 
@@ -119,10 +120,34 @@ def _within(gone, middle, room):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def look(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    i, j, which, gap, way, least, light, heap, normal, walked, most, room, cut, gone, magic, sweeps, slow
+def parted(  # type: ignore[no-untyped-def]  # numba takes the types from the call
+    middle, ahead, up, half, radius, i, j, gap, way, which, light, heap, normal, walked, most, room, cut, gone, magic, looks,
+    sweeps, slow, lost,
 ):  # fmt: skip
-    """As `contacts._look`, where two part by `slow` of their overlap."""
+    """As the looks of `contacts._apart`, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`. Where
+    pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
+    least, changed = np.empty(i.size), np.empty(light.size, np.bool_)
+    for pair in range(i.size):
+        least[pair] = (radius[i[pair]] + radius[j[pair]]) * _DEAD
+    for left in range(looks - 1, -1, -1):
+        changed[:] = False
+        if not _look(
+            i, j, which, gap, way, least, light, heap, normal, walked, most, room, cut, gone, magic, sweeps, slow, changed
+        ):
+            break
+        count = measured(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, lost)
+        for pair in range(i.size):
+            which[pair] |= changed[i[pair]] or changed[j[pair]]
+        if count:
+            return left, count
+    return 0, 0
+
+
+@njit(error_model="numpy")
+def _look(  # type: ignore[no-untyped-def]
+    i, j, which, gap, way, least, light, heap, normal, walked, most, room, cut, gone, magic, sweeps, slow, changed
+):  # fmt: skip
+    """As `contacts._look`; says who has `changed`, and whether anybody has."""
     number, m, count = np.zeros(light.size, np.intp), 0, 0  # of who touches 1, then of who is in a pair with one of these
     for pair in range(i.size):
         if which[pair] and gap[pair] < -least[pair]:
@@ -191,6 +216,10 @@ def look(  # type: ignore[no-untyped-def]  # numba takes the types from the call
             asked = plus(_of(led, k), times(_of(sums, k), part))
             asked = _within(asked, _negative(_of(cut, at)), room[at])
             _put(led, k, _within(asked, _of(walked, at), most[at]))
+    moved = False
     for k in range(count):
+        for axis in range(3):
+            changed[some[k]] |= led[axis, k] != gone[axis, some[k]]
+        moved |= changed[some[k]]
         _put(gone, some[k], _of(led, k))
-    return True
+    return moved
