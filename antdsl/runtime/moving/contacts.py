@@ -134,13 +134,14 @@ def resolve(world: World, began: Stood, dt: float) -> None:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Agents:
     """What counts of the rows of pairs in a substep: where they `start` and how they `came`, their way in a substep before this
-    one, (3, k) mm; how far they may walk, `reach` (k) mm; `mass`; the normals (3, k) of the ground under their feet; and who is
-    `frozen` by a fault."""
+    one, (3, k) mm; how far they may walk, `reach` (k) mm; `mass`; the share of that to which the others about them can push them,
+    `yields`; the normals (3, k) of the ground under their feet; and who is `frozen` by a fault."""
 
     start: Floats
     came: Floats
     reach: Floats
     mass: Floats
+    yields: Floats | float
     normal: Floats
     frozen: Flags
 
@@ -150,11 +151,18 @@ class _Agents:
         start, normal = crowd.of(lambda p: began.places[p.name]), crowd.of(lambda p: p.normal)
         came = np.stack([crowd.of(lambda p, axis=axis: p.start[f"velocity.{axis}"]).take(rows) * dt for axis in AXES])  # type: ignore[misc]
         speed = np.maximum(crowd.of(lambda p: p.now["max_speed"]).take(rows), _F(0))
+        mass = np.maximum(crowd.of(lambda p: p.now["mass"]).take(rows).astype(np.float64), 1e-30)
+        yields: Floats | float = 1.0
+        if mass.min() < mass.max():  # or the sweeps would push at a heavy one as often as a light one cannot get away
+            yields = np.zeros(len(rows))
+            for k, other in ((near.i, near.j), (near.j, near.i)):
+                np.maximum.at(yields, k, _lightness(mass.take(k), mass.take(other)))
         return _Agents(
             np.ascontiguousarray(start.take(rows, axis=0).T),
             came.astype(np.float64),
             speed.astype(np.float64) * dt,
-            np.maximum(crowd.of(lambda p: p.now["mass"]).take(rows).astype(np.float64), 1e-30),
+            mass,
+            yields,
             np.ascontiguousarray(normal.take(rows, axis=0).T).astype(np.float64),
             crowd.of(lambda p: p.quarantined).take(rows),
         )
@@ -162,6 +170,12 @@ class _Agents:
     def walked(self, crowd: Crowd, rows: Rows) -> Floats:
         """By how much (3, k) mm agents are now from where they started."""
         return np.ascontiguousarray(crowd.of(lambda p: p.position).take(rows, axis=0).T) - self.start
+
+
+def _lightness(mass: Floats, other: Floats) -> Floats:
+    """Up to which share of an even one those of a mass make room for others, 1 for the lighter."""
+    share: Floats = np.minimum(2 * other / (mass + other), 1.0)
+    return share
 
 
 def _moved(gone: Floats) -> Flags:
@@ -185,7 +199,7 @@ def _apart(
     `held` is not moved farther. Rows have `walked` (3, k) mm and were so `deep` (k) mm in others before."""
     size = np.sqrt(dot(walked, walked))
     most = np.maximum(agents.reach, size)
-    room = np.minimum(most * _YIELD + deep, most)
+    room = np.minimum(most * _YIELD + deep, most) * agents.yields
     heap = np.minimum(np.maximum(deep / (near.radius * _HEAP) - 0.5, 0.0), 1.0)
     heap[size <= _RESTS * most] = 1.0
     light = np.where(held, 0.0, 1 / agents.mass)
@@ -355,8 +369,7 @@ def _free(near: Near, agents: _Agents, walked: Floats, gap: Floats, way: Floats)
     ways = np.concatenate([way, -way], axis=1)
     free = np.maximum(gap, 0.0) * 0.5
     free = np.concatenate([free, free]) + np.maximum(-dot(ways, agents.came.take(other, axis=1)), 0.0)
-    one, two = agents.mass.take(both), agents.mass.take(other)
-    heavier = 1 - np.minimum(2 * two / (one + two), 1.0)
+    heavier = 1 - _lightness(agents.mass.take(both), agents.mass.take(other))
     if heavier.any():
         free += heavier * np.maximum(-dot(ways, walked.take(both, axis=1)) - free, 0.0)
     found: Floats = free

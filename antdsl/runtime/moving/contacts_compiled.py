@@ -124,8 +124,8 @@ def parted(  # type: ignore[no-untyped-def]  # numba takes the types from the ca
     middle, ahead, up, half, radius, i, j, gap, way, which, light, heap, normal, walked, most, room, cut, gone, magic, looks,
     sweeps, slow, lost,
 ):  # fmt: skip
-    """As the looks of `contacts._apart`, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`. Where
-    pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
+    """As the looks of `contacts._apart`, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`.
+    Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
     least, changed = np.empty(i.size), np.empty(light.size, np.bool_)
     for pair in range(i.size):
         least[pair] = (radius[i[pair]] + radius[j[pair]]) * _DEAD
