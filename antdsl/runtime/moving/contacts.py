@@ -66,7 +66,7 @@ class Effort:
     rounds: int
 
 
-EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 2)}
+EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 3)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,8 +115,6 @@ def resolve(world: World, began: Stood, dt: float) -> None:
         got = walking.walk(near.rows.take(some), wanted)
         near.middle[:, some] += got
         short = wanted - got
-        under = agents.normal.take(some, axis=1)
-        short -= under * dot(short, under)  # who is led up or down is in others no more than before
         missed = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
         if not missed.any():
             break
