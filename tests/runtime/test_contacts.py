@@ -194,7 +194,7 @@ def test_two_sides_of_a_thin_sheet_do_not_meet() -> None:
         step(made)
     assert depths(made).max() < 1e-3
     crowd = Crowd(made)
-    middles = np.stack(crowd.middle, axis=1)
+    middles = crowd.middle.T
     near = np.linalg.norm(middles[:, None] - middles[None], axis=2) < 1.5
     assert (near & (np.sign(made.populations["ant"].normal[:, 1])[:, None] != sides[None])).any()  # right below one another
 
@@ -280,7 +280,7 @@ DOOR = WALKING.replace("ant 1\n", "ant 1\nuse steering\nworld { obstacle walls }
 
 @pytest.mark.parametrize("count, radius, frames", [(12, 5.0, 100), pytest.param(40, 9.0, 240, marks=pytest.mark.slow)])
 def test_a_crowd_goes_through_a_door_and_does_not_shiver_before_it(count: int, radius: float, frames: int) -> None:
-    near, far = meshes.box((-1, -1, 2.5), (1, 6, 80)), meshes.box((-1, -1, -80), (1, 6, -2.5))
+    near, far = meshes.box((-1, -1, 2.5), (1, 6, 25)), meshes.box((-1, -1, -25), (1, 6, -2.5))
     walls = MeshData(np.concatenate([near[0], far[0]]), np.concatenate([near[1], far[1] + len(near[0])]))
     start = heap(count, radius).points
     assert start is not None
@@ -298,7 +298,7 @@ def test_a_crowd_goes_through_a_door_and_does_not_shiver_before_it(count: int, r
             steps += int(waiting.sum())
         turned = turn
     assert (places(made)[:, 0] > 1).all()
-    assert steps > 10 * count and back < 0.03 * steps
+    assert steps > 5 * count and back < 0.03 * steps
 
 
 def test_who_faces_as_before_has_its_trunk_where_that_puts_it(monkeypatch: pytest.MonkeyPatch) -> None:
