@@ -18,15 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.protocol import Move
 from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vector_rows import length
 from antdsl.numerics.vectors import Vector, dot
+from antdsl.runtime.moving import cutting
 from antdsl.runtime.moving.capsules import Crowd, Near, deepest, find, part_of
-from antdsl.runtime.moving.falling import floating, pushed_in_the_air
-from antdsl.runtime.moving.obstacles import slide_some
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.runtime.moving.corrections import Corrections
+from antdsl.runtime.world import AXES, World
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -43,16 +41,12 @@ _OUTWARD = 10.0  # times the difference of two, by which the outer one makes roo
 _PRESSED = 1.0  # the same among those who are hardly in each other: there a crowd that presses must not be thrown about
 _LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
 _EAGER = 1.5  # times the mean of its contacts, by which one in a heap is moved
-_LONGER = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
 _STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
 _MISSED = 0.05  # of a radius: who ends so far from where it was to is looked at again
 _HELD = 0.5  # of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
-_GOES = 0.5  # of its way: who goes less is stopped
-_BENDS = 3  # times that a step is bent along those in its way, before it is cut
 _HEAP = 0.4  # radii: who was half as deep in another begins to be in a heap, who was one and a half times as deep is
 _RESTS = 0.01  # of the way that it may walk: who goes less rests, and presses nobody
 _YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
-_BACK = 3  # times that one is led back which got farther than it may
 _SOFT = 0.1  # s, in which two part by the most of their overlap
 
 
@@ -100,13 +94,13 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     gap, way = near.before(walked)
     deep = deepest(len(near.rows), near.i, near.j, gap)
     if world.setting.contacts == "hard":
-        cut, stopped = _cut(near, agents, walked, gap, way)
+        cut, stopped = cutting.cut(near, agents.came, agents.mass, walked, gap, way)
         _face_as_before(crowd, near, stopped, began.headings)
         changed = _moved(cut)
         changed[stopped] = True
         near.measure(cut, changed)
     visible = (near.radius.take(near.i) + near.radius.take(near.j)) * _SEEN
-    which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, _Walking(crowd, began, dt)
+    which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
     for _ in range(effort.rounds):
         asked = _apart(near, agents, which, held, walked, deep, effort, share, cut)
         cut = np.zeros_like(cut)
@@ -154,7 +148,7 @@ class _Agents:
         if mass.min() < mass.max():  # or the sweeps would push at a heavy one as often as a light one cannot get away
             yields = np.zeros(len(rows))
             for k, other in ((near.i, near.j), (near.j, near.i)):
-                np.maximum.at(yields, k, _lightness(mass.take(k), mass.take(other)))
+                np.maximum.at(yields, k, cutting.lightness(mass.take(k), mass.take(other)))
         return _Agents(
             np.ascontiguousarray(start.take(rows, axis=0).T),
             came.astype(np.float64),
@@ -168,12 +162,6 @@ class _Agents:
     def walked(self, crowd: Crowd, rows: Rows) -> Floats:
         """By how much (3, k) mm agents are now from where they started."""
         return np.ascontiguousarray(crowd.of(lambda p: p.position).take(rows, axis=0).T) - self.start
-
-
-def _lightness(mass: Floats, other: Floats) -> Floats:
-    """Up to which share of an even one those of a mass make room for others, 1 for the lighter."""
-    share: Floats = np.minimum(2 * other / (mass + other), 1.0)
-    return share
 
 
 def _moved(gone: Floats) -> Flags:
@@ -348,61 +336,6 @@ def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str
         near.middle[:, stopped[first:last]] += (heading - turned) * crowd.ahead.take(rows[first:last])
 
 
-def _cut(near: Near, agents: _Agents, walked: Floats, gap: Floats, way: Floats) -> tuple[Floats, Rows]:
-    """By what (3, k) mm steps of rows that `walked` (3, k) mm are cut and bent so that nobody enters another, and who goes less
-    than half of its way. `gap` (m) and `way` (3, m) of pairs are those from before the steps.
-
-    As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent by itself keeps to half-planes: towards
-    each other one it goes no farther than half of the gap, and than what that one withdraws if it goes on as it came. What all
-    share in is so found without anybody waiting for others, and a crowd that presses stands still. Of two masses the heavier is
-    cut less."""
-    magic = np.ldexp(1.5, int(np.frexp(max(np.abs(walked).max(), 1e-30))[1]) + 2 - _FINE + 52)
-    step = _bent(near, _free(near, agents, walked, gap, way), walked, way, magic)
-    return step - walked, np.flatnonzero(dot(step, step) < _GOES**2 * dot(walked, walked))
-
-
-def _free(near: Near, agents: _Agents, walked: Floats, gap: Floats, way: Floats) -> Floats:
-    """How far (2 m) mm the first and then the second of each pair may go towards the other."""
-    both, other = np.concatenate([near.i, near.j]), np.concatenate([near.j, near.i])
-    ways = np.concatenate([way, -way], axis=1)
-    free = np.maximum(gap, 0.0) * 0.5
-    free = np.concatenate([free, free]) + np.maximum(-dot(ways, agents.came.take(other, axis=1)), 0.0)
-    heavier = 1 - _lightness(agents.mass.take(both), agents.mass.take(other))
-    if heavier.any():
-        free += heavier * np.maximum(-dot(ways, walked.take(both, axis=1)) - free, 0.0)
-    found: Floats = free
-    return found
-
-
-def _bent(near: Near, free: Floats, walked: Floats, way: Floats, magic: float) -> Floats:
-    """Steps (3, k) mm of rows that `walked` so, of which what leads farther towards another than is `free` (2 m) is left out, one
-    half-plane after the other, and at last what yet does is cut."""
-    i, j, count = near.i, near.j, len(near.rows)
-    if compiled.wanted(len(i)):
-        from antdsl.runtime.moving.contacts_compiled import bent
-
-        step = np.empty_like(walked)
-        bent(i, j, way, free, walked, magic, step)
-        return step
-    both, ways = np.concatenate([i, j]), np.concatenate([way, -way], axis=1)
-    along = np.concatenate([both, both + count, both + 2 * count])
-    step = walked
-    for _ in range(_BENDS):
-        over = -dot(ways, step.take(both, axis=1)) - free
-        into = over > 0
-        if not into.any():
-            break
-        terms = ways * np.where(into, over, 0.0)
-        terms = (terms + magic) - magic
-        met = np.maximum(np.bincount(both, into, count), 1)
-        step = step + np.bincount(along, terms.ravel(), 3 * count).reshape(3, -1) / met
-    towards = -dot(ways, step.take(both, axis=1))
-    part = np.ones(count)
-    np.minimum.at(part, both, np.where(towards > free, free / np.maximum(towards, 1e-300), 1.0))
-    step = step * part
-    return step
-
-
 def _within(gone: Floats, from_middle: Floats, room: Floats) -> Floats:
     """Corrections (3, k) cut so that nobody ends farther than its `room` from a place that lies `from_middle` before that where
     it walked to."""
@@ -412,70 +345,3 @@ def _within(gone: Floats, from_middle: Floats, room: Floats) -> Floats:
     if len(far):
         gone[:, far] = way[:, far] * (room[far] / size[far]) - from_middle[:, far]
     return gone
-
-
-class _Walking:
-    """Walks that corrections ask of a crowd in one substep, which `began` so."""
-
-    def __init__(self, crowd: Crowd, began: Stood, dt: float) -> None:
-        self._crowd, self._began, self._dt, self._own = crowd, began, dt, set[str]()
-
-    def walk(self, rows: Rows, gone: Floats) -> Floats:
-        """Walk rows of the crowd, ascending, by (3, k) mm each; gives by what they have come on."""
-        got = np.zeros_like(gone)
-        for number, population in enumerate(self._crowd.species):
-            first, last = np.searchsorted(rows, self._crowd.first[number : number + 2])
-            if last > first:
-                own = rows[first:last] - self._crowd.first[number]
-                place = population.position[own]
-                self._walk(population, own, gone[:, first:last])
-                got[:, first:last] = (population.position[own] - place).T
-        return got
-
-    def _walk(self, population: Population, rows: Rows, gone: Floats) -> None:
-        """Walk some agents by (3, k) mm over their ground, along obstacles; their velocity loses what led against that."""
-        world, now = self._crowd.world, population.now
-        normal = vec.columns(population.normal[rows], np.float32)
-        way = (gone[0].astype(_F), gone[1].astype(_F), gone[2].astype(_F))
-        way = slide_some(world, population, rows, way, normal)
-        start = self._began.places[population.name][rows]
-        most = np.maximum(now["max_speed"][rows].astype(np.float64) * self._dt, length(population.position[rows] - start))
-        size, heading = now["size"][rows].astype(np.float64), vec.rows(vec.take(vec.named(now, "heading"), rows))
-        threads = world.options.threads
-        moved = world.ground.move(population.footing.take(rows), vec.rows(way), heading, vec.rows(normal), size, threads)
-        if world.solids and len(some := floating(world, population, rows)):
-            moved.put(some, pushed_in_the_air(world, population, rows[some], gone.T[some]))
-        for _ in range(_BACK):  # ground that bends may lead farther than the plane: back towards the start by as much
-            way_there = moved.position - start
-            far = length(way_there)
-            over = np.flatnonzero(far > most * _LONGER)
-            if not len(over):
-                break
-            back = way_there[over] * (most[over] / far[over] - 1.0)[:, None]
-            again = moved.take(over)
-            moved.put(over, world.ground.move(again.footing, back, again.heading, again.up, size[over], threads))
-        fair = np.flatnonzero(length(moved.position - start) <= most * _LONGER)
-        if len(fair) < len(rows):
-            rows, moved = rows[fair], moved.take(fair)
-        if len(rows):
-            self._put(population, rows, moved)
-
-    def _put(self, population: Population, rows: Rows, moved: Move) -> None:
-        """Where corrections have led the feet of some agents. Bodies stay as they stand, or they would be in others again: they
-        lean, and the next step turns them after their feet."""
-        now = population.now
-        pushed, up = vec.columns(moved.position - population.position[rows], np.float32), vec.columns(moved.up, np.float32)
-        velocity = vec.take(vec.named(now, "velocity"), rows)
-        size, dt = vec.length(pushed), _F(self._dt)
-        against = vec.unit(pushed, (size * 0,) * 3)
-        back = np.minimum(np.maximum(-vec.dot(velocity, against), _F(0)), size / dt)
-        velocity = vec.flat(vec.add(velocity, vec.scale(against, back)), up)
-        for name, value in (("position", vec.columns(moved.position, np.float32)), ("velocity", velocity)):
-            for axis, component in zip(AXES, value, strict=True):
-                now[f"{name}.{axis}"][rows] = component
-        if population.name not in self._own:  # a snapshot may have those from before
-            self._own.add(population.name)
-            population.footing, population.position = population.footing.copy(), population.position.copy()
-            population.normal = population.normal.copy()
-        population.footing.put(rows, moved.footing)
-        population.position[rows], population.normal[rows] = moved.position, moved.up

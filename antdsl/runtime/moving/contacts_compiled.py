@@ -8,7 +8,7 @@ from antdsl.numerics.kernel_cache import njit
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 from antdsl.runtime.moving.capsules_compiled import measured
 
-_FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts`
+_FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts` and `cutting`
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 
@@ -43,7 +43,7 @@ def _negative(v):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bent(i, j, way, free, walked, magic, step):  # type: ignore[no-untyped-def]
-    """As `contacts._bent`, into `step` (3, k)."""
+    """As `cutting._bent`, into `step` (3, k)."""
     count, m = walked.shape[1], i.size
     sums, met, part = np.empty((3, count)), np.empty(count, np.int64), np.ones(count)
     step[:] = walked
