@@ -3,7 +3,6 @@ is read once, when that branch begins, and never changed."""
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,11 +71,12 @@ class Ahead:
         else:
             stretch.before_step(world)
             try:
-                with suppress(FaultStop):  # the session would go on after the fault as well
-                    step(world)
+                step(world)
             except LimitStop:  # in the middle of a step
                 self._stopped = True
                 return
+            except FaultStop:
+                pass  # the session would go on after the fault as well
         before = self.frames.get(world.frame - 1, {})
         self.frames[world.frame] = {name: Places.of(p, before.get(name)) for name, p in world.populations.items()}
         self.version += 1

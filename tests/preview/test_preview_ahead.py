@@ -16,6 +16,7 @@ from antdsl.preview.ahead import Ahead
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.requests import EVERYBODY, Look
 from antdsl.runtime import World
+from antdsl.runtime.faults import Fault, LimitStop
 
 
 @pytest.fixture
@@ -180,3 +181,17 @@ def test_asks_are_heard_between_two_frames(live: Live, monkeypatch: pytest.Monke
     page.until(lambda: "paths" in page.packets and paths(page)[0]["count"] == 49)
     assert max(waiting) == 1, "never is a second one waiting: the first was heard before the next frame"
     assert page.last("status")["speed"] == 5.0
+
+
+def test_paths_end_where_a_step_cannot_be_made(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stops(world: World, step: Callable[[World], None] = ahead_module.step) -> None:
+        if world.frame >= 5:
+            raise LimitStop(Fault(world.frame, "forager", -1, "neighbours", None, (), "too many"))
+        step(world)
+
+    monkeypatch.setattr(ahead_module, "step", stops)
+    ahead = Ahead()
+    for _ in range(20):
+        if ahead.lacks(session):
+            ahead.go_on(session)
+    assert list(ahead.frames) == [1, 2, 3, 4, 5] and not ahead.lacks(session)

@@ -357,7 +357,7 @@ def test_what_empties_give_stays_through_an_edit_and_follows_the_file(tmp_path: 
 def test_properties_of_boids_are_read_with_care(tmp_path: Path) -> None:
     _, report = boids(tmp_path, extra="custom double userProperties:nerv = 1")
     left_out = [d for d in report.diagnostics if d.code == "usd-left-out"]
-    assert len(left_out) == 1 and left_out[0].help == "did you mean `nerve`?"
+    assert len(left_out) == 1 and left_out[0].help == "`nerv`: did you mean `nerve`?"
     text = (tmp_path / "set.usda").read_text()
     (tmp_path / "set.usda").write_text(text.replace('userProperties:nerve = "0.75"', 'userProperties:nerve = "2 mm"'))
     shot, report = open_scene(tmp_path / "scene.yaml", Choices())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Dim
 from antdsl.program.tables.units import dimension_words, with_unit
@@ -18,6 +19,9 @@ from antdsl.source import Span
 if TYPE_CHECKING:
     from antdsl.scene.geometry.usd import UsdPoints
     from antdsl.scene.staging.stage_scene import Staging
+
+
+_SAID = ("max_turn", "min_speed")  # an agent has these only where its species says them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,13 +56,23 @@ def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
             report.error("wrong-unit", words, file.span, f"write it like `{with_unit(1, dim)}`")
             return column
         column[number] = quantity.base(model.unit_mm, float(1 / model.fps))
+    if (np.abs(column) > limits.LARGEST).any():
+        most = found.names[int(np.nanargmax(np.abs(column)))]
+        report.error(
+            "bad-usd", f"`{key}` of `{most}` in `{file.name}` is too large to be kept", file.span, "write a smaller number"
+        )
+        return np.full(len(found.names), np.nan)
     return column
 
 
 def tell_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
     """Warn of properties of the file that no attribute takes, where one is named nearly so. Others mean other programs."""
-    for key in sorted({*file.found.values, *file.found.texts} - {*known, "kind", "name"}):
-        near = nearest_name(key, known)
-        if near:
-            words = f"`{key}` of `{file.name}` is read by no attribute of `{of}`"
-            file.staging.report.warning("usd-left-out", words, file.span, f"did you mean `{near}`?")
+    keys = sorted({*file.found.values, *file.found.texts} - {*known, "kind", "name"})
+    near = {key: "" if key in _SAID else nearest_name(key, known) for key in keys if key in _SAID or nearest_name(key, known)}
+    if near:
+        words = f"of `{file.name}` no attribute of `{of}` reads {', '.join(f'`{key}`' for key in near)}"
+        help = ", ".join(
+            f"`{key}`: did you mean `{meant}`?" if meant else f"`{key}`: say it in the species first"
+            for key, meant in near.items()
+        )
+        file.staging.report.warning("usd-left-out", words, file.span, help)
