@@ -242,7 +242,7 @@ def anchors(file: Path) -> set[str]:
 
 
 def test_the_reference_is_short() -> None:
-    assert len((ROOT / "grammar" / "README.md").read_text(encoding="utf-8").splitlines()) <= 700
+    assert len((ROOT / "grammar" / "README.md").read_text(encoding="utf-8").splitlines()) <= 720
 
 
 def test_the_shortest_program_is_the_example() -> None:
