@@ -115,14 +115,13 @@ def open_scene(
     program = with_fields(program, scene, {**scene.model.set, **given})
     program = with_changed_fields(program, choices.changes)
     orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
-    lowered, findings = plan.lower(program, orders=orders)
-    report.extend(findings)
-    if not report.ok:
-        return None, report
     setting, findings, meshes = stage(scene, program, given)
     report.extend(findings)
     if setting is None or not report.ok:
         return None, report
+    report = _less_what_the_scene_gives(report, program, setting)
+    lowered, findings = plan.lower(program, orders=orders, begun_with=setting.begun_with)
+    report.extend(findings)
     bodies, findings = crowd_bodies(scene, program)
     report.extend(findings)
     if not report.ok:
@@ -220,6 +219,15 @@ def check_path(
         from antdsl.scene.overriding import overrides
         from antdsl.scene.staging.stage_scene import stage
 
-        report.extend(stage(scene, program, overrides(scene, program, choices.params, Report()))[1])
+        setting, findings, _ = stage(scene, program, overrides(scene, program, choices.params, Report()))
+        report.extend(findings)
         report.extend(crowd_bodies(scene, program)[1])
+        if setting is not None:
+            report = _less_what_the_scene_gives(report, program, setting)
     return program, report
+
+
+def _less_what_the_scene_gives(report: Report, program: Program, setting: Setting) -> Report:
+    """Without warnings that an attribute is always the same where places of the scene give it to who begins there."""
+    given = [a.span for name, of in setting.begun_with.items() for a in program.species[name].attributes if a.name in of]
+    return Report([d for d in report.diagnostics if d.code != "constant-attribute" or d.span not in given])

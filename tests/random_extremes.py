@@ -52,6 +52,7 @@ NUMBERS = (
     "log(tiny)",
     "noise(scale: 20 mm, seed: id, period: 2 s)",
     "min_speed / 20 mm/s",
+    "moved / 2 mm",
     "length(drift)",
     "damp",
     "smell(trail, ahead: odd * 1 mm, turn: odd * 1 deg)",

@@ -56,7 +56,7 @@ class Replay:
         """The plan with notes, after the one pass that moves last bits: its blocks give the same bits as the plan that runs."""
         scene, program = self.shot.scene, self.shot.program
         orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
-        noted = plan.lower(program, orders=orders, notes=self.notes)[0]
+        noted = plan.lower(program, orders=orders, notes=self.notes, begun_with=self.shot.setting.begun_with)[0]
         self.became = {node: node for notes in self.notes.values() for node in of_notes(notes)}
         return hoist(noted, self.became)
 

@@ -16,6 +16,7 @@ from antdsl.runtime.backends.reference import Member
 from antdsl.runtime.world import Population, World
 
 MOST = 10  # others told of a set
+NOBODY = -1  # the id of no agent
 _LONG = 72  # letters of a text
 
 
@@ -59,6 +60,8 @@ def senses(trace: Trace) -> tuple[Sense, ...]:
 
 def _sense(node: Node, value: Any) -> Iterator[Sense]:
     row = SENSES[node.op]
+    if row.results[0].kind == "l" and value[0] == NOBODY:
+        return
     kind, _, what = node.op.partition(".")
     values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))
     told, name = (f"{kind} {what}".strip(), str(node.attrs[0])) if row.of else ("sense", node.op)

@@ -281,6 +281,11 @@ class Register:
     holds: tuple[Any, ...] = ()  # kind, exponents of its dimension, and of whom or what it is
 
 
+def begun_with(attribute: str) -> str:
+    """The temp in which the scene says what an agent's attribute is at birth; infinite where it says nothing."""
+    return f"~born.{attribute}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MachinePlan:
     """Registers of a machine are `NAME.state`, `.previous`, `.next` (I32) and `.time_in_state` (F32, seconds)."""
@@ -312,7 +317,7 @@ class SpeciesPlan:
     `decide`, `act`, `blend` run in this order each step; claims are settled between decide and act.
     Vectors are registers NAME.x NAME.y NAME.z. Registers that every species has: position velocity heading up (vectors), push (vector, temp),
     size mass radius clearance max_speed max_force max_turn response group. max_turn inf is no limit.
-    A species that says how fast it goes at least has min_speed too, one with `face` lines the temp ~face, nothing where it faces where it goes. `response` 0 or `kinematic`: the push is a velocity change at once."""
+    All have `moved` where the program asks how far contacts pushed anybody. A species that says how fast it goes at least has min_speed too, one with `face` lines the temp ~face, nothing where it faces where it goes. `response` 0 or `kinematic`: the push is a velocity change at once."""
 
     name: str
     registers: dict[str, Register]
@@ -324,6 +329,7 @@ class SpeciesPlan:
     handles: tuple[str, ...]  # events
     layers: tuple[LayerPlan, ...]
     lazy: tuple[Node, ...] = ()  # worth keeping for the whole step once computed: senses used in more than one region
+    rests: Mapping[str, Node] = field(default_factory=dict)  # of values per pair what they begin with and return to, rate RUN
     clips: tuple[ClipPlan, ...] = ()  # what its states play: registers of clips count these
 
 

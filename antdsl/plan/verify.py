@@ -74,8 +74,9 @@ def _names(plan: Plan) -> Iterator[str]:
     """What nodes name is there. A species may live in another file."""
     things = named(plan)
     known: dict[str, Container[str]] = {
-        **{row.op: things[row.of] for row in SENSES.values() if row.of}, "item.get": plan.items, "item.alive": plan.items,
-        "set.items": plan.items, "surface.touching": plan.of_kind("surface"), "param": plan.params,
+        **{row.op: things[row.of] for row in SENSES.values() if row.of and row.of != "species"},
+        "item.get": plan.items, "item.alive": plan.items, "set.items": plan.items, "surface.touching": plan.of_kind("surface"),
+        "param": plan.params,
     }  # fmt: skip
     for node in plan.nodes:
         if node.op in known and node.attrs[0] not in known[node.op]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices
+from antdsl.preview.ahead import Ahead
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.doing import HANDLERS, WITHOUT_SESSION
 from antdsl.preview.observing.observer import Observer, Stop
@@ -28,10 +29,11 @@ _WAITING = 256  # asks that may wait
 _POLL = 0.02  # seconds between two looks at the files
 _IDLE = 0.5  # seconds that the thread sleeps at most when there is nothing to do
 _BEHIND = 0.1  # seconds of steps that are caught up with; more are left out
-_NOTHING = Look(op="look", columns=(), fields=(), flows=())  # what a page looks at before it says so
+_NOTHING = Look(op="look", columns=(), fields=(), flows=(), planned=None)  # what a page looks at before it says so
 _AFTER_BUG = 0.25  # seconds of rest, lest the terminal run over
 _ASKING = 0.05  # seconds of doing what pages ask after which time goes on
 _SEEKING = 0.05  # seconds of going back after which others are heard
+_AHEAD = 0.02  # the same of simulating ahead
 _BUG = "this is a bug in antdsl: the terminal says more"
 O = TypeVar("O")  # noqa: E741
 
@@ -80,7 +82,7 @@ class Live:
         self._steps = 0  # still to be made, besides playing
         self.stop_at: Stop | None = None  # why it paused by itself
         self.clients: dict[Client, Look] = {}
-        self.screen = Screen(self)
+        self.screen, self.ahead = Screen(self), Ahead()
         self.explainer: Explainer | None = None
         self.observers: list[Observer] = []
         for make in OBSERVERS:
@@ -253,6 +255,7 @@ class Live:
                 self.reload("saved")
         if self._session is not None:
             self._advance(self._session)
+            self._look_ahead(self._session)
         self.screen.refresh(monotonic())
         self._sleep()
 
@@ -273,12 +276,34 @@ class Live:
                 self.pause(Stop(f"frame {last} is the scene's last: play goes on behind it"))
             self._due = now if self.speed == 0 else max(self._due + session.world.dt / self.speed, now - _BEHIND)
 
+    def _look_ahead(self, session: Session) -> None:
+        """Simulate the time to come, while a page shows it and nobody wants anything else. While it plays, a frame for each one
+        played, and more in the time that is left before the next."""
+        version = self.ahead.version
+        if not self.screen.looks_ahead(session):
+            self.ahead.forget()
+        elif self._may_look_ahead(session):
+            until = monotonic() + _AHEAD
+            if session.playing:
+                until = min(until, self._due)
+            while not self._queue and self.ahead.lacks(session):
+                self.ahead.go_on(session)
+                if monotonic() >= until:
+                    break
+        if self.ahead.version != version:
+            self.screen.looked_ahead()
+
+    def _may_look_ahead(self, session: Session) -> bool:
+        return self.screen.looks_ahead(session) and not self.busy and self.light is None
+
     def _sleep(self) -> None:
         until = monotonic() + _IDLE
         if self._watch is not None:
             until = min(until, self._poll)
         if self._session is not None and (self._session.playing or self.busy):
             until = 0.0 if self.busy else min(until, self._due)
+        if self._session is not None and self._may_look_ahead(self._session) and self.ahead.lacks(self._session):
+            until = 0.0
         until = min(until, self.screen.due)
         with self._changed:
             if not self._queue and not self._over and (wait := until - monotonic()) > 0:

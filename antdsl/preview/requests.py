@@ -10,6 +10,7 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 Words = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
 Frame = Annotated[int, Field(ge=-(2**53), le=2**53)]  # what a page's numbers hold
 Agent = Annotated[int, Field(ge=0, le=2**53)]
+EVERYBODY = 300  # agents whose planned paths are all shown at once, at most
 
 
 class Refusal(Exception):
@@ -92,7 +93,8 @@ class Who(_Model):
 
 
 class Look(_Model):
-    """What a page shows beyond the agents themselves: all of it each time."""
+    """What a page shows beyond the agents themselves: all of it each time. `planned`: whose paths in the time to come; of nobody
+    named those of all, where there are at most 300."""
 
     op: Literal["look"]
     columns: tuple[Column, ...] = Field((), max_length=64)
@@ -100,6 +102,7 @@ class Look(_Model):
     flows: tuple[Name, ...] = Field((), max_length=64)
     solids: bool = True
     follow: Who | None = None
+    planned: tuple[Who, ...] | None = Field(None, max_length=64)
 
 
 class Explain(_Model):

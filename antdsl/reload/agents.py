@@ -12,10 +12,14 @@ from antdsl.numerics.vector_rows import length
 from antdsl.plan import ir
 from antdsl.plan.pair_registers import pair_values
 from antdsl.reload.footing import TOLD, stand, turn
+from antdsl.runtime.binding.bind_world import run_value
 from antdsl.runtime.binding.birth_values import birth_values, params_at_birth
+from antdsl.runtime.binding.placing import give_at_birth
+from antdsl.runtime.binding.reuse import digest
 from antdsl.runtime.lifecycle import come_alive
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import Population, World, add_rows, stored_registers
+from antdsl.scene.setting import Setting
 
 Rows = NDArray[np.intp]
 _ALWAYS = frozenset(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in "xyz") | {"group"}
@@ -53,7 +57,7 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
     values = {register: before.now[register][rows] for register in _same(old, world, before.plan, after.plan, migrated)}
     _states(before.plan, after.plan, values, migrated)
     _items(old, world, after.plan, values)
-    _pairs(before, after.plan, rows, values)
+    _pairs(before, world, after.plan, rows, values)
     _put(after, values)
     turn(world, after, moved[rows])
     migrated.moved = int(np.count_nonzero(length(after.position - before.position[rows]) > TOLD))
@@ -67,6 +71,10 @@ def complete(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
     lasting = (register for register, each in population.plan.registers.items() if each.role != "temp")
     if not len(population) or all(register in values for register in lasting):
         return
+    for crowd in world.setting.crowds:
+        if crowd.species == name and crowd.place.values:
+            first = (population.born == world.setting.first_frame) & (population.now["group"] == crowd.group)
+            give_at_birth(population, np.flatnonzero(first), crowd.place)
     come_alive(world, {name: np.arange(len(population))})
     population.effects = Effects()
     _put(population, values)
@@ -125,7 +133,13 @@ def _rewritten(old: World, world: World, before: ir.SpeciesPlan, after: ir.Speci
     one, other = birth_values(before, params_at_birth(old)), birth_values(after, params_at_birth(world))
     stored = stored_registers(before) | stored_registers(after) | _ALWAYS
     attributes = {name for name, register in after.registers.items() if register.role == "attribute"}
-    return {name for name in attributes - stored if one.get(name) != other.get(name)}
+    placed = {name for name in attributes if _given(old.setting, before.name, name) != _given(world.setting, after.name, name)}
+    return {name for name in attributes - stored if one.get(name) != other.get(name) or name in placed}
+
+
+def _given(setting: Setting, species: str, attribute: str) -> list[str]:
+    """Digests of what places of the scene give to those who begin there, line by line."""
+    return [digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
 
 
 def _note(names: list[str], register: str) -> None:
@@ -163,14 +177,16 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
         values[f"{machine.name}.time_in_state"] = np.where(lost, 0, time).astype(time.dtype)
 
 
-def _pairs(before: Population, after: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]) -> None:
-    """Values per pair of which fewer are kept by now: of each agent the strongest, those farthest from 0, the lesser id first."""
+def _pairs(before: Population, world: World, after: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]) -> None:
+    """Values per pair of which fewer are kept by now: of each agent the strongest, those farthest from what they begin with and
+    return to in the edited program, the lesser id first."""
     old = pair_values(before.plan.registers)
     for name, slots in pair_values(after.registers).items():
         if len(slots) >= len(old.get(name, ())) or slots[0][0] not in values:
             continue
         who, value = (np.stack([before.now[each[part]][rows] for each in old[name]], axis=1) for part in (0, 1))
-        strength = np.where(who < 0, np.float32(-1), np.abs(value))
+        rest = np.float32(run_value(world, after.rests[name]))
+        strength = np.where(who < 0, np.float32(-1), np.abs(value - rest))
         order = np.lexsort((who, -strength), axis=1)[:, : len(slots)]
         for k, names in enumerate(slots):
             for register, array in zip(names, (who, value), strict=True):

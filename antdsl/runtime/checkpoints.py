@@ -128,6 +128,7 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     if world.detail is not None:
         world.detail.counts = _take(arrays, "lod.counts", world.detail.counts.shape).copy()
     world.grids.clear()
+    world.trees.clear()
     world.clearances.clear()
     world.touching = None
     pose(world, world.frame)

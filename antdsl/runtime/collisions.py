@@ -58,7 +58,7 @@ def _found(crowd: Crowd) -> dict[tuple[str, str], Touching]:
     if len(crowd) < 2:
         return found
     pairs = find(crowd)
-    gap, _ = pairs.gaps()
+    gap = pairs.gap
     room = pairs.radius.take(pairs.i) + pairs.radius.take(pairs.j)
     kept = np.flatnonzero(gap < _ENDS * room)
     i, j = pairs.rows.take(pairs.i.take(kept)), pairs.rows.take(pairs.j.take(kept))

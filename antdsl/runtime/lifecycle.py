@@ -164,6 +164,7 @@ def come_alive(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
     Those born together see each other's place and movement; all else of each other is still 0 or none, whoever is worked out
     first."""
     world.grids.clear()  # rows have changed
+    world.trees.clear()
     world.touching = None
     for name, rows in newborn.items():
         population = world.populations[name]

@@ -20,6 +20,7 @@ from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.faults import Fault, LimitStop
 from antdsl.runtime.item_pairs import items_within
+from antdsl.runtime.nearest_pairs import nearest_of_all
 from antdsl.runtime.world import AXES, Items, Population, World
 from antdsl.senses.neighbours import TooManyWithin, View, seen
 from antdsl.source import Span
@@ -117,7 +118,8 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     other = world.populations[node.attrs[0]]
     ids = population.ids[rows] if other is population else None
     if node.op == "set.every":
-        return _every(other, own, ids)
+        nearest = nearest_of_all(world, other, own, ids) if only_the_nearest(world.plan.species[population.name], node) else None
+        return _every(other, own, ids) if nearest is None else PairRows(other, len(own[0]), *nearest)
     radius, cosine = args
     view = None if node.attrs[1] else _view(population, rows, cosine, len(own[0]))
     try:
@@ -146,6 +148,11 @@ def _advice(other: Population, radius: Any) -> str:
     return "write a smaller one"
 
 
+def only_the_nearest(species: ir.SpeciesPlan, node: ir.Node) -> bool:
+    """Whether a set is a whole species of which nothing is asked but who is nearest: then that one stands for all."""
+    return node.op == "set.every" and nearest_asked(species, node) == 1
+
+
 @lru_cache(256)
 def nearest_asked(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
     """How many of a set, the nearest, tell all that is asked of it; None where more than its nearest is asked for."""
@@ -153,7 +160,8 @@ def nearest_asked(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
     made = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
     if not made or any(each.op != "reduce.agent" or each.args[2].op != "pair.distance" for each in made):
         return None
-    plain = node.attrs[1] and all(each.args[1].op == "const.bool" and each.args[1].attrs[0] for each in made)
+    all_round = node.op == "set.every" or node.attrs[1]
+    plain = all_round and all(each.args[1].op == "const.bool" and each.args[1].attrs[0] for each in made)
     return 1 if plain else limits.NEIGHBOURS
 
 

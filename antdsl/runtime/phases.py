@@ -16,7 +16,7 @@ from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
 from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, walks
-from antdsl.runtime.world import Population, World, select_rows
+from antdsl.runtime.world import PUSHED, Population, World, select_rows
 
 _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
 
@@ -26,6 +26,7 @@ def sense(world: World) -> None:
     when first needed. From here on `time` and `frame` are those of the frame that is made."""
     world.stepping = True
     world.grids.clear()
+    world.trees.clear()
     world.clearances.clear()
     world.touching = None
     world.faults.latest = None
@@ -101,6 +102,8 @@ def move(world: World) -> None:
     with np.errstate(all="ignore"):
         for population in world.populations.values():
             tilting.stand_up(population)
+            if PUSHED in population.now:
+                population.now[PUSHED].fill(0)
         for substep in range(world.setting.substeps):
             stood = contacts.stood(world)
             for population in world.populations.values():

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
@@ -25,6 +26,7 @@ from antdsl.runtime.world import AXES, Population, World
 Value = Any
 Rows = slice | NDArray[np.intp]
 TINY = np.float32(1e-30)
+_HAIR = 1e-6  # of the way to the middle of a face
 
 
 def constant(node: ir.Node) -> Value:
@@ -200,9 +202,26 @@ def _field_ahead(world: World, population: Population, node: ir.Node, rows: Rows
             straight=True,
         )
     field = world.fields[node.attrs[0]]
-    place = moving_geometry.at_rest(world, moved.footing, moved.position)
-    cells = field.cells.lookup_sides(place, world.ground.sides(moved.footing))
+    footing, position = _within(world, moved)
+    place = moving_geometry.at_rest(world, footing, position)
+    cells = field.cells.lookup_sides(place, world.ground.sides(footing))
     return field.sample(np.where(moved.lost, -1, cells))
+
+
+def _within(world: World, moved: Move) -> tuple[Footing, NDArray[np.float64]]:
+    """Where ways end, those that an open border ends a hair within the face: on the border itself, where that lies between two
+    cells, one side of a strip would be read in its own cells and the other in those beside the surface."""
+    meshes = world.ground.meshes
+    if meshes is None or not moved.blocked.any():
+        return moved.footing, moved.position
+    rows = np.flatnonzero(moved.blocked & meshes.on_faces(moved.footing)[1])
+    footing, position = moved.footing.copy(), moved.position.copy()
+    inner = footing.faces(rows)
+    for weight in (inner.b1, inner.b2):
+        weight += (1 / 3 - weight) * _HAIR
+    footing.put(rows, inner)
+    position[rows] = meshes.position(inner)
+    return footing, position
 
 
 def _field_strongest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:

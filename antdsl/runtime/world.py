@@ -39,6 +39,7 @@ DTYPES: Mapping[ir.Kind, type[np.generic]] = {
     ir.Kind.I64: np.int64,
 }
 AXES = ("x", "y", "z")
+PUSHED = "moved"  # mm, by contacts in one step; a register of those whose program asks
 MOVED = tuple(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in AXES)
 
 
@@ -199,6 +200,7 @@ class World:
     timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
     worked: dict[str, float] = field(default_factory=dict)  # the same of the processors, all threads together
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
+    trees: dict[str, Any] = field(default_factory=dict)  # of this step, by species: k-d trees of all
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
     touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: nobody has asked
     transitions: dict[str, int] = field(default_factory=dict)
@@ -224,7 +226,7 @@ class World:
 
 def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
     """Registers that some block or phase may change after birth."""
-    found = set(MOVED)
+    found = {*MOVED, PUSHED}
     pending: list[ir.Block] = [plan.decide, plan.act, plan.blend]
     while pending:
         for statement in pending.pop().statements:

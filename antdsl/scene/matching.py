@@ -85,6 +85,12 @@ def _world(scene: Scene, program: Program, report: Report) -> None:
             report.error("wrong-kind", message, place, advice, labels=(Label(thing.span, "declared here"),))
         else:
             _thing(scene, program, report, name, thing)
+    for name, thing in program.world.items():
+        if thing.kind == "species" and name not in program.species:
+            place = scene.span("crowd", key=True) if "crowd" in scene.document.entries else scene.span("antdsl", key=True)
+            message = f"the program asks of the species `{name}`, which no line of the crowd brings"
+            advice = f"add to `crowd`: `- {{species: {name}, from: {name}.ant, count: 0}}`"
+            report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
 
 
 def _surfaces(program: Program, *others: str) -> list[str]:

@@ -125,7 +125,11 @@ class PlaceData:
 
     With `by_area` agents stand on the front of faces, whichever way these look, and `radius` is that of a ball; `points` go to
     the nearest place of a surface. `apart`: how far (mm) centres are from each other, at least; inf: as far as all who begin
-    there with the same have room for. `seed`: of the places, instead of the setting's."""
+    there with the same have room for. `seed`: of the places, instead of the setting's.
+
+    `ahead` (n, 3): the unit vector along which the agent at each point faces, nan where its heading is drawn. `values` (n,):
+    attributes that the one born at each point has instead of what its species says, by name, in base units, nan where that
+    counts."""
 
     on: tuple[str, ...] = ()
     around: Point | None = None
@@ -136,6 +140,8 @@ class PlaceData:
     by_area: bool = False
     apart: float = 0.0
     seed: int | None = None
+    ahead: NDArray[np.float64] | None = None
+    values: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +259,14 @@ class Setting:
     def dt(self) -> float:
         """Seconds a step."""
         return _seconds(self.fps)
+
+    @property
+    def begun_with(self) -> dict[str, frozenset[str]]:
+        """By species the attributes that places of its crowds give to those who are born there."""
+        found: dict[str, frozenset[str]] = {}
+        for crowd in self.crowds:
+            found[crowd.species] = found.get(crowd.species, frozenset()) | crowd.place.values.keys()
+        return found
 
 
 @lru_cache(64)

@@ -7,12 +7,14 @@ of those in reach, so that many in one place cost no more than as many side by s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import compiled
 from antdsl.numerics.sorting import stable_order
 
 Floats = NDArray[np.float64]
@@ -48,9 +50,10 @@ def within_reach(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDA
     """Pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z float64[n],
     mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place
     and reach are in no pair."""
-    fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
-    rows = None if fit.all() else np.flatnonzero(fit)
-    if rows is not None:
+    rows = None
+    if not (np.isfinite(place[0].sum() + place[1].sum() + place[2].sum() + reach.sum()) and reach.min(initial=1.0) > 0):
+        fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
+        rows = np.flatnonzero(fit)
         place, reach, order = (place[0][rows], place[1][rows], place[2][rows]), reach[rows], order[rows]
     if not len(reach):
         return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), True)
@@ -79,14 +82,50 @@ def _of_class(
     place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, rows: Rows, smaller: Rows | None
 ) -> Pairs:
     """The pairs among some rows of much the same size, and of those with all `smaller` ones."""
-    grid = _Grid.of(place, 2 * float(reach[rows].max()), rows, order)
+    cell = 2 * float(reach[rows].max())
+    if smaller is None and order is None and compiled.wanted(len(rows)):
+        found = _by_loop(place, reach, rows, cell)
+        if found is not None:
+            return found
+    grid = _Grid.of(place, cell, rows, order)
     i, j, whole = grid.among_themselves()
     i, j = _near(place, reach, i, j)
     if smaller is None:
         return Pairs(i, j, whole)
+    if order is not None:
+        smaller = smaller[stable_order(order[smaller])]
     near, far, entire = grid.asked_by(place, smaller)
     near, far = _near(place, reach, near, far)
     return Pairs(np.concatenate([i, near]), np.concatenate([j, far]), whole and entire)
+
+
+def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows, cell: float) -> Pairs | None:
+    """The pairs among some rows, as `_of_class`; None where there are too many cells for a table."""
+    from antdsl.senses.touching_compiled import pairs
+
+    every = len(rows) == len(reach)
+    x, y, z, wide = (v if every else v[rows] for v in (*place, reach))
+    found = pairs((x, y, z), wide, _cells((x, y, z), cell), _limit(len(rows)), _SHEET, _MOST)
+    if isinstance(found, tuple):
+        i, j = found
+        return Pairs(i, j, True) if every else Pairs(rows.take(i), rows.take(j), True)
+    none = np.empty(0, np.intp)
+    return Pairs(none, none, False) if found == -2 else None
+
+
+def _cells(own: Sequence[Floats], cell: float) -> tuple[list[int], list[float], float, list[int]]:
+    """Axes from the longest to the shortest, and along them where cells begin, how wide (mm) and how many they are: about agents
+    at places, for cells of a width at least."""
+    low, extent = [float(p.min()) for p in own], [float(p.max()) - float(p.min()) for p in own]
+    axes = sorted(range(3), key=lambda axis: -extent[axis])
+    cell = max(cell, extent[axes[0]] / _ALONG, 1e-9)
+    size = [int(extent[axis] / cell) + 3 for axis in axes]  # one is free at either end
+    return axes, [low[axis] for axis in axes], cell, size
+
+
+def _limit(agents: int) -> int:
+    """How many cells there may be in a table, for so many agents."""
+    return max(1 << 16, 16 * agents)
 
 
 def _near(place: tuple[Floats, Floats, Floats], reach: Floats, i: Rows, j: Rows) -> tuple[Rows, Rows]:
@@ -116,14 +155,10 @@ class _Grid:
             rows = rows[stable_order(order[rows])]
         every = len(rows) == len(place[0]) and order is None
         own = [p if every else p[rows] for p in place]
-        low, extent = [float(p.min()) for p in own], [float(p.max()) - float(p.min()) for p in own]
-        axes = sorted(range(3), key=lambda axis: -extent[axis])
-        cell = max(cell, extent[axes[0]] / _ALONG, 1e-9)
-        low = [low[axis] for axis in axes]
-        size = [int(extent[axis] / cell) + 3 for axis in axes]  # one is free at either end
+        axes, low, cell, size = _cells(own, cell)
         number = [((own[axis] - b) * (1 / cell)).astype(np.int64) + 1 for axis, b in zip(axes, low, strict=True)]
         keys = number[1] * size[0] + number[0]
-        if size[0] * size[1] <= max(1 << 16, 16 * len(rows)):
+        if size[0] * size[1] <= _limit(len(rows)):
             mates = np.bincount(keys)
             flat = int((mates * mates).sum()) <= _SHEET * len(rows)
         else:
@@ -136,7 +171,7 @@ class _Grid:
         keys, rows = keys.take(order_of_keys), rows.take(order_of_keys)
         cells = size[0] * size[1] * size[2]
         starts = None
-        if cells <= max(1 << 16, 16 * len(rows)):
+        if cells <= _limit(len(rows)):
             starts = np.zeros(cells + 1, np.intp)
             np.cumsum(np.bincount(keys, minlength=cells), out=starts[1:])
         return _Grid(axes, low, cell, size, rows, keys, starts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from antdsl import resources
 from antdsl.syntax.tables import GRAMMAR_FILE, STARTS, TABLES_FILE, grammar_hash
@@ -34,15 +34,43 @@ def build_parser(starts: tuple[str, ...] = STARTS, transformer: object | None = 
 
 
 def tables_text() -> str:
-    """The tables as JSON text. The numbers of states and rules vary from build to build; what they accept does not."""
+    """The tables as JSON text, the same from build to build."""
     from lark.grammar import Rule
     from lark.lexer import TerminalDef
 
     data, memo = build_parser().memo_serialize([TerminalDef, Rule])
     data["options"]["strict"] = False  # collisions were looked for just now, and `interegular` is not where antdsl is used
     data["options"].pop("cache_grammar", None)  # not known to lark 1.2, and at its default
+    data["parser"]["parser"] = numbered(data["parser"]["parser"])
     tables = {"grammar": grammar_hash(), "data": data, "memo": memo}
     return json.dumps(tables, separators=(",", ":"), ensure_ascii=True) + "\n"
+
+
+def numbered(table: dict[str, Any]) -> dict[str, Any]:
+    """A parse table whose tokens are numbered by their names, and its states as one comes upon them from the start states on,
+    breadth first by the tokens' names: lark's own numbers go by addresses in memory, and are others in each build."""
+    names = sorted(table["tokens"].values())
+    token = {old: names.index(name) for old, name in table["tokens"].items()}
+    states = {
+        old: sorted(((token[key], *action) for key, action in actions.items()), key=lambda each: each[0])
+        for old, actions in table["states"].items()
+    }
+    order = list(dict.fromkeys(table["start_states"][start] for start in STARTS))
+    known = set(order)
+    for state in order:  # it grows on the way
+        for _, reduces, to in states[state]:
+            if not reduces and to not in known:
+                known.add(to)
+                order.append(to)
+    number = {old: new for new, old in enumerate(order)}
+    return {
+        "tokens": dict(enumerate(names)),
+        "states": {
+            number[old]: {key: [reduces, to if reduces else number[to]] for key, reduces, to in states[old]} for old in order
+        },
+        "start_states": {start: number[table["start_states"][start]] for start in STARTS},
+        "end_states": {start: number[table["end_states"][start]] for start in STARTS},
+    }
 
 
 def write() -> None:

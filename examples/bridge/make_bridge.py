@@ -1,7 +1,8 @@
-"""Writes bridge.ply and equal.ply of this example: `python examples/bridge/make_bridge.py`.
+"""Writes bridge.ply, mirrored.ply and equal.ply of this example: `python examples/bridge/make_bridge.py`.
 
 Millimetres, y up: a strip 12 wide from the nest's floor to a fork, two arms that leave it by 30 degrees to either side and meet
-again in a fork like it, and a strip on to the food. One arm is twice as long as the other, in `equal.ply` they are alike."""
+again in a fork like it, and a strip on to the food. One arm is twice as long as the other, in `equal.ply` they
+are alike; in `mirrored.ply` the arms have changed sides."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -124,6 +125,11 @@ def bridge(upper: tuple[Point, ...], lower: tuple[Point, ...]) -> tuple[Points, 
     return np.round(fine.vertices, 3), fine.faces
 
 
+def mirrored(mesh: tuple[Points, NDArray[np.int64]]) -> tuple[Points, NDArray[np.int64]]:
+    """The same with its sides changed, z for -z, seen from above as before."""
+    return mesh[0] * [1.0, 1.0, -1.0], mesh[1][:, ::-1]
+
+
 def write(name: str, mesh: tuple[Points, NDArray[np.int64]]) -> None:
     """A file of a mesh beside this script."""
     made = trimesh.Trimesh(*mesh, process=False)
@@ -132,6 +138,7 @@ def write(name: str, mesh: tuple[Points, NDArray[np.int64]]) -> None:
 
 if __name__ == "__main__":
     write("bridge.ply", bridge(short(), long(2.0)))
+    write("mirrored.ply", mirrored(bridge(short(), long(2.0))))
     write("equal.ply", bridge(short(), tuple((x, -z) for x, z in short())))
     for way in (short(), long(2.0)):
         print(f"an arm of {length(way):.1f} mm, in the middle at {way[len(way) // 2]}")

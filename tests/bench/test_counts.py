@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from children import child_environment
 from compilers import need_llvmlite
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -47,8 +47,7 @@ def worlds() -> Iterator[tuple[World, World]]:
 def test_nothing_has_grown_beyond_what_is_recorded(cases: tuple[str, ...]) -> None:
     """In a process of its own: what was compiled for other tests would do some of the work. Without cases, all of them."""
     words = [sys.executable, str(BENCHMARKS / "counts.py"), *cases, "--print"]
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = subprocess.run(words, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True)
+    done = subprocess.run(words, env=child_environment(), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     lines = grown(json.loads(done.stdout), json.loads(RECORDED.read_text(encoding="utf-8")))
     assert not lines, "\n".join(

@@ -21,21 +21,20 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "runtime"),
 
 from test_contacts import CrowdData, heap, world  # noqa: E402
 
+from antdsl.numerics import compiled  # noqa: E402
 from antdsl.runtime import World, step  # noqa: E402
 from antdsl.runtime.moving import contacts  # noqa: E402
-from antdsl.runtime.moving.capsules import Crowd, Near, depths  # noqa: E402
+from antdsl.runtime.moving.capsules import Near, depths  # noqa: E402
 
 FREE, DEEP = 1e-3, 0.05
 
 
-def outward_from_the_most_locked_in(crowd: Crowd, near: Near, *rest: Any) -> np.ndarray:
+def outward_from_the_most_locked_in(near: Near, agents: Any, *rest: Any) -> np.ndarray:
     """R10: who has most contacts is frozen first, then those about it, and so on; each unfrozen one that overlaps a frozen one is
     moved along the line of both until it is free. Then nobody goes farther than it may walk."""
-    before, dt = rest[2], rest[3]
     count = len(near.rows)
     gone = np.zeros((3, count))
-    gap, _ = near.gaps()
-    inside = gap < 0
+    inside = near.gap < 0
     contacts_of = np.bincount(near.i[inside], minlength=count) + np.bincount(near.j[inside], minlength=count)
     both, pair = np.concatenate([near.i, near.j]), np.tile(np.arange(len(near.i)), 2)
     by_row = np.split(pair[np.argsort(both, kind="stable")], np.cumsum(np.bincount(both, minlength=count))[:-1])
@@ -51,16 +50,15 @@ def outward_from_the_most_locked_in(crowd: Crowd, near: Near, *rest: Any) -> np.
             pairs = by_row[row]
             other = near.i[pairs] + near.j[pairs] - row
             pairs, other = pairs[~frozen[other]], other[~frozen[other]]
-            gap, way = near.gaps(gone, pairs)
+            near.measure(gone, np.arange(count) == row)
+            gap, way = near.gap[pairs], near.way[:, pairs]
             deep = np.flatnonzero(gap < 0)
             away = np.where(near.i[pairs[deep]] == row, -1.0, 1.0)
             gone[:, other[deep]] -= way[:, deep] * (gap[deep] * away)
             fresh = other[deep][~queued[other[deep]]]
             queued[fresh] = True
             queue.extend(fresh[np.argsort(-contacts_of[fresh], kind="stable")].tolist())
-    room = crowd.of(lambda p: p.now["max_speed"]).take(near.rows).astype(np.float64) * dt
-    walked = (crowd.of(lambda p: p.position) - crowd.of(lambda p: before[p.name])).take(near.rows, axis=0).T
-    return contacts._within(gone, walked, room)
+    return contacts._within(gone, rest[2], agents.reach)
 
 
 def measured(made: World, most: int) -> str:
@@ -86,6 +84,7 @@ def main() -> None:
     parser.add_argument("--radius", type=float, default=20.0)
     parser.add_argument("--most", type=int, default=240)
     asked = parser.parse_args()
+    compiled.wanted = lambda count: False  # their shares are constants of the loops
     kept: tuple[Callable[..., Any], float, float] = contacts._apart, contacts._OUTWARD, contacts._PRESSED
     print("| method | free after | deep after 1 s | after 2 s | ms a step |\n|---|---|---|---|---|")
     for name, solve, outward in (

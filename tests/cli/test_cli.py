@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import resource
 import subprocess
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import commands
 import pytest
+from children import child_environment
 
 from antdsl.cli import _run as run_in_process
 
@@ -143,7 +143,7 @@ def test_a_reader_that_has_had_enough_causes_no_complaint(folder: Path) -> None:
     for n in range(40):
         (folder / f"bad{n}.ant").write_text(GOOD.replace("wander", "wonder"))
     command = f"{sys.executable} -m antdsl check . | head -1"
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    env = child_environment()
     done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, timeout=60)
     assert done.stdout.startswith("error") and done.stderr == ""
 
@@ -151,7 +151,7 @@ def test_a_reader_that_has_had_enough_causes_no_complaint(folder: Path) -> None:
 def test_words_that_a_terminal_cannot_show_are_replaced(folder: Path) -> None:
     (folder / "walker.ant").write_text(GOOD.replace("wander", "wänder"))
     command = [sys.executable, "-m", "antdsl", "check", "walker.ant"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii"}
+    environment = child_environment(PYTHONIOENCODING="ascii")
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60)
     assert done.stderr == ""
     assert done.returncode == 1 and "error[" in done.stdout
@@ -165,7 +165,7 @@ def measured(words: list[str], folder: Path) -> tuple[subprocess.CompletedProces
 
     def spent(words: list[str]) -> tuple[subprocess.CompletedProcess[str], float]:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        env = {**os.environ, "PYTHONPATH": str(ROOT)}
+        env = child_environment()
         done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=300)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         return done, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from children import child_environment
 from test_cli import GOOD, antdsl
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,7 +25,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def piped(text: bytes, *words: str) -> subprocess.CompletedProcess[bytes]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
+    environment = child_environment(NO_COLOR="1")
     return subprocess.run([sys.executable, "-m", "antdsl", "fmt", "-", *words], input=text, capture_output=True, env=environment)
 
 
@@ -128,9 +129,7 @@ def test_who_may_not_write_a_file_does_not_replace_it(
 def test_formatting_loads_nothing_heavy(folder: Path) -> None:
     code = "import sys; sys.argv = ['antdsl', 'fmt', '.']\nfrom antdsl.cli import _run\n_run()\n"
     code += "print(sorted({'numpy', 'scipy', 'open3d', 'numba'} & set(sys.modules)))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=child_environment(), capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from cases.hostile.rows import PROJECT, SCENE
+from children import child_environment
 from typer.testing import CliRunner
 
 from antdsl.cli import app
@@ -28,9 +29,7 @@ def folder(tmp_path: Path) -> Path:
 
 def antdsl(folder: Path, *words: str, **env: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "antdsl", *words]
-    return subprocess.run(
-        command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **env}, capture_output=True, text=True, timeout=300
-    )
+    return subprocess.run(command, cwd=folder, env=child_environment(**env), capture_output=True, text=True, timeout=300)
 
 
 @posix
@@ -74,7 +73,7 @@ def test_r2_a_storm_of_changes_is_told_once(folder: Path) -> None:
 def test_r5_whoever_stops_reading_ends_a_command_without_a_traceback(folder: Path) -> None:
     (folder / "bad.ant").write_text("ant 1\n" + "".join(f"species a{k} {{ x{k} }}\n" for k in range(400)))
     command = f"{sys.executable} -m antdsl check bad.ant | head -1; exit ${{PIPESTATUS[0]}}"
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    env = child_environment()
     done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, timeout=300)
     assert "Traceback" not in done.stderr and done.returncode in (0, 1, 141)
     assert len(done.stdout.splitlines()) == 1

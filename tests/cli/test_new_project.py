@@ -15,6 +15,7 @@ from typing import Any
 import commands
 import pytest
 import yaml
+from children import child_environment
 
 from antdsl import __version__
 from antdsl.cli import COMMANDS
@@ -36,7 +37,7 @@ def shell(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     script = folder / "antdsl"
     script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m antdsl "$@"\n', encoding="utf-8")
     script.chmod(0o755)
-    return {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+    return child_environment(NO_COLOR="1", PATH=f"{folder}{os.pathsep}{os.environ['PATH']}")
 
 
 def run(line: str, folder: Path, shell: dict[str, str]) -> subprocess.CompletedProcess[str]:

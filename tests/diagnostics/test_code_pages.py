@@ -4,7 +4,6 @@ these words and at this place; nothing at all is said of its right one."""
 from __future__ import annotations
 
 import importlib.util
-import os
 import re
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import code_pages
 import pytest
+from children import child_environment
 from code_pages import PAGES, ROOT, Page
 
 from antdsl.diagnostics.codes import CODES
@@ -78,7 +78,7 @@ def test_the_pages_go_with_the_package() -> None:
 
 
 def test_explain_shows_the_page() -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = child_environment()
     command = [sys.executable, "-m", "antdsl", "check", "--explain", "unknown-state"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, encoding="utf-8")
     assert done.stdout == (PAGES / "unknown-state.md").read_text(encoding="utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import re
 import shlex
 import subprocess
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import commands
 import pytest
+from children import child_environment
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
@@ -82,5 +82,5 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     if words[0] == "antdsl":
         return commands.run(*words[1:], *SHORTER.get(words[1], []), cwd=folder)
     command = [sys.executable, *words[1:]]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
+    environment = child_environment(NO_COLOR="1")
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)

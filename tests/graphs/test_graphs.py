@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import random
 import re
 import subprocess
@@ -13,6 +12,7 @@ from itertools import combinations
 from pathlib import Path
 
 import pytest
+from children import child_environment
 
 from antdsl import graphs, pipeline
 from antdsl.cli import _run as run_in_process
@@ -304,7 +304,7 @@ def test_the_same_program_gives_the_same_bytes_in_another_process_and_folder(
 ) -> None:
     (tmp_path / "odd.ant").write_text(ODD, encoding="utf-8")
     command = [sys.executable, "-m", "antdsl", "graph", "odd.ant", "--format", format, "--out", "-"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "7"}
+    environment = child_environment(PYTHONHASHSEED="7")
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert done.stdout == written(odd, format)

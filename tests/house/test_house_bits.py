@@ -55,6 +55,7 @@ ALLOWED = {
     "ground/mesh/topology.py": {"scipy": "which faces hang together"},
     "ground/mesh/surface_clearance.py": {"scipy": "the least and greatest of whole numbers"},
     "casting/distance_grid.py": {"scipy": "distances in cells, of which only a lower bound is taken"},
+    "runtime/nearest_pairs.py": {"scipy": "a tree that says which pairs to measure"},
     "runtime/lod.py": {"scipy": "which faces hang together"},
     "ground/solid/meshing.py": {"skimage": "a mesh to look at; its vertices are rounded to a 4096th of a voxel"},
     "ground/solid/voxelising.py": {"log10": "digits of a size of voxels that is proposed in a message"},

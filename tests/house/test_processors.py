@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -10,14 +9,15 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from children import child_environment
 from compilers import need_numba
 
 ROOT = Path(__file__).resolve().parents[2]
 # One of each example; what lies beside them has the same program and ground.
 SCENES = (
-    "alarm/scene", "anthill/scene", "flocking/scene", "flow/scene", "foraging/scene", "foraging_study/default",
-    "minimal/scene", "moods/scene", "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene",
-    "walker/scene", "worth/scene",
+    "alarm/scene", "anthill/scene", "arena/scene", "battle/scene", "bridge/scene", "evacuation/scene", "flocking/scene",
+    "flow/scene", "foraging/scene", "foraging_study/default", "minimal/scene", "moods/scene", "roaches/scene",
+    "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "walker/scene", "worth/scene",
 )  # fmt: skip
 SOME = ("moods/scene",)
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
@@ -37,11 +37,11 @@ def disabled() -> str:
 
 
 def hashes(scenes: tuple[str, ...], frames: int, most: int, settings: dict[str, str], before: tuple[str, ...] = ()) -> str:
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("NPY_", "NUMBA_", "GLIBC_", "OPENBLAS_"))}
+    clean = {k: v for k, v in child_environment().items() if not k.startswith(("NPY_", "NUMBA_", "GLIBC_", "OPENBLAS_"))}
     paths = [str(ROOT / "examples" / f"{scene}.yaml") for scene in scenes]
     made = subprocess.run(
         [*before, sys.executable, str(ROOT / "tests" / "state_hashes.py"), "--frames", str(frames), "--most", str(most), *paths],
-        env={**clean, "PYTHONPATH": str(ROOT), **settings}, capture_output=True, text=True,
+        env={**clean, **settings}, capture_output=True, text=True,
     )  # fmt: skip
     assert made.returncode == 0, made.stderr[-3000:]
     return made.stdout
@@ -55,12 +55,12 @@ def here(scenes: tuple[str, ...], frames: int, most: int) -> str:
 
 
 def test_poses_without_these_instructions() -> None:
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
+    clean = {k: v for k, v in child_environment().items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
     found = set()
     for settings in ({}, {**WITHOUT, "NPY_DISABLE_CPU_FEATURES": disabled()}):
         made = subprocess.run(
             [sys.executable, str(ROOT / "tests" / "bodies" / "pose_hash.py")],
-            env={**clean, "PYTHONPATH": str(ROOT), **settings}, capture_output=True, text=True,
+            env={**clean, **settings}, capture_output=True, text=True,
         )  # fmt: skip
         assert made.returncode == 0, made.stderr[-3000:]
         found.add(made.stdout)

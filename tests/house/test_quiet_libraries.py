@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -10,6 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from children import child_environment
 
 from antdsl.cli.doctor import EXTRAS
 from antdsl.cli.run import at_once
@@ -23,7 +23,7 @@ LOUD = "import warnings\nwarnings.warn('a library warns', DeprecationWarning, st
 def test_warnings_of_libraries_do_not_reach_the_terminal(tmp_path: Path, flags: tuple[str, ...], heard: bool) -> None:
     """A library that warns when it is imported: `antdsl graph` imports graphlay."""
     (tmp_path / "graphlay.py").write_text(LOUD + "raise ImportError('none')\n", encoding="utf-8")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    environment = child_environment(tmp_path)
     environment.pop("PYTHONWARNINGS", None)
     program = ROOT / "examples" / "minimal" / "walker.ant"
     done = subprocess.run(

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from children import child_environment
 
 from antdsl.outputs.cache import lock
 from antdsl.outputs.cache.hashes import HASHES, read_lines
@@ -287,7 +288,7 @@ with FolderLock(folder):
 def test_what_was_handed_over_is_finished_when_the_caller_is_killed_and_a_run_at_once_waits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], env={**os.environ, "PYTHONPATH": str(ROOT)})
+    run = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], env=child_environment())
     os.waitid(os.P_PID, run.pid, os.WEXITED | os.WNOWAIT)  # it has ended, and is still known to the system
     with monkeypatch.context() as patch, pytest.raises(Locked, match=str(run.pid)):
         patch.setattr(lock, "_PATIENCE", 0.0)

@@ -20,6 +20,7 @@ from pathlib import Path
 import commands
 import numpy as np
 import pytest
+from children import child_environment
 from sampling import sampled
 from typer.testing import CliRunner
 
@@ -234,7 +235,7 @@ both_ways = pytest.mark.parametrize("way", sampled(WAYS, ("process",)))
 
 def start(scene: Path, *words: str, way: str = "process") -> subprocess.Popen[str]:
     command = [sys.executable, *WAYS[way], "run", str(scene), "--threads", "1", *words]
-    env = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
+    env = child_environment(NO_COLOR="1")
     return subprocess.Popen(
         command, env=env, cwd=scene.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -626,7 +627,7 @@ def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(
     scene = project(tmp_path / "p")
     scene.write_text(SCENE.replace("count: 40", "count: 400"))
     command = [sys.executable, *WAYS[way], "run", "scene.yaml", "--threads", "1"]
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    env = child_environment()
     limit = f"import resource as r, os; r.setrlimit(r.RLIMIT_FSIZE, (20000, 20000)); os.execv({sys.executable!r}, {command!r})"
     done = subprocess.run([sys.executable, "-c", limit], env=env, cwd=scene.parent, capture_output=True, text=True, timeout=60)
     assert done.returncode == 3 and "Traceback" not in done.stderr, done.stderr[-600:]

@@ -3,6 +3,7 @@ is mended is lit no more, and what draws nothing says why."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import pytest
 from browsing import chromium
 from page_messages import TEXT, frame, problems, scene, status, texts
 from page_stage import Stage, stage
+from PIL import Image
 
 from antdsl.preview.binary_packets import pack, unpack
 
@@ -183,6 +185,46 @@ def test_trails_that_draw_nothing_say_why(page: Stage) -> None:
     assert note.is_hidden()
     page.page.locator("#view > canvas").press("t")
     assert note.is_hidden()
+
+
+def planned(number: int, ids: list[int], count: int = 20) -> bytes:
+    """Paths from the middle of the ground to its right end, frame by frame."""
+    path = np.full((len(ids), count, 3), (30, 0, 50), np.float32)
+    path[:, :, 0] += np.linspace(0, 40, count)[None, :]
+    return pack("paths", {"ant/id": np.array(ids, np.int32), "ant/path": path}, frame=number, count=count)
+
+
+def test_planned_paths_are_asked_for_drawn_and_shortened_as_time_goes_on(page: Stage) -> None:
+    def drawn() -> np.ndarray:
+        page.page.wait_for_timeout(300)
+        picture = page.page.locator("#view > canvas").screenshot()
+        return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
+
+    def differing(one: np.ndarray, other: np.ndarray) -> int:
+        return int((np.abs(one - other).max(axis=2) > 30).sum())
+
+    page.tell(scene(camera=CAMERA), texts(), status(), crowd(3, 20, 1.0))
+    canvas, note = page.page.locator("#view > canvas"), page.find("paths-note")
+    assert "planned" not in page.asked("look")[-1] and note.is_hidden()
+    canvas.press("n")
+    before = drawn()
+    canvas.press("a")
+    assert page.asked("look")[-1]["planned"] == [{"species": "ant", "agent": 10}]
+    assert note.inner_text() == "planned paths: being simulated"
+    page.tell(planned(20, [10]))
+    assert note.is_hidden()
+    whole = differing(before, drawn())
+    assert whole > 60, "a dashed line over the ground"
+    page.tell(planned(2, [10]))
+    assert differing(before, drawn()) < 0.5 * whole, "what lies behind is left out"
+    page.tell(planned(20, [11]))
+    assert note.is_visible(), "not of who is not selected"
+    canvas.press("Escape")
+    assert page.asked("look")[-1]["planned"] == []
+    page.tell(crowd(400, 20))
+    assert note.inner_text() == "no planned paths: 400 are too many at once — select those whose paths you want to see"
+    canvas.press("a")
+    assert "planned" not in page.asked("look")[-1] and note.is_hidden()
 
 
 def test_marks_and_the_end_of_the_scene_are_those_of_the_run(page: Stage) -> None:

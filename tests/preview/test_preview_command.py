@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import shutil
 import signal
 import socket
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from children import child_environment
 
 pytest.importorskip("websockets")
 
@@ -45,7 +45,7 @@ class Started:
 
 @asynccontextmanager
 async def started(*words: str | Path, folder: Path, open_it: bool = False) -> AsyncIterator[Started]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    environment = child_environment(PYTHONUNBUFFERED="1")
     command = [
         sys.executable,
         "-m",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from children import child_environment
 
 TESTS = Path(__file__).resolve().parents[1]
 pytest.importorskip("interegular", reason="the grammar is made anew")
@@ -18,7 +18,7 @@ pytest.importorskip("interegular", reason="the grammar is made anew")
 @pytest.fixture(scope="module")
 def told() -> Any:
     """What is made of it, in a process of its own: the rows have to be there before what is made of them."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(TESTS.parent), str(TESTS)))}
+    environment = child_environment(TESTS)
     script = [sys.executable, str(TESTS / "effect_of_a_row.py")]
     done = subprocess.run(script, capture_output=True, text=True, timeout=300, env=environment)
     assert done.returncode == 0, done.stderr

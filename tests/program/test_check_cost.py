@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from children import child_environment
 
 from antdsl import passes, plan
 from antdsl.pipeline import compile_files
@@ -84,7 +84,7 @@ def test_the_command_prints_it_and_loads_no_geometry(tmp_path: Path) -> None:
         "import sys; from antdsl.cli import _run; sys.argv = ['antdsl', 'check', 'examples/foraging/forager.ant', '--cost'];"
         "code = _run(); print(code, [m for m in ('open3d', 'scipy', 'numba') if m in sys.modules])"
     )
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    env = child_environment()
     done = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=env, capture_output=True, text=True, timeout=60)
     lines = done.stdout.splitlines()
     assert lines[-1] == "0 []", done.stderr
@@ -99,6 +99,6 @@ def test_the_command_prints_it_and_loads_no_geometry(tmp_path: Path) -> None:
 def test_a_program_with_errors_has_no_cost(tmp_path: Path) -> None:
     (tmp_path / "a.ant").write_text("ant 1\nspecies a { state s { steer headin } }\n")
     command = [sys.executable, "-m", "antdsl", "check", "a.ant", "--cost"]
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    env = child_environment()
     done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1 and "no program without errors" in done.stdout

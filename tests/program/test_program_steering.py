@@ -194,6 +194,14 @@ def test_follow_goes_along_a_curve_as_it_was_drawn() -> None:
     assert places[-1, 1, 2] == pytest.approx(100, abs=1)  # too far off to care
 
 
+def test_follow_goes_against_the_drawing_or_by_the_smaller_turn() -> None:
+    for way, faced, goes in ((-1, 0, -1), (0, 60, 1), (0, 120, -1), (0.5, 120, 1)):
+        world = scene(f"follow(road, within: 25 mm, way: {way})", crowd("ant", (0, 5)), turned=f"{faced} deg")
+        places, _ = run(world, 110)
+        off = [np.hypot(*(ROAD[:, [0, 2]] - p[[0, 2]]).T).min() for p in places[80:, 0]]
+        assert max(off) < 6 and goes * places[-1, 0, 0] > 50, (way, faced)
+
+
 def test_along_goes_with_a_flow_and_against_it() -> None:
     for steer, way in (("along(drift)", 1), ("along(drift, weight: -0.5)", -1)):
         places, speeds = run(scene(steer, crowd("ant", (-100, 5), (0, 140))), 72)

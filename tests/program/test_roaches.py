@@ -100,10 +100,12 @@ def test_a_collision_upsets_both_and_makes_them_foes() -> None:
 
 def test_a_crowd_upsets_and_calm_comes_back() -> None:
     side = np.arange(5) * 40.0
-    _, found = felt(*((float(x), float(z)) for x in side for z in side), (2000.0, 2000.0), frames=60)
+    _, found = felt(*((float(x), float(z)) for x in side for z in side), (2000.0, 2000.0), frames=240)
     middle, alone = 12, 25
-    assert found[12]["calm"][middle] < 0.95 and found[12]["calm"][alone] == 1
-    assert found[59]["calm"][alone] == 1
+    calm = np.array([frame["calm"] for frame in found])
+    lowest = int(calm[:120, middle].argmin())
+    assert calm[lowest, middle] < 0.9 and calm[lowest:, middle].max() > calm[lowest, middle] + 0.05
+    assert (calm[:, alone] == 1).all()
 
 
 def test_who_is_alone_grows_lonely_and_goes_to_look_for_others() -> None:

@@ -312,6 +312,22 @@ def test_values_per_pair_go_on_by_name_and_type_the_strongest_where_fewer_are_ke
     assert migration_line(what) == "kept 20 agents · `likes` is gone"
 
 
+@pytest.mark.parametrize("rest", ["2", "calm"])
+def test_the_strongest_are_those_farthest_from_what_they_return_to(scene: Path, rest: str) -> None:
+    life = LIKING.replace("0 relax to 0 over", f"{rest} relax to {rest} over").replace("(n.id - 9)", "(n.id - 14)")
+    life = life.replace("  load   = 1", "  param calm = 2 in 0 .. 9\n  load   = 1", 1)
+    scene.with_name("life.ant").write_text(life)
+    world = started(scene, 12)
+    before = likings(world, 5)
+    fewer, _ = taken(world, scene, life="strongest 5 => strongest 2")
+    far = {
+        agent: sorted(sorted(pairs), key=lambda pair: -abs(np.float32(pair[1]) - np.float32(2)))[:2]
+        for agent, pairs in before.items()
+    }
+    assert {agent: sorted(pairs) for agent, pairs in likings(fewer, 2).items()} == {a: sorted(pairs) for a, pairs in far.items()}
+    assert any(sorted(pairs[:2]) != sorted(far[agent]) for agent, pairs in before.items()), "they are not those farthest from 0"
+
+
 def test_values_about_those_who_go_go_with_them(scene: Path) -> None:
     scene.with_name("life.ant").write_text(LIKING)
     world = started(scene, 12)

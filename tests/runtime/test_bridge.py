@@ -42,15 +42,16 @@ def test_one_arm_is_twice_as_long_and_both_begin_and_end_alike(made: dict[str, A
 
 def test_the_meshes_are_those_of_the_script(made: dict[str, Any]) -> None:
     short = made["short"]()
-    for name, arms in (("bridge", (short, made["long"](2.0))), ("equal", (short, tuple((x, -z) for x, z in short)))):
-        vertices, faces = made["bridge"](*arms)
+    whole = made["bridge"](short, made["long"](2.0))
+    alike = made["bridge"](short, tuple((x, -z) for x, z in short))
+    for name, (vertices, faces) in (("bridge", whole), ("mirrored", made["mirrored"](whole)), ("equal", alike)):
         kept = trimesh.load(BRIDGE / f"{name}.ply", process=False)
         assert np.allclose(kept.vertices, vertices, atol=1e-3) and np.array_equal(kept.faces, faces)
         across = np.cross(*(vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2)))
         assert (across[:, 1] > 0).all() and (np.abs(across[:, [0, 2]]) < 1e-9).all()
 
 
-@pytest.mark.parametrize("name", ["scene", "equal", "no_scent"])
+@pytest.mark.parametrize("name", ["scene", "mirrored", "equal", "no_scent"])
 def test_ants_leave_the_nest_and_lay_scent_if_they_are_to(name: str) -> None:
     world = opened(name, leaving="100 %/s")
     for _ in range(80):

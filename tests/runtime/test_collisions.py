@@ -142,7 +142,11 @@ def test_more_than_it_can_know_wait_until_one_is_gone() -> None:
     ("line", "code", "help"),
     [
         ("on collision(other: food) { x += 1 }", "wrong-kind", "touching(food)"),
-        ("on collision(other: rabit) { x += 1 }", "unknown-name", "rabbit"),
+        ("on collision(other: rabit) { x += 1 }", "unknown-species", "rabbit"),
+        ("on collision(other: wolf) { x += 1 }", "unknown-species", "world { species wolf }"),
+        ("on collision(rabbit) { x += 1 }", "wrong-argument", "on collision(other: rabbit)"),
+        ("on collision(self) { x += 1 }", "wrong-argument", "on collision(other)"),
+        ("on spawn { emit collision(within: 9 mm); x += 1 }", "wrong-argument", "emit bump"),
         ("on alarm(other) { x += 1 }", "wrong-argument", "on alarm { … }"),
         ("on collision(other) { x = 1 }", "not-commuting", "+="),
     ],

@@ -11,8 +11,10 @@ import pytest
 from test_program import checked, complaints
 
 from antdsl import passes, plan
+from antdsl.numerics import compiled
 from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
-from antdsl.runtime.moving.capsules import Crowd, depths
+from antdsl.runtime.moving import capsules, contacts
+from antdsl.runtime.moving.capsules import Crowd, depths, find
 from antdsl.scene.setting import CrowdData, MeshData, PlaceData, Setting
 from antdsl.senses.touching import within_reach
 
@@ -116,6 +118,21 @@ def test_the_same_bits_for_any_rows_threads_chunks_and_backend(mode: str) -> Non
     assert len(found) == 1
 
 
+@pytest.mark.skipif(not compiled.available(), reason="needs numba")
+@pytest.mark.parametrize("mode", ["hard", "soft"])
+@pytest.mark.parametrize("spread", [0.0, 4.0, 30.0])
+def test_compiled_loops_give_the_same_bits(mode: str, spread: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for fast in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+        crowds = CrowdData("ant", 150, heap(150, spread)), CrowdData("ball", 3, heap(3, spread), 1, body="ball")
+        made = world(*crowds, text=WALKING, contacts=mode)
+        for _ in range(6):
+            step(made)
+        found.append(state_hash(made))
+    assert found[0] == found[1]
+
+
 def test_soft_bodies_part_more_slowly_and_none_at_all_without_contacts() -> None:
     deep = {}
     for mode in ("off", "soft", "hard"):
@@ -177,7 +194,7 @@ def test_two_sides_of_a_thin_sheet_do_not_meet() -> None:
         step(made)
     assert depths(made).max() < 1e-3
     crowd = Crowd(made)
-    middles = np.stack(crowd.middle, axis=1)
+    middles = crowd.middle.T
     near = np.linalg.norm(middles[:, None] - middles[None], axis=2) < 1.5
     assert (near & (np.sign(made.populations["ant"].normal[:, 1])[:, None] != sides[None])).any()  # right below one another
 
@@ -195,9 +212,15 @@ def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
 
 
 @pytest.mark.parametrize(
+    "fast", [False, pytest.param(True, marks=pytest.mark.skipif(not compiled.available(), reason="needs numba"))]
+)
+@pytest.mark.parametrize(
     "size, reach", [((90, 90, 0), (1, 1.2)), ((60, 60, 60), (1, 8)), ((90, 90, 4), (0.5, 6)), ((1e6, 1e6, 3), (1, 2))]
 )
-def test_every_pair_in_reach_is_found_once(size: tuple[float, ...], reach: tuple[float, float]) -> None:
+def test_every_pair_in_reach_is_found_once(
+    size: tuple[float, ...], reach: tuple[float, float], fast: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled, "wanted", lambda count: fast)
     random = np.random.default_rng(1)
     place, wide = random.random((250, 3)) * size, random.uniform(*reach, 250)
     found = within_reach((place[:, 0].copy(), place[:, 1].copy(), place[:, 2].copy()), wide, np.arange(250))
@@ -213,3 +236,88 @@ def test_thousands_in_one_place_are_paired_with_a_bounded_number_each() -> None:
     found = within_reach((place, place, place), np.ones(n), np.arange(n))
     each = np.bincount(np.concatenate([found.i, found.j]), minlength=n)
     assert not found.all_of_them and each.min() >= 40 and len(found.i) < 60 * n
+
+
+def test_who_is_left_out_of_a_heap_goes_by_ids_and_not_by_rows() -> None:
+    random = np.random.default_rng(2)
+    place, wide = random.random((400, 3)) * (4, 4, 0.1), np.where(np.arange(400) < 20, 6.0, 1.0)
+    found = set()
+    for rows in (np.arange(400), random.permutation(400)):
+        x, y, z = np.ascontiguousarray(place[rows].T)
+        pairs = within_reach((x, y, z), wide[rows], rows)
+        assert not pairs.all_of_them
+        ends = np.sort(np.stack([rows[pairs.i], rows[pairs.j]]), axis=0)
+        found.add(tuple(sorted(zip(*ends.tolist(), strict=True))))
+    assert len(found) == 1
+
+
+def test_what_a_step_costs_in_one_place_grows_with_the_crowd_and_not_with_its_square(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured, gaps = [], capsules._gaps
+
+    def counted(near: capsules.Near, gone: np.ndarray, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        measured.append(len(i))
+        return gaps(near, gone, i, j)
+
+    monkeypatch.setattr(compiled, "wanted", lambda count: False)
+    monkeypatch.setattr(capsules, "_gaps", counted)
+    spent = []
+    for n in (300, 600):
+        made = world(CrowdData("ant", n, heap(n)))
+        measured.clear()
+        step(made)
+        assert 40 * n < len(find(Crowd(made)).i) < 60 * n
+        spent.append(sum(measured))
+    assert spent[1] < 2.3 * spent[0]
+
+
+# --- crowds that want somewhere ---------------------------------------------------------------------------------------
+
+DOOR = WALKING.replace("ant 1\n", "ant 1\nuse steering\nworld { obstacle walls }\n", 1).replace(
+    "steer -position / 10 mm",
+    "steer if dot(position, vector(1, 0, 0)) < 3 mm then seek(vector(4 mm, 0 mm, 0 mm)) else seek(vector(200 mm, 0 mm, 0 mm))",
+)
+
+
+@pytest.mark.parametrize("count, radius, frames", [(12, 5.0, 100), pytest.param(40, 9.0, 240, marks=pytest.mark.slow)])
+def test_a_crowd_goes_through_a_door_and_does_not_shiver_before_it(count: int, radius: float, frames: int) -> None:
+    near, far = meshes.box((-1, -1, 2.5), (1, 6, 25)), meshes.box((-1, -1, -25), (1, 6, -2.5))
+    walls = MeshData(np.concatenate([near[0], far[0]]), np.concatenate([near[1], far[1] + len(near[0])]))
+    start = heap(count, radius).points
+    assert start is not None
+    made = world(
+        CrowdData("ant", count, PlaceData(points=start - (radius + 4.0, 0.0, 0.0))), text=DOOR, obstacles={"walls": walls}
+    )
+    turned, back, steps = np.zeros(count), 0, 0
+    for frame in range(frames):
+        before = made.populations["ant"].vector("heading").copy()
+        step(made)
+        after, waiting = made.populations["ant"].vector("heading"), places(made)[:, 0] < 0
+        turn = np.degrees(np.arcsin(np.clip(np.cross(before, after)[:, 1], -1, 1)))
+        if frame > 12:
+            back += int(((np.abs(turn) > 2) & (np.abs(turned) > 2) & (turn * turned < 0) & waiting).sum())
+            steps += int(waiting.sum())
+        turned = turn
+    assert (places(made)[:, 0] > 1).all()
+    assert steps > 5 * count and back < 0.03 * steps
+
+
+def test_who_faces_as_before_has_its_trunk_where_that_puts_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = world(CrowdData("ant", 80, heap(80, 9.0)), text=WALKING)
+    apart, face = contacts._apart, contacts._face_as_before
+    as_before: list[int] = []
+    faced: list[float] = []
+
+    def counted(crowd: Crowd, near: capsules.Near, stopped: np.ndarray, headings: object) -> None:
+        as_before.append(len(stopped))
+        face(crowd, near, stopped, headings)  # type: ignore[arg-type]
+
+    def looked_at(near: capsules.Near, *rest: object) -> np.ndarray:
+        if len(faced) < len(as_before):  # before anybody is walked
+            faced.append(float(np.abs(near.middle - Crowd(made).middle[:, near.rows]).max()))
+        return apart(near, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(contacts, "_face_as_before", counted)
+    monkeypatch.setattr(contacts, "_apart", looked_at)
+    for _ in range(20):
+        step(made)
+    assert sum(as_before) > 20 and max(faced) < 1e-6

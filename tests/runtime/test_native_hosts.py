@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 import native_states
 import plans
 import pytest
+from children import child_environment
 from sampling import sampled
 
 from antdsl.runtime.backends.native import listing, machine
@@ -35,10 +35,12 @@ TESTS = Path(__file__).resolve().parents[1]
 
 def ran(script: str, *arguments: str, **settings: str) -> subprocess.CompletedProcess[str]:
     """A script of the tests in a process of its own."""
-    usual = {k: v for k, v in os.environ.items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
-    made = {"PYTHONPATH": os.pathsep.join((str(TESTS.parent), str(TESTS))), "NUMBA_DISABLE_JIT": "1"}
+    usual = {k: v for k, v in child_environment(TESTS).items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
     return subprocess.run(
-        [sys.executable, str(TESTS / script), *arguments], env={**usual, **made, **settings}, capture_output=True, text=True
+        [sys.executable, str(TESTS / script), *arguments],
+        env={**usual, "NUMBA_DISABLE_JIT": "1", **settings},
+        capture_output=True,
+        text=True,
     )
 
 
@@ -119,6 +121,6 @@ def test_instructions_change_no_state_of_an_example(scene: str, wanted: str) -> 
 
 def test_without_llvmlite_a_run_has_the_same_states(wanted: str, tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(NO_LLVMLITE, encoding="utf-8")
-    found = ran("native_states.py", PYTHONPATH=os.pathsep.join(map(str, (tmp_path, TESTS.parent, TESTS))))
+    found = ran("native_states.py", PYTHONPATH=child_environment(tmp_path, TESTS)["PYTHONPATH"])
     told, *states = found.stdout.splitlines()
     assert "llvmlite is not installed" in told and states == [wanted], found.stderr[-2000:]

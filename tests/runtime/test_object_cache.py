@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from children import child_environment
 from compilers import need_llvmlite
 
 from antdsl.runtime.backends.native import object_cache
@@ -498,11 +499,8 @@ print(found)
 def test_two_processes_write_and_read_at_once(folder: Path) -> None:
     """The cap is too small for all, so that each removes what the other reads."""
     command = [sys.executable, "-c", _WRITER, str(folder)]
-    path = str(Path(object_cache.__file__).parents[4])
     both = [
-        subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": path}
-        )
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=child_environment())
         for _ in range(2)
     ]
     for each in both:

@@ -3,7 +3,6 @@ clock changes nothing."""
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from children import child_environment
 from meaning import crowd, play
 from sampling import sampled
 
@@ -245,7 +245,7 @@ def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None
 @pytest.mark.slow
 def test_run_tells_where_the_time_went(shot: Shot, tmp_path: Path) -> None:
     words = [sys.executable, "-m", "antdsl", "run", "scene.yaml", "--frames", "1..6"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "120"}
+    environment = child_environment(NO_COLOR="1", COLUMNS="120")
     hashes = []
     for more in ([], ["--profile"]):
         done = subprocess.run(

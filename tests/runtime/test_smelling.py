@@ -98,6 +98,16 @@ def setting(ground: meshes.Mesh, count: int, **more: object) -> Setting:
     return Setting(crowds=crowds, surfaces={"ground": MeshData(*ground)}, seed=4, **more)  # type: ignore[arg-type]
 
 
+def test_both_borders_of_a_strip_are_read_in_its_own_cells() -> None:
+    """They lie where two cells meet, at 31 mm; of voxels there only those beyond one border touch the surface."""
+    made = setting(meshes.grid(62.0, 7), 4)
+    stands = [(0.4, 0, 27.3), (0.4, 0, -27.3), (27.3, 0, 8.4), (-27.3, 0, 8.4)]
+    faces = [(1, 0, 0), (-1, 0, 0), (0, 0, -1), (0, 0, 1)]
+    got, world = smelled(made, stands, faces, (0, 1, 0), "10 mm", "-90 deg")
+    ends = [(0.4, 0, 30), (0.4, 0, -30), (30, 0, 8.4), (-30, 0, 8.4)]
+    assert got == [cell(world, end, (0, 1, 0)) for end in ends]
+
+
 def test_ahead_and_to_the_left_and_right_on_a_plane() -> None:
     """Up is y and they face x, so left is -z. The middles of cells lie at even numbers."""
     made = setting(meshes.grid(60.0, 7), 3)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from children import child_environment
 
 from antdsl.cli.new import ground
 from antdsl.diagnostics import Report
@@ -386,7 +387,7 @@ def test_strangers_scenes_run_nothing_and_open_nothing_outside(folder: Path) -> 
     ]
     for number, text in enumerate(hostile):
         (folder / f"bad{number:02}.yaml").write_text(text)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = child_environment()
     done = subprocess.run(
         [sys.executable, "-c", AUDITED, str(folder)], env=environment, capture_output=True, text=True, timeout=60
     )

@@ -12,8 +12,10 @@ pxr = pytest.importorskip("pxr")
 
 from antdsl import limits  # noqa: E402
 from antdsl.diagnostics import Report  # noqa: E402
-from antdsl.pipeline import Choices, Shot, open_scene, simulate  # noqa: E402
-from antdsl.runtime import Options  # noqa: E402
+from antdsl.pipeline import Choices, Shot, check_path, open_scene, simulate  # noqa: E402
+from antdsl.reload import take_over  # noqa: E402
+from antdsl.runtime import Options, bind  # noqa: E402
+from antdsl.runtime.world import Population  # noqa: E402
 
 PROGRAM = """ant 1
 use steering
@@ -249,3 +251,115 @@ def test_agents_begin_at_empties(tmp_path: Path) -> None:
         (tmp_path / "scene.yaml").write_text(text.replace("PLACE", place))
         _, report = open_scene(tmp_path / "scene.yaml", Choices())
         assert [each[1] for each in told(report)] == [at], told(report)
+
+
+BOIDS = """ant 1
+use steering
+world { surface floor }
+species roach {
+  size  30 mm
+  radius size / 2
+  max_speed 200 mm/s
+  nerve = 0.25
+  calm  = false
+  reach = size * 4
+  seen  = 0 mm
+  on spawn { seen = reach }
+  start run
+  state run { steer coast(); when calm and seen > nerve * 1 m -> rest }
+  state rest { when not calm -> run }
+  layers { state }
+}
+"""
+
+
+def boids(folder: Path, floor: str = "-900 -900 0", extra: str = "") -> tuple[Shot, Report]:
+    """Three empties: one turned by 30 degrees and pitched, with properties; one that points straight up; one with fewer."""
+    told = [
+        ("a", (-40, 10, 3), (0, -20, 30), 'custom double userProperties:size = 5\n custom string userProperties:nerve = "0.75"'),
+        ("b", (0, 20, 3), (0, -90, 0), "custom bool userProperties:calm = true\n custom double userProperties:reach = 9"),
+        ("c", (55, -5, 3), (0, 0, -90), ""),
+    ]
+    text = "".join(
+        f'def Xform "{name}" {{\n custom string userProperties:kind = "roach"\n {own}\n {extra if name == "a" else ""}\n'
+        f" double3 xformOp:translate = {at}\n float3 xformOp:rotateXYZ = {turn}\n"
+        f' uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]\n}}\n'
+        for name, at, turn, own in told
+    )
+    opened(folder, text=SET + text)
+    (folder / "roach.ant").write_text(BOIDS)
+    (folder / "floor.obj").write_text(f"v {floor}\nv 900 -900 0\nv 900 900 0\nv -900 900 0\nf 1 2 3\nf 1 3 4\n")
+    scene = "antdsl: 1\nunits: mm\nup: z\nframes: 1..10\nworld: {floor: {mesh: floor.obj}}\ncrowd:\n"
+    scene += "  - {species: roach, from: roach.ant, count: 4, place: {on: floor, points: {usd: set.usda}}}\n"
+    (folder / "scene.yaml").write_text(scene)
+    shot, report = open_scene(folder / "scene.yaml", Choices())
+    assert shot is not None, report.errors
+    return shot, report
+
+
+def of_all(crowd: Population, *names: str) -> np.ndarray:
+    return np.stack([crowd.now[name] for name in names], axis=1)[np.argsort(crowd.ids)].astype(np.float64)
+
+
+AHEAD = ("heading.x", "heading.y", "heading.z")
+
+
+@pytest.mark.parametrize("backend", ["numpy", "reference"])
+def test_agents_face_as_their_empties_do(tmp_path: Path, backend: str) -> None:
+    crowd = bind(boids(tmp_path)[0].plan, boids(tmp_path)[0].setting, Options(backend=backend)).populations["roach"]
+    heading = of_all(crowd, *AHEAD)
+    thirty = np.radians(30)
+    assert heading[0] == pytest.approx([np.cos(thirty), np.sin(thirty), 0], abs=1e-6), "flattened to the floor"
+    assert heading[2] == pytest.approx([0, -1, 0], abs=1e-6)
+    assert heading[3] == pytest.approx(heading[0], abs=1e-6), "the empties begin anew when they run out"
+    assert np.abs(np.linalg.norm(heading, axis=1) - 1).max() < 1e-6 and heading[1][2] == 0, "straight up is no way: it is drawn"
+    velocity = of_all(crowd, "velocity.x", "velocity.y", "velocity.z")
+    assert np.abs(np.cross(velocity, heading)).max() < 1e-4 and (np.einsum("ij,ij->i", velocity, heading) >= 0).all()
+
+
+def test_headings_lie_along_a_slope(tmp_path: Path) -> None:
+    shot, _ = boids(tmp_path, floor="-900 -900 400")
+    crowd = bind(shot.plan, shot.setting).populations["roach"]
+    up, heading = of_all(crowd, "up.x", "up.y", "up.z"), of_all(crowd, *AHEAD)
+    assert np.abs(np.einsum("ij,ij->i", up, heading)).max() < 1e-6 and np.abs(heading[0, 2]) > 0.05
+    wanted = np.array([np.cos(np.radians(30)) * np.cos(np.radians(20)), 0.5 * np.cos(np.radians(20)), np.sin(np.radians(20))])
+    flat = wanted - (wanted @ up[0]) * up[0]
+    assert heading[0] == pytest.approx(flat / np.linalg.norm(flat), abs=1e-5), "the empty's own +x, laid along the ground"
+
+
+@pytest.mark.parametrize("backend", ["numpy", "reference"])
+def test_properties_of_empties_are_what_agents_begin_with(tmp_path: Path, backend: str) -> None:
+    shot, report = boids(tmp_path)
+    assert [d.code for d in (*report.diagnostics, *check_path(tmp_path / "scene.yaml")[1].diagnostics)] == []
+    crowd = bind(shot.plan, shot.setting, Options(backend=backend)).populations["roach"]
+    own = of_all(crowd, "size", "radius", "nerve", "calm", "reach", "seen")
+    assert own[0].tolist() == [50, 25, 0.75, 0, 200, 200], "in the file's unit; what is worked out from it follows"
+    assert own[1].tolist() == [30, 15, 0.25, 1, 90, 90], "`on spawn` sees it too"
+    assert own[2].tolist() == [30, 15, 0.25, 0, 120, 120] and own[3].tolist() == own[0].tolist()
+
+
+def test_what_empties_give_stays_through_an_edit_and_follows_the_file(tmp_path: Path) -> None:
+    shot, _ = boids(tmp_path)
+    world = bind(shot.plan, shot.setting)
+    (tmp_path / "roach.ant").write_text(BOIDS.replace("size  30 mm", "size  36 mm\n  more = nerve"))
+    edited, _ = open_scene(tmp_path / "scene.yaml", Choices())
+    assert edited is not None
+    after, _ = take_over(world, edited.plan, edited.setting)
+    assert of_all(after.populations["roach"], "size", "more").tolist() == [[50, 0.75], [36, 0.25], [36, 0.25], [50, 0.75]]
+    text = (tmp_path / "set.usda").read_text()
+    (tmp_path / "set.usda").write_text(text.replace("userProperties:size = 5", "userProperties:size = 6"))
+    again, _ = open_scene(tmp_path / "scene.yaml", Choices())
+    assert again is not None
+    last, _ = take_over(after, again.plan, again.setting)
+    assert of_all(last.populations["roach"], "size").ravel().tolist() == [60, 36, 36, 60]
+
+
+def test_properties_of_boids_are_read_with_care(tmp_path: Path) -> None:
+    _, report = boids(tmp_path, extra="custom double userProperties:nerv = 1")
+    left_out = [d for d in report.diagnostics if d.code == "usd-left-out"]
+    assert len(left_out) == 1 and left_out[0].help == "`nerv`: did you mean `nerve`?"
+    text = (tmp_path / "set.usda").read_text()
+    (tmp_path / "set.usda").write_text(text.replace('userProperties:nerve = "0.75"', 'userProperties:nerve = "2 mm"'))
+    shot, report = open_scene(tmp_path / "scene.yaml", Choices())
+    assert shot is None and [d.code for d in report.errors] == ["wrong-unit"]
+    assert report.errors[0].span is not None and report.errors[0].span.text == "set.usda"

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import plans
 import pytest
 from plan_text import plan_of
 
-from antdsl.runtime import Options, World, bind, step
+from antdsl.runtime import Options, bind, step
 from antdsl.runtime.hashing import state_hash
 from antdsl.senses.clear_velocity import Others, _borders, clear_velocities
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+from crossing import circle, corridor  # lies beside the tests
 
 FASTEST, DT = 20.0, 1 / 24
 
@@ -102,53 +109,26 @@ def test_all_backends_and_any_rows_give_the_same_bits() -> None:
         assert run(options) == hashes
 
 
-def crossing(agents: int, seconds: float) -> tuple[float, float]:
-    """Of agents on a circle who all go to the other side: seconds until all are there, and the least distance of two (mm)."""
-    from test_program import checked, complaints
-
-    from antdsl import passes, plan
-    from antdsl.runtime import CrowdData, PlaceData, Setting
-
-    text = """ant 1
-species person {
-  size 400 mm
-  max_speed 1400 mm/s
-  response 0.1 s
-  goal = vector(0 mm, 0 mm, 0 mm)
-  start go
-  on spawn { goal = -position }
-  state go {
-    let off = goal - position
-    let way = rotate(unit(off), about: up, by: normal(0 deg, 1 deg)) * min(length(off) / 1 m, 1)
-    steer match(clear_velocity(way * max_speed, within: 10 m, horizon: 2 s))
-  }
-}
-"""
-    program, report = checked(text)
-    assert report.ok, complaints(report)
-    angle, radius = 2 * np.pi * np.arange(agents) / agents, max(agents * 700 / (2 * np.pi), 4000.0)
-    places = np.stack([radius * np.cos(angle), np.zeros(agents), radius * np.sin(angle)], axis=1)
-    crowd = CrowdData("person", agents, PlaceData(points=places))
-    world: World = bind(passes.optimise(plan.lower(program)[0]), Setting(crowds=(crowd,)), Options(threads=1))
-    people, nearest = world.populations["person"], np.inf
-    goal = -people.position[np.argsort(people.ids)]
-    for frame in range(int(24 * seconds)):
-        step(world)
-        place = people.position[np.argsort(people.ids)]
-        away = np.linalg.norm(place[:, None] - place[None], axis=2) if agents < 200 else np.full((2, 2), np.inf)
-        np.fill_diagonal(away, np.inf)
-        nearest = min(nearest, float(away.min()))
-        if np.linalg.norm(place - goal, axis=1).max() < 500:
-            return frame / 24, nearest
-    return np.inf, nearest
-
-
 def test_twenty_who_cross_a_circle_come_to_the_other_side_and_do_not_run_into_each_other() -> None:
-    seconds, nearest = crossing(20, 30)
-    assert seconds < 20 and nearest > 300  # of 400 mm: who turns away needs a moment to
+    found = circle(20, 30)
+    assert found.seconds < 20 and found.nearest > 300 and found.stuck == 0  # of 400 mm: who turns away needs a moment to
+
+
+def test_two_flows_head_on_in_a_corridor_pass_each_other() -> None:
+    found = corridor(40, 40, wide=4000, long=10_000)
+    assert found.seconds < 20 and found.nearest > 300 and (found.left, found.stuck) == (0, 0)
+
+
+def test_who_stands_in_a_corridor_too_narrow_to_pass_is_told_to_be_stuck() -> None:
+    found = corridor(2, 15, wide=150, long=6_000)
+    assert found.seconds == np.inf and (found.left, found.stuck) == (2, 2)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("agents", "most"), [(100, 60.0), (1000, 420.0)])
-def test_of_many_who_cross_a_circle_none_is_stuck(agents: int, most: float) -> None:
-    assert crossing(agents, most)[0] < most
+def test_of_a_hundred_who_cross_a_circle_none_is_stuck() -> None:
+    assert circle(100, 60).seconds < 60
+
+
+@pytest.mark.slow
+def test_of_two_hundred_head_on_in_a_corridor_none_is_stuck() -> None:
+    assert corridor(200, 90, wide=5000).seconds < 90

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -13,6 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from children import child_environment
 from test_cli import ROOT, antdsl
 
 from antdsl.cli import _run as run_in_process
@@ -126,7 +126,7 @@ def test_what_cannot_run_ends_in_words_and_an_exit_code(
 def test_ctrl_c_writes_what_was_finished(folder: Path) -> None:
     (folder / "a.ant").write_text(PROGRAM + 'spec "long" on "scene.yaml" { seeds 5; for 999 min; always: count(a) == 3 }\n')
     command = [sys.executable, "-m", "antdsl", "test", ".", "--junit", "out.xml"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    environment = child_environment(PYTHONUNBUFFERED="1")
     running = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert running.stdout is not None
     while "slow" not in running.stdout.readline():  # the long one comes last
@@ -150,6 +150,6 @@ def test_a_new_project_has_a_spec_that_holds(tmp_path: Path) -> None:
 def test_the_specs_of_the_examples_hold() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "antdsl", "test", "examples"], cwd=ROOT, capture_output=True, text=True, timeout=900,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env=child_environment(),
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr

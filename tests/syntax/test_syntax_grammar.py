@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from random import Random
 from types import FrameType
 
 import pytest
@@ -19,7 +20,7 @@ from antdsl.source import Source, Span
 from antdsl.syntax import parse
 from antdsl.syntax.brackets import pair
 from antdsl.syntax.builder import Builder
-from antdsl.syntax.grammar import build_parser
+from antdsl.syntax.grammar import build_parser, numbered
 from antdsl.syntax.scan import scan
 from antdsl.syntax.tables import STARTS, TABLES_FILE, grammar_hash, load_parser
 from antdsl.syntax.words import BELONGS, BODIES, FORMS, LINE_WORDS
@@ -46,6 +47,29 @@ def test_tables_are_fresh(built: Lark) -> None:
     assert _patterns(shipped) == _patterns(built)
     kept = {str(rule) for rule in shipped.rules}
     assert kept <= {str(rule) for rule in built.rules} and len(kept) > 150
+
+
+def test_tables_are_the_same_from_build_to_build() -> None:
+    shipped = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))["data"]["parser"]["parser"]
+    random = Random(5)
+
+    def shuffled(keys: Iterable[str]) -> dict[str, str]:
+        keys = list(keys)
+        return dict(zip(keys, random.sample(keys, len(keys)), strict=True))
+
+    token, state = shuffled(shipped["tokens"]), shuffled(shipped["states"])
+    actions = [
+        (state[old], [(token[key], [kind, to if kind else int(state[str(to)])]) for key, (kind, to) in each.items()])
+        for old, each in shipped["states"].items()
+    ]
+    other = {
+        "tokens": {token[key]: name for key, name in shipped["tokens"].items()},
+        "states": {int(old): dict(random.sample(each, len(each))) for old, each in random.sample(actions, len(actions))},
+        "start_states": {start: int(state[str(at)]) for start, at in shipped["start_states"].items()},
+        "end_states": {start: int(state[str(at)]) for start, at in reversed(shipped["end_states"].items())},
+    }
+    assert other["start_states"] != shipped["start_states"]
+    assert json.dumps(numbered(other)) == json.dumps(shipped), "however lark has numbered them"
 
 
 def _patterns(parser: Lark) -> dict[str, tuple[str, str, int]]:

@@ -6,7 +6,7 @@ from graphlib import TopologicalSorter
 from math import inf
 
 from antdsl.plan.builder import Builder
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import Kind, Node, begun_with
 from antdsl.plan.lowering import pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import as_truth, keeps_moving, lower
@@ -29,6 +29,8 @@ def declare(w: Writer) -> None:
     for name in (*GIVEN, "group"):
         if name != "min_speed" or keeps_moving(w.species):
             w.declare(name, Kind.F32, "attribute")
+    if w.measures_pushes:
+        w.declare("moved", Kind.F32, "attribute")
     for attribute in w.species.attributes:
         if attribute.each:
             pair_values.declare(w, attribute)
@@ -71,6 +73,16 @@ def born(w: Writer, machines: list[MachineWriter]) -> None:
         machine.enter_start()
 
 
+def _unless_given(w: Writer, name: str, default: Value) -> Value:
+    """What the scene gives in place of an attribute's default, for all that is worked out after it."""
+    if name not in w.begun_with or not isinstance(default, Node) or default.kind not in (Kind.F32, Kind.BOOL):
+        return default
+    w.declare(begun_with(name), Kind.F32, "temp", inf)
+    b, given = w.b, w.read(begun_with(name))
+    value = given if default.kind is Kind.F32 else b("ne", given, b.number(0))
+    return b("where", b("lt", given, b.number(inf)), value, default)
+
+
 def _written(w: Writer) -> dict[str, model.AttributeDecl]:
     """Attributes that the author wrote. A given one that stands at the species' own name comes from the card and is made here:
     only here is it known what a step is."""
@@ -81,15 +93,16 @@ def _written(w: Writer) -> dict[str, model.AttributeDecl]:
 def _attribute(w: Writer, name: str) -> None:
     declared = _written(w)
     if name not in declared:
-        w.store(name, given_default(w, name), None, infinite=name == "max_turn")
+        value: Value = _unless_given(w, name, given_default(w, name))
+        w.store_value(name, value, None, infinite=name == "max_turn")
         return
     attribute = declared[name]
     w.b.span = attribute.span
     try:
-        value: Value = lower(w, attribute.default)
+        value = lower(w, attribute.default)
         if attribute.type.kind is model.Kind.BOOL:
             value = as_truth(w, value, attribute.default)
-        w.store_value(name, value, attribute.span, infinite=name == "max_turn")
+        w.store_value(name, _unless_given(w, name, value), attribute.span, infinite=name == "max_turn")
     except NotYet as missing:
         complain(w, missing)
 

@@ -260,6 +260,8 @@ def _attribute(w: Writer, e: model.Attribute) -> Value:
     if about is not None and e.of is not None:
         return w.rules.about(w, about, e.of)
     owner = None if e.of is None else lower(w, e.of)
+    if e.name == "moved" and "moved" not in w.registers and getattr(owner, "what", None) is not model.Kind.ITEM:
+        raise NotYet("`moved`, which nothing in the program asks for,", e.span, "add `let pushed = moved` to a species")
     if owner is None or isinstance(owner, Own):
         return own(w, e.name, e.type)
     if isinstance(owner, Hit):
@@ -302,6 +304,12 @@ def own(w: Writer, name: str, type: model.Type) -> Value:
     if name == "min_speed" and name not in w.registers:
         return w.b.number(0)
     return typed(w, w.read(name), type)
+
+
+def measures_pushes(program: model.Program) -> bool:
+    """Whether species have the register `moved`: whether any text of the program asks how far contacts pushed somebody."""
+    asking = parts([*program.species.values(), *program.specs])
+    return any(isinstance(part, model.Attribute) and part.name == "moved" for part in asking)
 
 
 def keeps_moving(species: model.Species) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import log
 
@@ -13,7 +13,7 @@ from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
 from antdsl.plan.lowering import birth, blending, clips, collisions, pair_values
 from antdsl.plan.lowering.actions import complain, write
-from antdsl.plan.lowering.expressions import own, scalar, truth, vector
+from antdsl.plan.lowering.expressions import measures_pushes, own, scalar, truth, vector
 from antdsl.plan.lowering.lazy import lazy
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.resting import stand_still
@@ -30,20 +30,30 @@ DEEP = 20_000  # frames of our own recursion over expressions; their nesting is 
 
 
 def lower(
-    program: model.Program, *, orders: Mapping[str, Sequence[str]] | None = None, notes: dict[str, Notes] | None = None
+    program: model.Program,
+    *,
+    orders: Mapping[str, Sequence[str]] | None = None,
+    notes: dict[str, Notes] | None = None,
+    begun_with: Mapping[str, Collection[str]] | None = None,
 ) -> tuple[ir.Plan, Report]:
     """The plan of a program, and complaints about what checks but cannot run yet.
 
     `orders`: for a species the order of its layers, each by its text or its word before the bracket. `notes` gets, for each
-    species, which nodes stand for which part of its text."""
+    species, which nodes stand for which part of its text. `begun_with`: for a species the attributes that the scene may give
+    to an agent at its birth."""
     report = Report()
     builder = Builder()
+    pushes = measures_pushes(program)
 
     def species_plan(s: model.Species) -> ir.SpeciesPlan:
         if notes is None:
-            return _species(Writer(builder, program, s, report, RULES), (orders or {}).get(s.name))
-        notes[s.name] = Notes()
-        return _species(NotingWriter(builder, program, s, report, RULES, notes[s.name]), (orders or {}).get(s.name))
+            w = Writer(builder, program, s, report, RULES)
+        else:
+            notes[s.name] = Notes()
+            w = NotingWriter(builder, program, s, report, RULES, notes[s.name])
+        w.measures_pushes = pushes
+        w.begun_with = frozenset((begun_with or {}).get(s.name, ()))
+        return _species(w, (orders or {}).get(s.name))
 
     with _deep():
         species = {s.name: species_plan(s) for s in program.species.values()}
@@ -94,7 +104,8 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     events = tuple(sorted({node.attrs[0] for node in nodes if node.op == "event"}))
     return ir.SpeciesPlan(
         species.name, w.registers, tuple(m.plan() for m in machines), born, decide, act, blend, events, layers,
-        lazy(decide, act, blend), clips.clips_of(species),
+        lazy(decide, act, blend), {a.name: pair_values.at_rest(w, a) for a in species.attributes if a.each},
+        clips.clips_of(species),
     )  # fmt: skip
 
 

@@ -36,19 +36,19 @@ def declared(w: Writer, name: str) -> model.AttributeDecl | None:
 def read(w: Writer, attribute: model.AttributeDecl, of: model.Expr) -> Node:
     """`likes[other]`."""
     whom = _id(w, lower(w, of))
-    found = _rest(w, attribute)
+    found = at_rest(w, attribute)
     for who, value in reversed(_slots(w, attribute)):
         found = w.b("where", w.b("eq", who, whom), value, found)
     if whom.op == "other.id":
         return found
-    return w.b("where", w.b("eq", whom, w.b.agent(-1)), _rest(w, attribute), found)
+    return w.b("where", w.b("eq", whom, w.b.agent(-1)), at_rest(w, attribute), found)
 
 
 def relax(w: Writer, attribute: model.AttributeDecl) -> None:
     """At the start of a step: what is left of each value, and no slot for what is gone."""
     b = w.b
     b.span = attribute.span
-    rest = _rest(w, attribute)
+    rest = at_rest(w, attribute)
     keep = b.number(1)
     if attribute.relax_over is not None:
         keep = b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over))))
@@ -81,7 +81,7 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
     over = gather(w, s.over)
     if not isinstance(over, Group):
         raise PlanError(f"a value per pair about hits: {s.span.text!r}")
-    rest, zero = _rest(w, attribute), b.number(0)
+    rest, zero = at_rest(w, attribute), b.number(0)
     amount = bound(w, s.element, over.element, lambda: _changed(w, s, zero, scalar(w, s.value)))
     strength = b("abs", b("sub", amount, rest if s.op == "=" else zero))
     other, slots = b("other.id"), _slots(w, attribute)
@@ -135,7 +135,7 @@ def _hold(w: Writer, name: str, value: Node, s: model.Assign) -> Node:
 def _put(w: Writer, attribute: model.AttributeDecl, whom: Node, value: Node, s: model.Assign, known: bool) -> None:
     """Keep a value about somebody: a pass over the slots in which the stronger stays and the weaker goes on to the next, so that
     the weakest of all is left over. `known`: a slot may tell of them already, which is freed before."""
-    b, rest = w.b, _rest(w, attribute)
+    b, rest = w.b, at_rest(w, attribute)
     carried, amount = whom, _hold(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
     changed: list[tuple[Node, Node]] = []
@@ -167,7 +167,8 @@ def _slots(w: Writer, attribute: model.AttributeDecl) -> list[tuple[Node, Node]]
     return [(w.read(who), w.read(value)) for who, value in slot_names(attribute.name, attribute.strongest)]
 
 
-def _rest(w: Writer, attribute: model.AttributeDecl) -> Node:
+def at_rest(w: Writer, attribute: model.AttributeDecl) -> Node:
+    """What a value per pair begins with and returns to: a constant or a param."""
     return scalar(w, attribute.default)
 
 

@@ -58,6 +58,8 @@ class Writer:
         self.report = report
         self.registers: dict[str, Register] = {}
         self.born = False
+        self.measures_pushes = False  # whether agents have the register `moved`
+        self.begun_with: frozenset[str] = frozenset()  # attributes that the scene may give at birth
         self.snapshot = False
         self.elements: list[model.Binding] = []
         self.environment: dict[model.Binding, values.Value] = {}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.observing.spec_judgement import Specs
+from antdsl.preview.requests import EVERYBODY
 from antdsl.preview.session import Session
 from antdsl.preview.viewing import messages
 from antdsl.preview.viewing.agents import Agents
@@ -21,6 +22,7 @@ from antdsl.preview.viewing.fields import Fields
 from antdsl.preview.viewing.lines import Curves, Flows
 from antdsl.preview.viewing.meshes import Meshes
 from antdsl.preview.viewing.names import Names
+from antdsl.preview.viewing.paths import Paths
 from antdsl.preview.viewing.scene import Box, scene
 from antdsl.preview.viewing.seen import Seen, View, Wanted
 from antdsl.preview.viewing.solids import Solids
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 # One of each is made; the ground comes first, what takes long to make last.
-VIEWS: tuple[Callable[[], View], ...] = (Meshes, Solids, Bodies, Agents, Curves, Fields, Flows, ItemBodies)
+VIEWS: tuple[Callable[[], View], ...] = (Meshes, Solids, Bodies, Agents, Paths, Curves, Fields, Flows, ItemBodies)
 _FRAME_EVERY = 1 / 60  # seconds
 _TOLD_EVERY = 0.1  # the same of status and curves while it plays
 _RATE_OVER = 1.0  # seconds of steps that the rate is measured over
@@ -58,6 +60,14 @@ class Screen:
 
     def stepped(self) -> None:
         self._steps.append(monotonic())
+        self._moved = True
+
+    def looks_ahead(self, session: Session) -> bool:
+        """Whether some page shows planned paths of somebody."""
+        return bool(self._wanted.planned) or (self._wanted.planned_of_all and len(session.world) <= EVERYBODY)
+
+    def looked_ahead(self) -> None:
+        """There is more, or less, of the time to come."""
         self._moved = True
 
     def entered(self) -> None:
@@ -150,7 +160,7 @@ class Screen:
         """Show all pages what is other than before; which slots that is."""
         self._shown_at = now
         going = session.playing or self.live.busy
-        seen, sent = Seen(session, self._wanted, self.live.light, now, going), set()
+        seen, sent = Seen(session, self.live.ahead, self._wanted, self.live.light, now, going), set()
         for view in self._views:
             for slot, packet in view.packets(seen):
                 self._standing[slot] = packet

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from antdsl.pipeline import Shot
+from antdsl.preview.ahead import Ahead
 from antdsl.preview.requests import Look, Who
 from antdsl.preview.session import Session
 from antdsl.runtime import World
@@ -23,25 +24,32 @@ class Wanted:
     flows: frozenset[str] = frozenset()
     solids: bool = True
     followed: tuple[Who, ...] = ()  # each once
+    planned: tuple[Who, ...] | None = None  # whose paths in the time to come, each once; None: no page shows any
+    planned_of_all: bool = False
 
     @classmethod
     def by(cls, looks: Iterable[Look]) -> Wanted:
         looks = list(looks)
         followed = dict.fromkeys(look.follow for look in looks if look.follow is not None)
+        planned = [look.planned for look in looks if look.planned is not None]
         return cls(
             frozenset((column.species, column.name) for look in looks for column in look.columns),
             frozenset(name for look in looks for name in look.fields),
             frozenset(name for look in looks for name in look.flows),
             any(look.solids for look in looks),
             tuple(followed),
+            tuple(dict.fromkeys(who for each in planned for who in each)) if planned else None,
+            any(not each for each in planned),
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A moment: the session, what is looked at, the remembered frame that is shown instead of the session's own, the clock."""
+    """A moment: the session and what comes after it, what is looked at, the remembered frame that is shown instead of the
+    session's own, the clock."""
 
     session: Session
+    ahead: Ahead
     wanted: Wanted
     light: int | None
     now: float

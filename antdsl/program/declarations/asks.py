@@ -5,6 +5,7 @@ from __future__ import annotations
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block, added
 from antdsl.program.kinds import Kind, Type
+from antdsl.program.names.collect import EVENTS
 from antdsl.program.names.scope import BAD, Scope, bad, did_you_mean, told_before, type_from_words
 from antdsl.program.tables.defaults import default_of
 from antdsl.program.tables.effects import EFFECTS, Effect
@@ -155,7 +156,12 @@ def _there(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
     scope.use(row.op, text)
     match row.target:
         case "event":
-            return True
+            if text in EVENTS:
+                scope.report.error(
+                    "wrong-argument", f"`{text}` comes by itself, and nobody can `{row.op}` it", name.span,
+                    f"give the event another name, such as `{row.op} bump`",
+                )  # fmt: skip
+            return text not in EVENTS
         case "field":
             known, otherwise = list(declared.fields), f"field {text} on … {{ cell 4 mm; half_life 8 s }}"
             kind, code, message = "field", "unknown-field", f"no field `{text}`"

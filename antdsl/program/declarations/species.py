@@ -258,6 +258,7 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Han
     scope = scope.inside(keys=keys, no_keep="an event happens now and then")
     other, met = None, _met(scope, node) if event == "collision" else ""
     if event == "collision" and node.variable is not None:
+        _named_apart(scope, node.variable)
         if met:
             other = Binding(node.variable.text, "element", Type(Kind.AGENT, Dim(), met), Rate.AGENT, node.variable.span)
         scope = scope.inside(locals={node.variable.text: other or bad(node.variable.span)})
@@ -275,13 +276,29 @@ def _met(scope: Scope, node: nodes.On) -> str:
     assert scope.species is not None
     if node.species is None:
         return scope.species.name
-    found = referable(scope, node.species)
-    if found is not None and found.kind is not Kind.AGENT:
-        scope.report.error(
-            "wrong-kind", f"`{node.species.text}` are items, and a collision is with an agent", node.species.span,
-            f"ask in a state, `when touching({node.species.text}) -> …`",
-        )  # fmt: skip
-    return found.of or "" if found is not None and found.kind is Kind.AGENT else ""
+    name, known = node.species, list(scope.declared.species)
+    thing = scope.declared.things.get(name.text)
+    if name.text in known:
+        scope.use("species", name.text)
+        scope.bind(name.span, "species", name.text)
+        return name.text
+    if thing is not None:
+        advice = f"ask in a state, `when touching({name.text}) -> …`"
+        scope.report.error("wrong-kind", f"`{name.text}` is no species, and a collision is with an agent", name.span, advice)
+    else:
+        advice = did_you_mean(name.text, known, f"declare it: `world {{ species {name.text} }}`")
+        scope.report.error("unknown-species", f"no species `{name.text}`", name.span, advice)
+    return ""
+
+
+def _named_apart(scope: Scope, variable: nodes.Name) -> None:
+    """Complain about a name in the brackets of a collision that means something else already."""
+    if variable.text in scope.declared.species:
+        message = f"`{variable.text}` is a species, and what stands here names the other agent"
+        scope.report.error("wrong-argument", message, variable.span, f"write `on collision(other: {variable.text})`")
+    elif variable.text == "self":
+        message = "`self` is the agent itself, and what stands here names the other one"
+        scope.report.error("wrong-argument", message, variable.span, "write `on collision(other)`")
 
 
 # --- layers ----------------------------------------------------------------------------------------------------------

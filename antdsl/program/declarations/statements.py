@@ -113,7 +113,7 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
         scope.report.error(
             "not-commuting", f"`{what}` is set in a handler, where several events may come at once", line.span,
-            f"add to it: `{what} += {text}`, or ask for the event in a change: `when EVENT -> … {{ {what} = {text} }}`",
+            f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`",
         )  # fmt: skip
         return None
     new = wanted(inner, line.value, type, f"`{name}`")

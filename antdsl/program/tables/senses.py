@@ -274,7 +274,7 @@ _ROWS = (
         "the id of the deepest agent that the body has begun to touch, -1 for nobody, and of all that it touches then; operands: "
         "of those whom it touched until now",
         operands="l" * limits.TOUCHED,
-        trace="{whom} touched",
+        trace="begins to touch number {whom:.0f}",
     ),
 )
 SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}

@@ -87,6 +87,7 @@ GIVEN: dict[str, Given] = {
     "heading": Given("push", False, None, "where it faces, a unit vector along the surface; may be set in `on` and `enter`"),
     "up": Given("push", False, None, "away from the surface, a unit vector"),
     "speed": Given("speed", False, None, "the length of its velocity"),
+    "moved": Given("length", False, None, "how far contacts pushed it in the step before; 0 where bodies take no room"),
     "id": Given("number", False, None, "its number, given at birth and never again"),
     "age": Given("time", False, None, "since birth"),
     "group": Given("number", False, None, "which line of the scene's `crowd` made it, from 0"),

@@ -16,6 +16,7 @@ from antdsl.numerics.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.plan import ir
 from antdsl.plan.register_reads import early_loads, kept_senses, written
 from antdsl.plan.traverse import needed, operands, placed
+from antdsl.runtime.pairs import only_the_nearest
 from antdsl.runtime.world import DTYPES
 from antdsl.source import Span
 
@@ -87,7 +88,7 @@ class BlockCompiler:
     """Makes the instructions of one block."""
 
     def __init__(self, species: ir.SpeciesPlan, block: str, order: dict[ir.Statement, int], sets: dict[ir.Node, int]) -> None:
-        self.name, self._order = block, order
+        self.name, self._species, self._order = block, species, order
         self.uniforms: dict[ir.Node, int] = {}
         self.slots = FIRST_SLOT
         self.lazy = frozenset(kept_senses(species)) if block != "born" else frozenset()
@@ -238,7 +239,7 @@ class BlockCompiler:
 
     def _pairs(self, scope: Scope, node: ir.Node) -> PairScope:
         if node not in scope.pairs:
-            if node.op == "set.every":
+            if node.op == "set.every" and not only_the_nearest(self._species, node):
                 self.everybody.add(node.attrs[0])
             inputs = tuple(self._known(scope, a) for a in node.args)
             pairs = scope.pairs[node] = PairScope(self.slot())

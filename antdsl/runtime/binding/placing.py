@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary, randomness
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import Vector
 from antdsl.plan import ir
 from antdsl.plan.traverse import placed
 from antdsl.program.tables.effects import settled_in
@@ -22,6 +23,8 @@ from antdsl.runtime.moving import walks
 from antdsl.runtime.moving.tilting import settle
 from antdsl.runtime.world import AXES, Crowded, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlaceData
+
+_STEEP = 1e-3  # sine of the angle to the ground's normal below which a way leads off the ground
 
 
 def populate(world: World) -> None:
@@ -86,6 +89,7 @@ def _put(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: Drawn) -
     for k, axis in enumerate(AXES):
         population.now[f"up.{axis}"][rows] = drawn.up[:, k]
     population.now["group"][rows] = crowd.group
+    give_at_birth(population, np.arange(rows.start, rows.stop), crowd.place)
     return np.arange(rows.start, rows.stop)
 
 
@@ -99,6 +103,7 @@ def _radii(
         populations={name: empty_population(p.plan, world.ground) for name, p in world.populations.items()},
         faults=FaultLog(),
         grids={},
+        trees={},
         clearances={},
         transitions={},
         detail=None,
@@ -177,14 +182,39 @@ def _shuffle(world: World, population: Population) -> None:
         select_rows(population, np.random.default_rng(world.options.shuffle_rows).permutation(len(population)))
 
 
+def give_at_birth(population: Population, rows: NDArray[np.intp], place: PlaceData) -> None:
+    """Put what the points of a place give into the registers that the block `born` reads, before it is run."""
+    for name, column in place.values.items():
+        if (register := ir.begun_with(name)) in population.now:
+            given = column[population.ids[rows] % len(column)]
+            population.now[register][rows] = np.where(np.isfinite(given), given, np.inf)
+
+
+def _as_points_face(world: World, population: Population, rows: NDArray[np.intp], up: Vector, drawn: Vector) -> Vector:
+    """Headings: those of the points on which agents begin, along the ground; as drawn where there are none."""
+    heading = drawn
+    for crowd in world.setting.crowds:
+        if crowd.species != population.name or crowd.place.ahead is None:
+            continue
+        own = np.flatnonzero(population.now["group"][rows] == crowd.group)
+        ahead = vec.columns(crowd.place.ahead[population.ids[rows[own]] % len(crowd.place.ahead)], np.float32)
+        heading = vec.copy(heading)
+        for component, value in zip(
+            heading, vec.unit(vec.flat(ahead, vec.take(up, own)), vec.take(drawn, own), _STEEP), strict=True
+        ):
+            component[own] = value
+    return heading
+
+
 def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Up from the ground, and a heading drawn around it; at rest."""
+    """Up from the ground, and a heading drawn around it unless the scene says which; at rest."""
     wanted = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     up = vec.columns(world.ground.upright(population.footing, wanted)[rows], np.float32)
     angle = _draw(world, population.name, 0, population.ids[rows]) * TURN
     side = vec.across(up)
     ahead = vec.cross(up, side)
     heading = vec.add(vec.scale(side, elementary.cos(angle)), vec.scale(ahead, elementary.sin(angle)))
+    heading = _as_points_face(world, population, rows, up, heading)
     for k, axis in enumerate(AXES):
         population.normal[rows, k] = up[k]
         for name, value in (("position", population.position[rows, k]), ("up", up[k]), ("heading", heading[k])):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.catalogue import CAPSULES, Capsule, body_of
-from antdsl.numerics import elementary, randomness
+from antdsl.numerics import compiled, elementary, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import dot
 from antdsl.runtime.world import AXES, Population, World
@@ -22,8 +22,10 @@ from antdsl.senses.touching import within_reach
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
-SLACK = 0.15  # of its width: how far beyond its trunk an agent is looked about, since it will yet be moved
+_SLACK = 0.3  # of its width: how far beyond its trunk an agent is looked about, since it will yet be moved
+_ABOUT = 1.5  # widths that two are apart, up to which they may yet meet
 _OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
 _NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
 _SPREAD = 0x9E3779B1  # an odd number, that numbers pairs of ids
@@ -53,11 +55,12 @@ class Crowd:
         self.radius = size * self._shares("width") * 0.5
         self.half = np.maximum(size * self._shares("length") * 0.5 - self.radius, 0.0)
         self.key = self.of(lambda p: p.ids + self.species.index(p) * _SPECIES)
-        high, ahead = size * self._shares("height"), size * self._shares("ahead")
+        high, self.ahead = size * self._shares("height"), size * self._shares("ahead")  # of the trunk's middle from the feet, mm
         heading, up = self.vector("heading"), self.vector("up")
         place = self.of(lambda p: p.position)
-        x, y, z = ((place[:, k] + up[k] * high) + heading[k] * ahead for k in range(3))
-        self.middle = (x, y, z)  # float64[n] each, mm
+        self.middle = np.empty((3, len(self)))  # mm
+        for k in range(3):
+            self.middle[k] = (place[:, k] + up[k] * high) + heading[k] * self.ahead
 
     def __len__(self) -> int:
         return int(self.first[-1])
@@ -86,9 +89,10 @@ class Crowd:
 class Near:
     """Pairs of capsules that are near each other. `rows` of the crowd that are in any, ascending; `i` and `j` count these, and
     the first of a pair comes first by species and id. Of each row, as it stood when they were found: `middle`, `ahead` and `up`
-    (3, k), `half` and `radius` (k), mm. `drawn` gives ways (3, m) to part for pairs of rows
-    that have none of their own."""
+    (3, k), `half` and `radius` (k), mm. Of each pair, as it was last measured: `gap` (m) mm, how far it is from touching, below 0
+    inside each other, and `way` (3, m), unit vectors from the second to the first, the shortest way to part."""
 
+    crowd: Crowd
     rows: Rows
     i: Rows
     j: Rows
@@ -97,38 +101,53 @@ class Near:
     up: Floats
     half: Floats
     radius: Floats
-    drawn: Callable[[Rows, Rows], Floats]
+    gap: Floats
+    way: Floats
 
-    def gaps(self, gone: Floats | None = None, which: Rows | None = None) -> tuple[Floats, Floats]:
-        """How far pairs, all or some, are from touching (float64[m] mm, below 0 inside each other) once rows have gone by (3, k)
-        mm, and unit vectors (3, m) from the second to the first of each, the shortest way to part."""
-        at = self.middle if gone is None else self.middle + gone
-        i, j = (self.i, self.j) if which is None else (self.i.take(which), self.j.take(which))
-        return self.between(at, i, j)
+    def measure(self, gone: Floats, changed: Flags) -> None:
+        """Measure anew the pairs of which a row has `changed` (k), once rows have gone by (3, k) mm."""
+        self._measure(gone, changed, self.gap, self.way)
 
-    def between(self, at: Floats, i: Rows, j: Rows) -> tuple[Floats, Floats]:
-        """The same of pairs `i` and `j` of rows, whose middles are at places (3, k) mm."""
+    def before(self, walked: Floats) -> tuple[Floats, Floats]:
+        """Gaps and ways of all pairs before rows `walked` (3, k) mm, as these face now."""
+        gap, way = np.empty_like(self.gap), np.empty_like(self.way)
+        self._measure(-walked, np.ones(len(self.rows), np.bool_), gap, way)
+        return gap, way
 
-        def drawn(lost: Rows) -> Floats:
-            return self.drawn(i.take(lost), j.take(lost))
+    def _measure(self, gone: Floats, changed: Flags, gap: Floats, way: Floats) -> None:
+        if compiled.wanted(len(self.i)):
+            from antdsl.runtime.moving.capsules_compiled import measured
 
-        return _gaps(at, self.ahead, self.up, self.half, self.radius, i, j, drawn)
+            lost = np.empty(len(self.i), np.intp)
+            capsules = (self.ahead, self.up, self.half, self.radius)
+            count = measured(self.middle, gone, *capsules, self.i, self.j, changed, gap, way, lost)
+            which = lost[:count]
+        else:
+            which = np.flatnonzero(changed.take(self.i) | changed.take(self.j))
+        if len(which):
+            gap[which], way[:, which] = self.measured(gone, which)
+
+    def measured(self, gone: Floats, which: Rows) -> tuple[Floats, Floats]:
+        """Gaps and ways of some pairs, once rows have gone by (3, k) mm."""
+        return _gaps(self, self.middle + gone, self.i.take(which), self.j.take(which))
 
 
 def find(crowd: Crowd) -> Near:
-    """The pairs of a crowd whose capsules may touch, whichever way they lie."""
-    pairs = within_reach(crowd.middle, crowd.half + crowd.radius * (1 + 2 * SLACK), crowd.key)
-    rows, i, j = part_of(len(crowd), pairs.i, pairs.j)
-    key = crowd.key.take(rows)
-    late = key.take(i) > key.take(j)
-    i, j = np.where(late, j, i), np.where(late, i, j)
-    middle = np.stack([part.take(rows) for part in crowd.middle])
-    ahead, up = (np.stack([part.take(rows) for part in crowd.vector(name)]).astype(np.float64) for name in ("heading", "up"))
-
-    def drawn(first: Rows, second: Rows) -> Floats:
-        return _drawn(crowd, rows, up, first, second)
-
-    return Near(rows, i, j, middle, ahead, up, crowd.half.take(rows), crowd.radius.take(rows), drawn)
+    """The pairs of a crowd that may meet."""
+    x, y, z = crowd.middle
+    pairs = within_reach((x, y, z), crowd.half + crowd.radius * (1 + 2 * _SLACK), crowd.key)
+    late = crowd.key.take(pairs.i) > crowd.key.take(pairs.j)
+    i, j = np.where(late, pairs.j, pairs.i), np.where(late, pairs.i, pairs.j)
+    ahead, up = (np.stack(crowd.vector(name)).astype(np.float64) for name in ("heading", "up"))
+    every, number = np.ones(len(crowd), np.bool_), np.arange(len(crowd))
+    gap, way = np.empty(len(i)), np.empty((3, len(i)))
+    all_of_them = Near(crowd, number, i, j, crowd.middle, ahead, up, crowd.half, crowd.radius, gap, way)
+    all_of_them.measure(np.zeros_like(crowd.middle), every)
+    kept = np.flatnonzero(gap < (crowd.radius.take(i) + crowd.radius.take(j)) * _ABOUT)
+    rows, i, j = part_of(len(crowd), i.take(kept), j.take(kept))
+    middle, ahead, up = (v.take(rows, axis=1) for v in (crowd.middle, ahead, up))
+    gap, way = gap.take(kept), way.take(kept, axis=1)
+    return Near(crowd, rows, i, j, middle, ahead, up, crowd.half.take(rows), crowd.radius.take(rows), gap, way)
 
 
 def depths(world: World) -> Floats:
@@ -137,11 +156,15 @@ def depths(world: World) -> Floats:
     crowd = Crowd(world)
     near = find(crowd)
     deep = np.zeros(len(crowd))
-    if len(near.i):
-        gap, _ = near.gaps()
-        inside = np.flatnonzero(gap < 0)
-        for k in (near.i.take(inside), near.j.take(inside)):
-            np.maximum.at(deep, near.rows.take(k), -gap.take(inside) / (2 * near.radius.take(k)))
+    deep[near.rows] = deepest(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)
+    return deep
+
+
+def deepest(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
+    """How deep (mm) each of so many rows is in the worst of the others, by the gaps of pairs; 0 apart."""
+    deep, inside = np.zeros(count), np.flatnonzero(gap < 0)
+    for k in (i.take(inside), j.take(inside)):
+        np.maximum.at(deep, k, -gap.take(inside))
     return deep
 
 
@@ -154,10 +177,10 @@ def part_of(count: int, i: Rows, j: Rows) -> tuple[Rows, Rows, Rows]:
     return np.flatnonzero(there), number.take(i), number.take(j)
 
 
-def _gaps(
-    at: Floats, ahead: Floats, up: Floats, half: Floats, radius: Floats, i: Rows, j: Rows, drawn: Callable[[Rows], Floats]
-) -> tuple[Floats, Floats]:
-    """See `Near.gaps`. The nearest points of two segments by C. Ericson, Real-Time Collision Detection, 2005, 5.1.9."""
+def _gaps(near: Near, at: Floats, i: Rows, j: Rows) -> tuple[Floats, Floats]:
+    """Gaps and ways of some pairs whose middles are at places (3, k) mm. The nearest points of two segments by C. Ericson,
+    Real-Time Collision Detection, 2005, 5.1.9."""
+    ahead, up, half, radius = near.ahead, near.up, near.half, near.radius
     one, other = up.take(i, axis=1), up.take(j, axis=1)
     away = at.take(i, axis=1) - at.take(j, axis=1)
     between = one + other
@@ -186,23 +209,24 @@ def _gaps(
     way = apart / np.maximum(distance, 1e-300)
     lost = np.flatnonzero(distance <= wide * _NOWHERE)
     if len(lost):
-        way[:, lost] = _parting(flat.take(lost, axis=1), wide.take(lost), lost, drawn)
+        way[:, lost] = _parting(near, flat.take(lost, axis=1), wide.take(lost), i.take(lost), j.take(lost))
     return gap, way
 
 
-def _parting(flat: Floats, wide: Floats, pairs: Rows, drawn: Callable[[Rows], Floats]) -> Floats:
+def _parting(near: Near, flat: Floats, wide: Floats, i: Rows, j: Rows) -> Floats:
     """Ways to part of pairs whose axes cross: from middle to middle, and where these are in one place, as drawn."""
     size = np.sqrt(dot(flat, flat))
     way = flat / np.maximum(size, 1e-300)
     same = np.flatnonzero(size <= wide * _NOWHERE)
     if len(same):
-        way[:, same] = drawn(pairs.take(same))
+        way[:, same] = _drawn(near, i.take(same), j.take(same))
     return way
 
 
-def _drawn(crowd: Crowd, rows: Rows, up: Floats, i: Rows, j: Rows) -> Floats:
+def _drawn(near: Near, i: Rows, j: Rows) -> Floats:
     """Unit vectors (3, m) along the ground of the first of each pair, by the seed and both ids."""
-    first, second = (crowd.key.take(rows.take(k)) for k in (i, j))
+    crowd = near.crowd
+    first, second = (crowd.key.take(near.rows.take(k)) for k in (i, j))
     kinds = (first // _SPECIES) * len(crowd.species) + second // _SPECIES
     turn = np.empty(len(i), np.float32)
     for kind in np.unique(kinds):
@@ -211,7 +235,7 @@ def _drawn(crowd: Crowd, rows: Rows, up: Floats, i: Rows, j: Rows) -> Floats:
         ids = (first[some] % _SPECIES) * _SPREAD + second[some] % _SPECIES
         turn[some] = randomness.uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
     angle = turn * np.float32(2 * np.pi)
-    normal = up.take(i, axis=1)
+    normal = near.up.take(i, axis=1)
     side = np.stack(vec.across((normal[0], normal[1], normal[2])))
     found: Floats = side * elementary.cos(angle) + vec.stacked_cross(normal, side) * elementary.sin(angle)
     return found

@@ -18,15 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.protocol import Move
-from antdsl.numerics import elementary
+from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vector_rows import length
 from antdsl.numerics.vectors import Vector, dot
-from antdsl.runtime.moving.capsules import Crowd, Near, find, part_of
-from antdsl.runtime.moving.falling import floating, pushed_in_the_air
-from antdsl.runtime.moving.obstacles import slide_some
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.runtime.moving import cutting
+from antdsl.runtime.moving.capsules import Crowd, Near, deepest, find, part_of
+from antdsl.runtime.moving.corrections import Corrections
+from antdsl.runtime.world import AXES, PUSHED, World
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -34,6 +32,7 @@ Flags = NDArray[np.bool_]
 
 _F = np.float32
 _DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
+_SEEN = 0.05  # of the room of two: an overlap for which more is walked
 _FINE = 40  # digits of a term in a sum, below the widest overlap
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 _SHARES = 1 << 20  # a share is a multiple of one in so many
@@ -42,16 +41,12 @@ _OUTWARD = 10.0  # times the difference of two, by which the outer one makes roo
 _PRESSED = 1.0  # the same among those who are hardly in each other: there a crowd that presses must not be thrown about
 _LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
 _EAGER = 1.5  # times the mean of its contacts, by which one in a heap is moved
-_LONGER = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
 _STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
 _MISSED = 0.05  # of a radius: who ends so far from where it was to is looked at again
 _HELD = 0.5  # of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
-_GOES = 0.5  # of its way: who goes less is stopped
-_BENDS = 3  # times that a step is bent along those in its way, before it is cut
 _HEAP = 0.4  # radii: who was half as deep in another begins to be in a heap, who was one and a half times as deep is
 _RESTS = 0.01  # of the way that it may walk: who goes less rests, and presses nobody
 _YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
-_BACK = 3  # times that one is led back which got farther than it may
 _SOFT = 0.1  # s, in which two part by the most of their overlap
 
 
@@ -65,7 +60,7 @@ class Effort:
     rounds: int
 
 
-EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(4, 3, 3)}
+EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 3)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,23 +84,31 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     """Move apart who stands in another, after a substep that `began` so and took `dt` s."""
     if len(world) < 2:
         return
-    effort, before, crowd = EFFORTS[world.setting.contacts], began.places, Crowd(world)
+    effort, crowd = EFFORTS[world.setting.contacts], Crowd(world)
     near = find(crowd)
     if not len(near.i):
         return
     share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
-    which, held = np.arange(len(near.i)), crowd.of(lambda p: p.quarantined).take(near.rows)
-    cut = np.zeros_like(near.middle)
+    agents = _Agents.of(crowd, near, began, dt)
+    cut, walked = np.zeros_like(near.middle), agents.walked(crowd, near.rows)
+    gap, way = near.before(walked)
+    deep = deepest(len(near.rows), near.i, near.j, gap)
     if world.setting.contacts == "hard":
-        cut, stopped = _cut(crowd, near, before, dt)
+        cut, stopped = cutting.cut(near, agents.came, agents.mass, walked, gap, way)
         _face_as_before(crowd, near, stopped, began.headings)
+        changed = _moved(cut)
+        changed[stopped] = True
+        near.measure(cut, changed)
+    visible = (near.radius.take(near.i) + near.radius.take(near.j)) * _SEEN
+    which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
     for _ in range(effort.rounds):
-        asked = _apart(crowd, near, which, held, before, dt, effort, share, cut)
-        cut = np.zeros_like(cut)
-        some = np.flatnonzero((asked[0] != 0) | (asked[1] != 0) | (asked[2] != 0))
-        got = _walked(crowd, near.rows.take(some), asked.take(some, axis=1), before, dt)
-        near.middle[:, some] += got
+        asked = _apart(near, agents, which, held, walked, deep, effort, share, cut)
+        pushed, cut = asked - cut, np.zeros_like(cut)
+        some = np.flatnonzero(_moved(asked))
         wanted = asked.take(some, axis=1)
+        got = walking.walk(near.rows.take(some), wanted)
+        near.middle[:, some] += got
+        _note_pushes(crowd, near.rows.take(some), pushed.take(some, axis=1), wanted, got)
         short = wanted - got
         missed = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
         if not missed.any():
@@ -114,75 +117,155 @@ def resolve(world: World, began: Stood, dt: float) -> None:
         held[some[missed & (dot(got, wanted) < _HELD * dot(wanted, wanted))]] = True
         touched = np.zeros(len(held), np.bool_)
         touched[some[missed]] = True
-        which = np.flatnonzero(touched.take(near.i) | touched.take(near.j))
+        which = touched.take(near.i) | touched.take(near.j)
+        near.measure(cut, touched)
+        if not (which & (near.gap < -visible)).any():
+            break
+        walked = agents.walked(crowd, near.rows)
 
 
-def _walked(crowd: Crowd, rows: Rows, gone: Floats, before: Mapping[str, Floats], dt: float) -> Floats:
-    """Walk rows of a crowd, ascending, by (3, k) mm each; gives by what they have come on."""
-    got = np.zeros_like(gone)
+def _note_pushes(crowd: Crowd, rows: Rows, pushed: Floats, asked: Floats, got: Floats) -> None:
+    """Add to how far rows of a crowd, ascending, were pushed in this step, where their program asks. Of what they were `asked` to
+    go, (3, k) mm, only what others `pushed` counts, not what their own step was cut by; and of that what they `got`."""
+    short = np.where((pushed == 0).all(axis=0), 0.0, got - (asked - pushed))
+    far = np.sqrt(dot(short, short)).astype(_F)
     for number, population in enumerate(crowd.species):
-        first, last = np.searchsorted(rows, crowd.first[number : number + 2])
-        if last > first:
-            own = rows[first:last] - crowd.first[number]
-            place = population.position[own]
-            _walk(crowd.world, population, own, gone[:, first:last], before[population.name], dt)
-            got[:, first:last] = (population.position[own] - place).T
-    return got
+        if PUSHED in population.now:
+            first, last = np.searchsorted(rows, crowd.first[number : number + 2])
+            population.now[PUSHED][rows[first:last] - crowd.first[number]] += far[first:last]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Agents:
+    """What counts of the rows of pairs in a substep: where they `start` and how they `came`, their way in a substep before this
+    one, (3, k) mm; how far they may walk, `reach` (k) mm; `mass`; the share of that to which the others about them can push them,
+    `yields`; the normals (3, k) of the ground under their feet; and who is `frozen` by a fault."""
+
+    start: Floats
+    came: Floats
+    reach: Floats
+    mass: Floats
+    yields: Floats | float
+    normal: Floats
+    frozen: Flags
+
+    @staticmethod
+    def of(crowd: Crowd, near: Near, began: Stood, dt: float) -> _Agents:
+        rows = near.rows
+        start, normal = crowd.of(lambda p: began.places[p.name]), crowd.of(lambda p: p.normal)
+        came = np.stack([crowd.of(lambda p, axis=axis: p.start[f"velocity.{axis}"]).take(rows) * dt for axis in AXES])  # type: ignore[misc]
+        speed = np.maximum(crowd.of(lambda p: p.now["max_speed"]).take(rows), _F(0))
+        mass = np.maximum(crowd.of(lambda p: p.now["mass"]).take(rows).astype(np.float64), 1e-30)
+        yields: Floats | float = 1.0
+        if mass.min() < mass.max():  # or the sweeps would push at a heavy one as often as a light one cannot get away
+            yields = np.zeros(len(rows))
+            for k, other in ((near.i, near.j), (near.j, near.i)):
+                np.maximum.at(yields, k, cutting.lightness(mass.take(k), mass.take(other)))
+        return _Agents(
+            np.ascontiguousarray(start.take(rows, axis=0).T),
+            came.astype(np.float64),
+            speed.astype(np.float64) * dt,
+            mass,
+            yields,
+            np.ascontiguousarray(normal.take(rows, axis=0).T).astype(np.float64),
+            crowd.of(lambda p: p.quarantined).take(rows),
+        )
+
+    def walked(self, crowd: Crowd, rows: Rows) -> Floats:
+        """By how much (3, k) mm agents are now from where they started."""
+        return np.ascontiguousarray(crowd.of(lambda p: p.position).take(rows, axis=0).T) - self.start
+
+
+def _moved(gone: Floats) -> Flags:
+    """Who goes (3, k) anywhere."""
+    moved: Flags = (gone[0] != 0) | (gone[1] != 0) | (gone[2] != 0)
+    return moved
 
 
 def _apart(
-    crowd: Crowd,
     near: Near,
-    which: Rows,
+    agents: _Agents,
+    which: Flags,
     held: Flags,
-    before: Mapping[str, Floats],
-    dt: float,
+    walked: Floats,
+    deep: Floats,
     effort: Effort,
     share: float,
     cut: Floats,
 ) -> Floats:
-    """By what (3, k) mm the rows of `near` are to be moved for some of the pairs, with what their steps were `cut` by (3, k) mm;
-    who is `held` is not moved farther."""
-    rows, i, j = near.rows, near.i, near.j
-    start, place = crowd.of(lambda p: before[p.name]), crowd.of(lambda p: p.position)
-    speed, mass = crowd.of(lambda p: p.now["max_speed"]), crowd.of(lambda p: p.now["mass"])
-    feet = crowd.of(lambda p: p.normal)
+    """By what (3, k) mm rows are to be moved for some of the pairs (m), as measured after steps were `cut` by (3, k) mm; who is
+    `held` is not moved farther. Rows have `walked` (3, k) mm and were so `deep` (k) mm in others before."""
+    size = np.sqrt(dot(walked, walked))
+    most = np.maximum(agents.reach, size)
+    room = np.minimum(most * _YIELD + deep, most) * agents.yields
+    heap = np.minimum(np.maximum(deep / (near.radius * _HEAP) - 0.5, 0.0), 1.0)
+    heap[size <= _RESTS * most] = 1.0
+    light = np.where(held, 0.0, 1 / agents.mass)
+    least = (near.radius.take(near.i) + near.radius.take(near.j)) * _DEAD
     magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) + 1 - _FINE + 52)
-    gone = cut.copy()
-    for _ in range(effort.looks):
-        gap, way = near.gaps(gone, which)
-        first, second = i.take(which), j.take(which)
-        least = (near.radius.take(first) + near.radius.take(second)) * _DEAD
-        touching = np.flatnonzero(gap < -least)
-        if not len(touching):
+    which, gone, looks = which.copy(), cut.copy(), effort.looks
+    if compiled.wanted(len(near.i)):
+        from antdsl.runtime.moving.contacts_compiled import parted
+
+        lost = np.empty(len(near.i), np.intp)
+        capsules = (near.middle, near.ahead, near.up, near.half, near.radius, near.i, near.j, near.gap, near.way)
+        limits = (light, heap, agents.normal, walked, most, room, cut, gone)
+        while looks:
+            looks, count = parted(*capsules, which, *limits, magic, looks, effort.sweeps, share, lost)
+            some = lost[:count]
+            near.gap[some], near.way[:, some] = near.measured(gone, some)
+        return gone
+    for _ in range(looks):
+        before = gone.copy()
+        _look(near, which, least, light, heap, agents.normal, walked, most, room, cut, gone, magic, effort.sweeps, share)
+        changed = _moved(gone - before)
+        if not changed.any():
             break
-        met = np.zeros(len(rows), np.bool_)
-        met[first.take(touching)] = True
-        met[second.take(touching)] = True
-        part = np.flatnonzero(met.take(first) | met.take(second))  # others are not reached by what these are moved in a sweep
-        some, first, second = part_of(len(rows), first.take(part), second.take(part))
-        who = rows.take(some)
-        light = np.where(held.take(some), 0.0, 1 / np.maximum(mass.take(who).astype(np.float64), 1e-30))
-        walked = np.ascontiguousarray((place.take(who, axis=0) - start.take(who, axis=0)).T)
-        most = np.maximum(np.maximum(speed.take(who), _F(0)).astype(np.float64) * dt, np.sqrt(dot(walked, walked)))
-        deep = _before(near, some, first, second, walked)
-        room = np.minimum(most * _YIELD + deep, most)
-        heap = np.minimum(np.maximum(deep / (near.radius.take(some) * _HEAP) - 0.5, 0.0), 1.0)
-        heap[dot(walked, walked) <= (_RESTS * most) ** 2] = 1.0
-        normal = np.ascontiguousarray(feet.take(who, axis=0).T).astype(np.float64)
-        pairs = _Pairs(first, second, gap.take(part), way.take(part, axis=1), least.take(part), light, heap, normal, magic)
-        seen = gone.take(some, axis=1)
-        led = seen
-        for _ in range(effort.sweeps):
-            asked = pairs.swept(led - seen, share)
-            if asked is None:
-                break
-            led = _within(led + asked, -cut.take(some, axis=1), room)
-            led = _within(led, walked, most)
-        gone[:, some] = led
-        moved = (gone[0] != 0) | (gone[1] != 0) | (gone[2] != 0)
-        which = np.flatnonzero(moved.take(i) | moved.take(j))
+        near.measure(gone, changed)
+        which |= changed.take(near.i) | changed.take(near.j)
     return gone
+
+
+def _look(
+    near: Near,
+    which: Flags,
+    least: Floats,
+    light: Floats,
+    heap: Floats,
+    normal: Floats,
+    walked: Floats,
+    most: Floats,
+    room: Floats,
+    cut: Floats,
+    gone: Floats,
+    magic: float,
+    sweeps: int,
+    share: float,
+) -> None:
+    """Change by what (3, k) rows are `gone`, for some pairs (m) as they were last measured; overlaps of less than the `least` (m)
+    do not count."""
+    count = len(near.rows)
+    touching = np.flatnonzero(which & (near.gap < -least))
+    if not len(touching):
+        return
+    met = np.zeros(count, np.bool_)
+    met[near.i.take(touching)] = True
+    met[near.j.take(touching)] = True
+    part = np.flatnonzero(
+        which & (met.take(near.i) | met.take(near.j))
+    )  # others are not reached by what these are moved in a sweep
+    some, i, j = part_of(count, near.i.take(part), near.j.take(part))
+    light, heap, normal, walked = light.take(some), heap.take(some), normal.take(some, axis=1), walked.take(some, axis=1)
+    pairs = _Pairs(i, j, near.gap.take(part), near.way.take(part, axis=1), least.take(part), light, heap, normal, magic)
+    seen, most, room, back = gone.take(some, axis=1), most.take(some), room.take(some), -cut.take(some, axis=1)
+    led = seen
+    for _ in range(sweeps):
+        asked = pairs.swept(led - seen, share)
+        if asked is None:
+            break
+        led = _within(led + asked, back, room)
+        led = _within(led, walked, most)
+    gone[:, some] = led
 
 
 class _Pairs:
@@ -260,67 +343,9 @@ def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str
         heading = vec.unit(vec.flat(vec.take(facing[population.name], own), up), now)
         for axis, component in zip(AXES, heading, strict=True):
             population.now[f"heading.{axis}"][own] = component
+        turned = near.ahead[:, stopped[first:last]]
         near.ahead[:, stopped[first:last]] = heading
-
-
-def _cut(crowd: Crowd, near: Near, before: Mapping[str, Floats], dt: float) -> tuple[Floats, Rows]:
-    """By what (3, k) mm steps of the rows of `near` are cut and bent so that nobody enters another, and who goes less than half
-    of its way.
-
-    As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent by itself keeps to half-planes: towards
-    each other one it goes no farther than half of the gap, and than what that one withdraws if it goes on as it came. What all
-    share in is so found without anybody waiting for others, and a crowd that presses stands still. Of two masses the heavier is
-    cut less."""
-    rows = near.rows
-    gap, _ = near.gaps()
-    which = np.flatnonzero(gap < near.radius.take(near.i) + near.radius.take(near.j))
-    gone = np.zeros_like(near.middle)
-    if not len(which):
-        return gone, which
-    some, i, j = part_of(len(rows), near.i.take(which), near.j.take(which))
-    who = rows.take(some)
-    start, place = crowd.of(lambda p: before[p.name]).take(who, axis=0), crowd.of(lambda p: p.position).take(who, axis=0)
-    walked = np.ascontiguousarray((place - start).T)
-    came = [crowd.of(lambda p, axis=axis: p.start[f"velocity.{axis}"]).take(who) * dt for axis in AXES]  # type: ignore[misc]
-    gone[:, some] = -walked
-    gap, way = near.between(near.middle + gone, near.i.take(which), near.j.take(which))
-    both, other = np.concatenate([i, j]), np.concatenate([j, i])
-    ways = np.concatenate([way, -way], axis=1)
-    free = np.maximum(gap, 0.0) * 0.5
-    free = np.concatenate([free, free]) + np.maximum(-dot(ways, np.stack(came).astype(np.float64).take(other, axis=1)), 0.0)
-    mass = np.maximum(crowd.of(lambda p: p.now["mass"]).take(who).astype(np.float64), 1e-30)
-    heavier = 1 - np.minimum(2 * mass.take(other) / (mass.take(both) + mass.take(other)), 1.0)
-    free += heavier * np.maximum(-dot(ways, walked.take(both, axis=1)) - free, 0.0)
-    along = np.concatenate([both, both + len(some), both + 2 * len(some)])
-    magic = np.ldexp(1.5, int(np.frexp(max(np.abs(walked).max(), 1e-30))[1]) + 2 - _FINE + 52)
-    step = walked
-    for _ in range(_BENDS):
-        over = -dot(ways, step.take(both, axis=1)) - free
-        into = over > 0
-        if not into.any():
-            break
-        terms = ways * np.where(into, over, 0.0)
-        terms = (terms + magic) - magic
-        count = np.maximum(np.bincount(both, into, len(some)), 1)
-        step = step + np.bincount(along, terms.ravel(), 3 * len(some)).reshape(3, -1) / count
-    towards = -dot(ways, step.take(both, axis=1))
-    part = np.ones(len(some))
-    np.minimum.at(part, both, np.where(towards > free, free / np.maximum(towards, 1e-300), 1.0))
-    step = step * part
-    gone[:, some] = step - walked
-    return gone, some[dot(step, step) < _GOES**2 * dot(walked, walked)]
-
-
-def _before(near: Near, some: Rows, i: Rows, j: Rows, walked: Floats) -> Floats:
-    """How deep (k) mm agents were in others, as these face now, before they `walked` (3, k)."""
-    gone = np.zeros_like(near.middle)
-    gone[:, some] = -walked
-    gap = near.between(near.middle + gone, some.take(i), some.take(j))[0]
-    deep = np.zeros(len(some))
-    inside = np.flatnonzero(gap < 0)
-    for k in (i.take(inside), j.take(inside)):
-        np.maximum.at(deep, k, -gap.take(inside))
-    return deep
+        near.middle[:, stopped[first:last]] += (heading - turned) * crowd.ahead.take(rows[first:last])
 
 
 def _within(gone: Floats, from_middle: Floats, room: Floats) -> Floats:
@@ -332,51 +357,3 @@ def _within(gone: Floats, from_middle: Floats, room: Floats) -> Floats:
     if len(far):
         gone[:, far] = way[:, far] * (room[far] / size[far]) - from_middle[:, far]
     return gone
-
-
-def _walk(world: World, population: Population, rows: Rows, gone: Floats, before: Floats, dt: float) -> None:
-    """Walk some agents by (3, k) mm over their ground, along obstacles; their velocity loses what led against that."""
-    now = population.now
-    normal = vec.columns(population.normal[rows], np.float32)
-    way = (gone[0].astype(_F), gone[1].astype(_F), gone[2].astype(_F))
-    way = slide_some(world, population, rows, way, normal)
-    start = before[rows]
-    most = np.maximum(now["max_speed"][rows].astype(np.float64) * dt, length(population.position[rows] - start))
-    size, heading = now["size"][rows].astype(np.float64), vec.rows(vec.take(vec.named(now, "heading"), rows))
-    threads = world.options.threads
-    moved = world.ground.move(population.footing.take(rows), vec.rows(way), heading, vec.rows(normal), size, threads)
-    if world.solids and len(some := floating(world, population, rows)):
-        moved.put(some, pushed_in_the_air(world, population, rows[some], gone.T[some]))
-    for _ in range(_BACK):  # ground that bends may lead farther than the plane: back towards the start by as much
-        way_there = moved.position - start
-        far = length(way_there)
-        over = np.flatnonzero(far > most * _LONGER)
-        if not len(over):
-            break
-        back = way_there[over] * (most[over] / far[over] - 1.0)[:, None]
-        again = moved.take(over)
-        moved.put(over, world.ground.move(again.footing, back, again.heading, again.up, size[over], threads))
-    fair = np.flatnonzero(length(moved.position - start) <= most * _LONGER)
-    if len(fair) < len(rows):
-        rows, moved = rows[fair], moved.take(fair)
-    if len(rows):
-        _put(world, population, rows, moved)
-
-
-def _put(world: World, population: Population, rows: Rows, moved: Move) -> None:
-    """Where corrections have led the feet of some agents. Bodies stay as they stand, or they would be in others again: they
-    lean, and the next step turns them after their feet."""
-    now = population.now
-    pushed, up = vec.columns(moved.position - population.position[rows], np.float32), vec.columns(moved.up, np.float32)
-    velocity = vec.take(vec.named(now, "velocity"), rows)
-    size, dt = vec.length(pushed), _F(world.dt / world.setting.substeps)
-    against = vec.unit(pushed, (size * 0,) * 3)
-    back = np.minimum(np.maximum(-vec.dot(velocity, against), _F(0)), size / dt)
-    velocity = vec.flat(vec.add(velocity, vec.scale(against, back)), up)
-    for name, value in (("position", vec.columns(moved.position, np.float32)), ("velocity", velocity)):
-        for axis, component in zip(AXES, value, strict=True):
-            now[f"{name}.{axis}"][rows] = component
-    footing, position, normals = population.footing.copy(), population.position.copy(), population.normal.copy()
-    footing.put(rows, moved.footing)  # a snapshot may have those from before
-    position[rows], normals[rows] = moved.position, moved.up
-    population.footing, population.position, population.normal = footing, position, normals

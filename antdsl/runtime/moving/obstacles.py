@@ -83,8 +83,9 @@ def _bent(
     threads: int,
 ) -> Vector:
     """The steps of those who may touch the obstacle; `size` is their length."""
-    step, within = _keep_off(scene, place, step, up, size, margin, threads)
-    met, free, normal = _ahead(scene, place, step, margin, threads, np.where(within, _F(np.inf), clear))
+    step, gap = _keep_off(scene, place, step, up, size, margin, threads)
+    clear = np.where(gap < 0, _F(np.inf), np.maximum(clear, gap))  # nothing holds who is inside
+    met, free, normal = _ahead(scene, place, step, margin, threads, clear)
     if not len(met):
         return step
     u, wanted = vec.take(up, met), vec.take(step, met)
@@ -114,15 +115,15 @@ def _keep_off(
     size: NDArray[np.float32],
     margin: NDArray[np.float32],
     threads: int,
-) -> tuple[Vector, NDArray[np.bool_]]:
-    """Steps that keep the margin from the nearest face, or win it back by at most half a step; and who is inside, so that no
-    face may hold them there. A ray along a round wall sees nothing of it, and the ground may carry one sideways."""
+) -> tuple[Vector, NDArray[np.float32]]:
+    """Steps that keep the margin from the nearest face, or win it back by at most half a step; and how far (mm) that is, below 0
+    of who is inside. A ray along a round wall sees nothing of it, and the ground may carry one sideways."""
     gap, out = scene.apart(*place, size + margin, threads)
     wall = vec.unit(vec.flat((out[0], out[1], out[2]), up), (_F(0) * size,) * 3)
     least = np.minimum(margin - gap, size * _F(0.5))
     bent = vec.add(step, vec.scale(wall, np.maximum(least - vec.dot(step, wall), _F(0))))
     long = vec.length(bent)
-    return vec.scale(bent, np.where(long > size, size / np.where(long > 0, long, _F(1)), _F(1))), gap < 0
+    return vec.scale(bent, np.where(long > size, size / np.where(long > 0, long, _F(1)), _F(1))), gap
 
 
 def _ahead(

@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.numerics.elementary import wide_atan2
 from antdsl.program.model import Dim, Kind, WorldThing
-from antdsl.program.tables.units import dimension_words, with_unit
 from antdsl.scene import setting as stage_of
 from antdsl.scene.model import ItemThing, UsdThing
-from antdsl.scene.quantities import BadQuantity, parse_quantity
 from antdsl.scene.staging.cached import once_a_mesh
 from antdsl.scene.staging.stage_things import frames_of, item_places, riding, usd_items
+from antdsl.scene.staging.usd_values import UsdFile, in_base_units, tell_near_misses
 
 if TYPE_CHECKING:
-    from antdsl.scene.geometry.usd import UsdPoints
     from antdsl.scene.staging.stage_scene import Staging
 
 DEFAULT_ITEM_RADIUS = 10.0  # mm
@@ -138,11 +135,12 @@ def _usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) 
     each = {key: quantity.base(model.unit_mm, dt) for key, quantity in (value.each.model_extra or {}).items()}
     radius = None if value.each.radius is None else value.each.radius.length(model.unit_mm)
     own = {a.name: a.type.dim for a in thing.attributes if a.type.kind is Kind.NUMBER}
-    columns = {key: _in_base_units(staging, name, value, found, key, dim) for key, dim in own.items()}
-    wide = _in_base_units(staging, name, value, found, "radius", Dim(length=1)) * abs(value.scale)
+    file = UsdFile(staging, value.usd, staging.scene.span("world", name, "usd"), found)
+    columns = {key: in_base_units(file, key, dim) for key, dim in own.items()}
+    wide = in_base_units(file, "radius", Dim(length=1)) * abs(value.scale)
     for key, column in zip(_turned_keys(value), _turned(model.up, value, found.ahead), strict=True):
         columns[key] = np.where(np.isfinite(columns[key]), columns[key], column)
-    _tell_near_misses(staging, name, value, found, [*own, "radius"])
+    tell_near_misses(file, name, [*own, "radius"])
     made = []
     for number, item in enumerate(found.names):
         given = {key: float(column[number]) for key, column in columns.items() if np.isfinite(column[number])}
@@ -150,30 +148,6 @@ def _usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) 
         size = next(float(size) for size in sizes if np.isfinite(size) and size > 0)
         made.append(stage_of.ItemData(item, three(found.places[0, number]), size, {**each, **given}))
     return tuple(made), found.places
-
-
-def _in_base_units(staging: Staging, name: str, value: UsdThing, found: UsdPoints, key: str, dim: Dim) -> NDArray[np.float64]:
-    """What the file says of an attribute (n,), nan where it says nothing: numbers are in the file's unit of length, degrees and
-    seconds, words are numbers with a unit as in a scene."""
-    factor = float(found.unit**dim.length * np.radians(1.0) ** dim.angle)
-    column: NDArray[np.float64] = found.values.get(key, np.full(len(found.names), np.nan)) * factor
-    model = staging.scene.model
-    for number, text in enumerate(found.texts.get(key, ())):
-        if not text:
-            continue
-        span, where = staging.scene.span("world", name, "usd"), f"`{key}` of `{found.names[number]}` in `{value.usd}`"
-        try:
-            quantity = parse_quantity(text)
-        except BadQuantity as why:
-            help = why.help or f"write a number, or one with a unit: `{with_unit(1, dim)}`"
-            staging.report.error("bad-usd", f"{where} says `{text}`, which {why}", span, help)
-            return column
-        if quantity.dim != dim:
-            words = f"{where} says `{text}`, and `{key}` is {dimension_words(dim)}"
-            staging.report.error("wrong-unit", words, span, f"write it like `{with_unit(1, dim)}`")
-            return column
-        column[number] = quantity.base(model.unit_mm, float(1 / model.fps))
-    return column
 
 
 def _turned_keys(value: UsdThing) -> tuple[str, ...]:
@@ -192,16 +166,6 @@ def _turned(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArra
     left = -z if up == "y" else y
     level = np.sqrt(x * x + left * left)
     return [np.where(level > 1e-6, wide_atan2(left, x), np.nan)]
-
-
-def _tell_near_misses(staging: Staging, name: str, value: UsdThing, found: UsdPoints, known: list[str]) -> None:
-    """Warn of properties of the file that no attribute takes, where one is named nearly so. Others mean other programs."""
-    for key in sorted({*found.values, *found.texts} - {*known, "kind", "name"}):
-        near = nearest_name(key, known)
-        if near:
-            words = f"`{key}` of `{value.usd}` is read by no attribute of `{name}`"
-            span = staging.scene.span("world", name, "usd")
-            staging.report.warning("usd-left-out", words, span, f"did you mean `{near}`?")
 
 
 def three(place: NDArray[np.float64]) -> stage_of.Point:

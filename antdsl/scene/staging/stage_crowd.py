@@ -6,7 +6,11 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.model import Dim, Kind
 from antdsl.scene import setting as stage_of
 from antdsl.scene.crowd_model import Placement, UsdPlaces, Walk
 from antdsl.scene.document import Key
@@ -14,6 +18,7 @@ from antdsl.scene.load import Scene
 from antdsl.scene.model import Point, millimetres
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.stage_things import usd_places
+from antdsl.scene.staging.usd_values import UsdFile, in_base_units, tell_near_misses
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
@@ -43,9 +48,12 @@ def point(
 
 def place(staging: Staging, places: Places, place: Placement, *path: Key) -> stage_of.PlaceData:
     scene = staging.scene
-    points = None
+    points, ahead, values = None, None, {}
     if isinstance(place.points, UsdPlaces):
-        points = usd_places(staging, place.points, *path)
+        found = usd_places(staging, place.points, *path)
+        if found is not None:
+            file = UsdFile(staging, place.points.usd, scene.span(*path, "points", "usd"), found)
+            points, ahead, values = found.places[0], _unit(found.ahead), _values(file, scene.model.crowd[int(path[1])].species)
     elif place.points is not None:
         points = staging.points(place.points, 1, *path, "points")
         if points is not None:
@@ -60,7 +68,26 @@ def place(staging: Staging, places: Places, place: Placement, *path: Key) -> sta
         by_area=place.by == "area",
         apart=_apart(scene, place.apart),
         seed=place.seed,
+        ahead=ahead,
+        values=values,
     )
+
+
+def _unit(ways: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ways (n, 3) at length 1, nan where there is none."""
+    size = np.sqrt((ways[:, 0] * ways[:, 0] + ways[:, 1] * ways[:, 1]) + ways[:, 2] * ways[:, 2])
+    found: NDArray[np.float64] = ways / np.where(size > 0, size, np.nan)[:, None]
+    return found
+
+
+def _values(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
+    """Attributes of a species that points or empties say something of."""
+    declared = file.staging.program.species[species].attributes
+    own = {a.name: a.type.dim for a in declared if a.type.kind is Kind.NUMBER and not a.each}
+    own |= {a.name: Dim() for a in declared if a.type.kind is Kind.BOOL}
+    columns = {name: in_base_units(file, name, dim) for name, dim in own.items()}
+    tell_near_misses(file, species, own)
+    return {name: column for name, column in columns.items() if np.isfinite(column).any()}
 
 
 def walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:

@@ -295,15 +295,14 @@ def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
     return replace(found, places=np.stack(moved), radius=found.radius * abs(value.scale), ahead=ahead)
 
 
-def usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> Floats | None:
-    """The places (n, 3), at the first frame, of a line of the crowd's points or empties, in mm and the scene's axes."""
+def usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> UsdPoints | None:
+    """A line of the crowd's points or empties, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_points
 
     species = staging.scene.model.crowd[int(path[1])].species
     kind = species if value.kind is None and value.prim is None else value.kind
     place = (*path, "points")
-    found = _usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
-    return None if found is None else found.places[0]
+    return _usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
 
 
 def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> Floats:

@@ -8,6 +8,9 @@ export type Triple = [number, number, number];
 
 // --- what a page asks ----------------------------------------------------------------------------------------------
 
+/** How many agents have their planned paths shown at most: of those who are named, and of all when nobody is. */
+export const MOST_PLANNED = { chosen: 60, all: 300 };
+
 export type Break =
   | { kind: "state"; species: string; machine: string; state: string }
   | { kind: "condition"; text: string } // in the language of specs, such as `count(state == carry) > 10`
@@ -32,6 +35,7 @@ export type Ask =
       flows: string[];
       solids: boolean;
       follow: { species: string; agent: number } | null; // whose feelers are felt in each frame
+      planned?: { species: string; agent: number }[]; // whose paths in the time to come; of nobody named those of all, if few
     }
   | { op: "explain"; species: string; agent: number; frame: number }
   | { op: "breaks"; breaks: Break[]; tried?: Break } // all there are; one more, which is added if it fits the program
@@ -293,6 +297,8 @@ export type Told =
 //                 feelers f32[k,2,3] feelers/hit u8[k] of those who are followed; rows by id. header: frame, light,
 //                 felt (whose feelers: lists of species, agent and how many, one after the other).
 //                 A light one has id, position, heading, up, size and state alone. Turns: 127 is 1
+// paths           NAME/id i32[n] NAME/path f32[n,count,3]: where agents will be, from `frame` of the header on, nan where one is not
+//                 there; header: frame, count
 // mesh:NAME       position f32[n,3] face u32[m,3]; header: role `ground`, `obstacle`; moves: comes each frame
 // body:NAME       poses f32[p,n,3] normal f32[n,3] face u32[m,3] tint f32[n]; header: stride. Length 1 along +x, up +y.
 // body:NAME:fine  the same for close-ups
@@ -304,7 +310,13 @@ export type Told =
 // solid:NAME:N    position f32[n,3] normal f32[n,3] face u32[m,3]; an empty one takes a piece away
 export interface Packet {
   slot: string;
-  header: Record<string, unknown> & { slot: string; frame?: number; light?: boolean; felt?: [string, number, number][] };
+  header: Record<string, unknown> & {
+    slot: string;
+    frame?: number;
+    count?: number;
+    light?: boolean;
+    felt?: [string, number, number][];
+  };
   arrays: Map<string, NumberArray>;
 }
 

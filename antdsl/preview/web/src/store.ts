@@ -23,6 +23,7 @@ export interface Shared {
   full: Record<string, number>; // where the colours of a field end, of those for which somebody chose it
   flows: string[];
   trails: boolean;
+  paths: boolean; // planned ones
   feelers: boolean;
   neighbours: boolean;
   curvesShown: boolean;
@@ -48,6 +49,7 @@ export class Store {
     full: {},
     flows: [],
     trails: false,
+    paths: false,
     feelers: true,
     neighbours: true,
     curvesShown: true,

@@ -3,6 +3,7 @@ import { describe, expect, test } from "vitest";
 import type { Explanation } from "../src/explanation";
 import { keyRows } from "../src/view/acts/forces";
 import { tally } from "../src/view/acts/legend";
+import { planned, unseen } from "../src/view/acts/paths";
 import { missing } from "../src/view/acts/trails";
 import { machineOf, numbersOf, paint, ranged } from "../src/view/colours";
 import { RAMP } from "../src/view/palette";
@@ -184,5 +185,24 @@ describe("the key of the arrows", () => {
 
   test("is empty where nobody pushed", () => {
     expect(keyRows([layer({ push: null }), layer({ length: 0 })], colours)).toEqual([]);
+  });
+});
+
+describe("planned paths", () => {
+  test("are read species by species from a packet", () => {
+    const arrays = new Map<string, Int32Array | Float32Array>([
+      ["ant/id", new Int32Array([3, 9])],
+      ["ant/path", new Float32Array(2 * 4 * 3)],
+    ]);
+    const found = [...planned({ slot: "paths", header: { slot: "paths", frame: 7, count: 4 }, arrays })];
+    expect(found.map(([name, ids, places, count]) => [name, [...ids], places.length, count])).toEqual([["ant", [3, 9], 24, 4]]);
+  });
+
+  test("say why they are not seen", () => {
+    expect(unseen(0, 301, 0)).toContain("301 are too many");
+    expect(unseen(61, 400, 9)).toContain("the last 60 of 61");
+    expect(unseen(1, 400, 0)).toBe("planned paths: being simulated");
+    expect(unseen(1, 400, 5)).toBe("");
+    expect(unseen(0, 300, 5)).toBe("");
   });
 });

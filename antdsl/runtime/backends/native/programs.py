@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
@@ -17,6 +18,7 @@ from antdsl.runtime.backends.native.machine import Target
 from antdsl.runtime.backends.native.marks import Lines
 from antdsl.runtime.backends.native.schedule import PAIRED, schedule
 from antdsl.runtime.backends.native.senses import GUARDS, NATIVE, OF_PAIRS, ON_MOVING_GROUND
+from antdsl.runtime.pairs import only_the_nearest
 from antdsl.scene.setting import Setting
 
 _RUNS = ("decide", "act", "blend")
@@ -59,9 +61,9 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
     guards = {} if facts.detail else GUARDS
     senses = {op: lower for op, lower in NATIVE.items() if not (facts.moving and op in ON_MOVING_GROUND)}
 
-    def lowers(node: ir.Node) -> bool:
+    def lowers(of: ir.SpeciesPlan, node: ir.Node) -> bool:
         if node.op.startswith("reduce."):
-            return sets.lowers(node, OF_PAIRS)
+            return sets.lowers(node, OF_PAIRS) and not only_the_nearest(of, node.args[0])
         return node.op == "get" or node.op in ELEMENTWISE or node.op in senses
 
     def costly(node: ir.Node) -> bool:
@@ -75,7 +77,7 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
     for (species, block), compiler in blocks.items():
         if block not in _RUNS or not compiler.root.code:
             continue
-        order = schedule(compiler, lowers, costly, frozenset(ASKING))
+        order = schedule(compiler, partial(lowers, plan.species[species]), costly, frozenset(ASKING))
         lines = Lines(compiler) if facts.timed else None
         code = found[species, block] = BlockCode(plan.species[species], [], Layout(), order, lines)
         for stage in range(order.stages):

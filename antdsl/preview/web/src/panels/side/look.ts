@@ -1,14 +1,15 @@
 // What the view shows: colours, fields, flows, marks about the selected agent, the camera. Asks the server for what that needs.
 
-import type { Ask } from "../../protocol";
+import { type Ask, MOST_PLANNED } from "../../protocol";
 import type { Shared, Store } from "../../store";
 import { button, el, keyed, type Row, say } from "../dom";
 import { fullOf } from "../../view/scales";
 import type { Panel } from "../side";
 
-type Toggle = "trails" | "feelers" | "neighbours" | "curvesShown" | "glass";
+type Toggle = "trails" | "paths" | "feelers" | "neighbours" | "curvesShown" | "glass";
 const TOGGLES: [Toggle, string][] = [
   ["trails", "trails"],
+  ["paths", "planned paths: where ants will be in the next 2 seconds"],
   ["feelers", "feelers of the selected agent, and what they hit"],
   ["neighbours", "neighbours that it looked at"],
   ["curvesShown", "curves of the scene"],
@@ -23,7 +24,7 @@ const KEYS: [string, string][] = [
   ["n p", "the next ant, the one before"],
   ["g f c", "near the selected ant, all of the ground, as the scene's camera"],
   ["1 2 3", "free, follow, ride"],
-  ["t x", "trails; see through solids and stones"],
+  ["t a x", "trails; planned paths; see through solids and stones"],
   ["arrows + −", "turn, come closer"],
   ["Esc", "select nobody"],
   ["shift", "with a click: one more; dragged: all in a box"],
@@ -166,10 +167,10 @@ function nameRow(store: Store, key: "fields" | "flows"): Row<string> {
 function askOnChange(store: Store): void {
   let last = "";
   const ask = () => {
-    const { scene, colour, fields, flows, feelers, selected } = store.now;
+    const { scene, colour, fields, flows, feelers, paths, selected } = store.now;
     const holders = scene?.species.filter((each) => each.attributes.some((attribute) => attribute.name === colour)) ?? [];
     const one = selected.at(-1);
-    const message: Ask = {
+    const message: Extract<Ask, { op: "look" }> = {
       op: "look",
       columns:
         colour === "state" || colour === "speed" || colour.startsWith("state/")
@@ -180,10 +181,11 @@ function askOnChange(store: Store): void {
       solids: true,
       follow: feelers && one ? { species: one.species, agent: one.id } : null,
     };
+    if (paths) message.planned = selected.slice(-MOST_PLANNED.chosen).map(({ species, id }) => ({ species, agent: id }));
     const now = JSON.stringify(message);
     if (now === last || !scene) return;
     last = now;
     store.connection.ask(message, true);
   };
-  store.on(["scene", "colour", "fields", "flows", "feelers", "selected"], ask);
+  store.on(["scene", "colour", "fields", "flows", "feelers", "paths", "selected"], ask);
 }

@@ -6,7 +6,7 @@ import type { Sight } from "../sight";
 
 const TURN = Math.PI / 24;
 const HELP =
-  "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, g goes near the selected ant, c looks as the scene's camera does, 1, 2 and 3 choose the camera: free, follow, ride, t shows trails, x sees through stones.";
+  "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, g goes near the selected ant, c looks as the scene's camera does, 1, 2 and 3 choose the camera: free, follow, ride, t shows trails, a planned paths, x sees through stones.";
 
 type Act = (sight: Sight) => void;
 
@@ -26,6 +26,7 @@ const KEYS = new Map<string, Act>([
   ["3", (sight) => keep(sight, "ride")],
   ["x", ({ store }) => store.set("glass", !store.now.glass)],
   ["t", ({ store }) => store.set("trails", !store.now.trails)],
+  ["a", ({ store }) => store.set("paths", !store.now.paths)],
   ["n", (sight) => next(sight, 1)],
   ["p", (sight) => next(sight, -1)],
   ["Escape", ({ store }) => store.set("selected", [])],

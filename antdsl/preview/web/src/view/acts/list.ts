@@ -7,8 +7,9 @@ import { hook } from "./hook";
 import { keys } from "./keys";
 import { legend } from "./legend";
 import { marks } from "./marks";
+import { paths } from "./paths";
 import { pointer } from "./pointer";
 import { scales } from "./scales";
 import { trails } from "./trails";
 
-export const ACTS: Act[] = [marks, trails, feelers, forces, legend, scales, pointer, keys, hook];
+export const ACTS: Act[] = [marks, trails, paths, feelers, forces, legend, scales, pointer, keys, hook];

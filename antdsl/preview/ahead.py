@@ -1,0 +1,88 @@
+"""Where agents will be: the next seconds of a session, simulated in a world of its own that is thrown away. The session's world
+is read once, when that branch begins, and never changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.preview.session import Session
+from antdsl.preview.timeline import Change, Stretch
+from antdsl.runtime import FaultStop, LimitStop, Population, World, checkpoint, step
+
+SECONDS = 2.0
+_BYTES = 1 << 26  # of places, at most
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Agents of one species at one frame, by id: ids int64[n], places float32[n, 3] in the world's own count."""
+
+    ids: NDArray[np.int64]
+    position: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, population: Population, before: Places | None) -> Places:
+        """As they are; ids are the array of the frame before where nobody came or went."""
+        rows = population.in_id_order()
+        ids = population.ids[rows]
+        same = before is not None and np.array_equal(before.ids, ids)
+        return cls(before.ids if before is not None and same else ids, population.position[rows].astype(np.float32))
+
+
+class Ahead:
+    """The next 2 seconds, or as much of them as 64 MiB hold, frame by frame: `frames` has all species by frame, the session's own
+    first. As long as nothing is edited a session that goes on comes upon them, so only what is new at the far end is simulated.
+
+    They end where an edit was made, in a history that one has gone back in, and where a step cannot be made."""
+
+    def __init__(self) -> None:
+        self.frames: dict[int, dict[str, Places]] = {}
+        self.version = 0  # changes whenever they do
+        self._of: tuple[Stretch, tuple[Change, ...]] | None = None
+        self._world: World | None = None
+        self._stopped = False
+
+    def forget(self) -> None:
+        """Keep nothing; the next one who asks begins a branch anew."""
+        if self._world is not None:
+            self.frames, self._of, self._world, self._stopped = {}, None, None, False
+            self.version += 1
+
+    def lacks(self, session: Session) -> bool:
+        """Whether there is more to be simulated; what is of another run than the session's is forgotten, and what lies behind."""
+        stretch = session.timeline.at(session.frame)
+        of = (stretch, tuple(stretch.changes))
+        if of != self._of or session.frame not in self.frames:
+            self.forget()
+            self._of = of
+            return True
+        for frame in [each for each in self.frames if each < session.frame]:
+            del self.frames[frame]
+        return not self._stopped and max(self.frames) < self._last(session)
+
+    def go_on(self, session: Session) -> None:
+        """Simulate one frame more, where something is lacking; the first time that is the session's own frame."""
+        stretch, world = session.timeline.at(session.frame), self._world
+        if world is None:
+            world = self._world = stretch.world(checkpoint(session.world), session.options, session.compiler.built)
+        else:
+            stretch.before_step(world)
+            try:
+                step(world)
+            except LimitStop:  # in the middle of a step
+                self._stopped = True
+                return
+            except FaultStop:
+                pass  # the session would go on after the fault as well
+        before = self.frames.get(world.frame - 1, {})
+        self.frames[world.frame] = {name: Places.of(p, before.get(name)) for name, p in world.populations.items()}
+        self.version += 1
+
+    def _last(self, session: Session) -> int:
+        """The frame that it goes to."""
+        count = max(1, min(round(SECONDS / session.world.dt), _BYTES // (12 * max(1, len(session.world)))))
+        after = session.timeline.after(session.timeline.at(session.frame))
+        return session.frame + count if after is None else min(session.frame + count, after.first)

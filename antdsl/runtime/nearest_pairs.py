@@ -1,0 +1,125 @@
+"""The nearest of a whole species for each of many agents, by a k-d tree (J. L. Bentley, Multidimensional binary search trees,
+Comm. ACM 18, 1975) instead of measuring all pairs. The tree only tells who may be nearest; float32 distances, and ids at a tie,
+tell who is, as they do where all pairs are measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.world import AXES, Population, World
+
+Floats = NDArray[np.float32]
+Found = tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats, Floats, Floats]
+
+_ROUNDED = 1 + 1e-6  # by more than float32 rounds a distance
+_LEAST = 1e-15  # mm, below which squares of float32 lose digits
+_MOST = 1e15  # mm, above which they overflow
+_FIRST = 3  # how many of the nearest are looked at first
+_MORE = 4  # times as many, where all of them are as near
+_ALIKE = 64  # above which all are measured: so many are as far as float32 can tell
+_AT_ONCE = 1 << 20  # pairs
+
+
+def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> Found | None:
+    """Of each asking agent (float32[n] x, y and z mm, and `ids` where it is of the other's species, lest it finds itself) the one
+    nearest other: numbers of who asks, ascending, rows of the others, their x, y, z less the own ones, distances. None where
+    somebody's place is not finite, or farther out than float32 can square."""
+    mine, places = np.stack(own, axis=1).astype(np.float64), _places(world, other)
+    if places is None or not (np.abs(mine) < _MOST).all():
+        return None
+    every = len(places.first)
+    count, parts = min(every, _FIRST), []
+    asking = np.arange(len(mine))
+    while len(asking):
+        if count > _ALIKE:
+            parts += _of_all(other, own, ids, asking)
+            break
+        left = []
+        at_once = max(1, _AT_ONCE // count)
+        for first in range(0, len(asking), at_once):
+            some = asking[first : first + at_once]
+            away, place = places.tree.query(mine[some], np.arange(1, count + 1))
+            row, last = places.first.take(place), away[:, -1].copy()
+            if ids is not None:
+                row = np.where(other.ids.take(row) == ids.take(some)[:, None], places.second.take(place), row)
+                away[row < 0] = np.inf
+            reach = np.maximum(away.min(axis=1) * _ROUNDED, _LEAST)
+            whole = (last > reach) | (count == every)
+            near = np.isfinite(away) & (away <= reach[:, None]) & whole[:, None]
+            who, which = np.nonzero(near)
+            parts.append(_least(other, own, some.take(who), row[who, which]))
+            left.append(some[~whole])
+        asking, count = np.concatenate(left), min(every, _MORE * count)
+    if not parts:
+        return asking, asking, own[0], own[0], own[0], own[0]
+    joined = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+    order = np.argsort(joined[0])
+    i, j, dx, dy, dz, distance = (array.take(order) for array in joined)
+    return i, j, dx, dy, dz, distance
+
+
+def _of_all(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, asking: NDArray[np.intp]) -> list[Found]:
+    """The nearest of all others for some who ask, by measuring all."""
+    order = other.in_id_order()
+    known, place = other.ids.take(order), [other.start[f"position.{axis}"].take(order) for axis in AXES]
+    parts, at_once = [], max(1, _AT_ONCE // len(order))
+    for first in range(0, len(asking), at_once):
+        some = asking[first : first + at_once]
+        dx, dy, dz = (theirs - mine.take(some)[:, None] for theirs, mine in zip(place, own, strict=True))
+        distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
+        if ids is not None:
+            distance[known == ids.take(some)[:, None]] = np.inf
+        best = distance.argmin(axis=1)  # the first of several, which has the least id
+        there = np.flatnonzero(np.isfinite(distance[np.arange(len(some)), best]))
+        way = (array[there, best.take(there)] for array in (dx, dy, dz, distance))
+        parts.append((some.take(there), order.take(best.take(there)), *way))
+    return parts
+
+
+def _least(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> Found:
+    """Of pairs that may be the nearest, one for each who asks."""
+    dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
+    distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
+    order = np.lexsort((other.ids.take(j), distance, i))
+    first = np.concatenate((np.ones(min(1, len(i)), np.bool_), i.take(order[1:]) != i.take(order[:-1])))
+    best = order[first]
+    return i.take(best), j.take(best), dx.take(best), dy.take(best), dz.take(best), distance.take(best)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Places:
+    """Where agents of a species stand, each place once: a k-d `tree` of them, and the rows of the two of least id in each, -1
+    where there is one only: who asks may be the first itself."""
+
+    tree: Any
+    first: NDArray[np.intp]
+    second: NDArray[np.intp]
+
+
+def _places(world: World, other: Population) -> _Places | None:
+    """The places of a species as the step began, found once in it; None where there are none, or one that is not finite or too
+    far out."""
+    if other.name not in world.trees:
+        world.trees[other.name] = _found(other)
+    found: _Places | None = world.trees[other.name]
+    return found
+
+
+def _found(other: Population) -> _Places | None:
+    from scipy.spatial import cKDTree
+
+    x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
+    if not len(x) or not all((np.abs(each) < _MOST).all() for each in (x, y, z)):
+        return None
+    order = np.lexsort((other.ids, z, y, x))
+    x, y, z = x.take(order), y.take(order), z.take(order)
+    new = np.concatenate(([True], (x[1:] != x[:-1]) | (y[1:] != y[:-1]) | (z[1:] != z[:-1])))
+    starts = np.flatnonzero(new)
+    several = np.diff(np.append(starts, len(order))) > 1
+    second = np.where(several, order.take(np.minimum(starts + 1, len(order) - 1)), -1)
+    places = np.stack([each.take(starts) for each in (x, y, z)], axis=1).astype(np.float64)
+    return _Places(cKDTree(places), order.take(starts), second)

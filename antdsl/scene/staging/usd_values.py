@@ -1,0 +1,78 @@
+"""Numbers and words that a USD file gives its points and empties, as values of attributes in base units."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.model import Dim
+from antdsl.program.tables.units import dimension_words, with_unit
+from antdsl.scene.quantities import BadQuantity, parse_quantity
+from antdsl.source import Span
+
+if TYPE_CHECKING:
+    from antdsl.scene.geometry.usd import UsdPoints
+    from antdsl.scene.staging.stage_scene import Staging
+
+
+_SAID = ("max_turn", "min_speed")  # an agent has these only where its species says them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsdFile:
+    """What was found in a file, with the file's name and the place of the scene that names it."""
+
+    staging: Staging
+    name: str
+    span: Span | None
+    found: UsdPoints
+
+
+def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
+    """What the file says of an attribute (n,), nan where it says nothing: numbers are in the file's unit of length, degrees and
+    seconds, words are numbers with a unit as in a scene."""
+    found, report = file.found, file.staging.report
+    factor = float(found.unit**dim.length * np.radians(1.0) ** dim.angle)
+    column: NDArray[np.float64] = found.values.get(key, np.full(len(found.names), np.nan)) * factor
+    model = file.staging.scene.model
+    for number, text in enumerate(found.texts.get(key, ())):
+        if not text:
+            continue
+        where = f"`{key}` of `{found.names[number]}` in `{file.name}`"
+        try:
+            quantity = parse_quantity(text)
+        except BadQuantity as why:
+            help = why.help or f"write a number, or one with a unit: `{with_unit(1, dim)}`"
+            report.error("bad-usd", f"{where} says `{text}`, which {why}", file.span, help)
+            return column
+        if quantity.dim != dim:
+            words = f"{where} says `{text}`, and `{key}` is {dimension_words(dim)}"
+            report.error("wrong-unit", words, file.span, f"write it like `{with_unit(1, dim)}`")
+            return column
+        column[number] = quantity.base(model.unit_mm, float(1 / model.fps))
+    if (np.abs(column) > limits.LARGEST).any():
+        most = found.names[int(np.nanargmax(np.abs(column)))]
+        report.error(
+            "bad-usd", f"`{key}` of `{most}` in `{file.name}` is too large to be kept", file.span, "write a smaller number"
+        )
+        return np.full(len(found.names), np.nan)
+    return column
+
+
+def tell_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
+    """Warn of properties of the file that no attribute takes, where one is named nearly so. Others mean other programs."""
+    keys = sorted({*file.found.values, *file.found.texts} - {*known, "kind", "name"})
+    near = {key: "" if key in _SAID else nearest_name(key, known) for key in keys if key in _SAID or nearest_name(key, known)}
+    if near:
+        words = f"of `{file.name}` no attribute of `{of}` reads {', '.join(f'`{key}`' for key in near)}"
+        help = ", ".join(
+            f"`{key}`: did you mean `{meant}`?" if meant else f"`{key}`: say it in the species first"
+            for key, meant in near.items()
+        )
+        file.staging.report.warning("usd-left-out", words, file.span, help)

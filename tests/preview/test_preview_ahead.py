@@ -1,0 +1,197 @@
+"""Planned paths: what a session will do if nobody edits it, to the bit, and the session none the wiser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_client import Page, hashes
+from preview_page import few
+
+from antdsl.preview import Live, Session
+from antdsl.preview import ahead as ahead_module
+from antdsl.preview.ahead import Ahead
+from antdsl.preview.binary_packets import unpack
+from antdsl.preview.requests import EVERYBODY, Look
+from antdsl.runtime import World
+from antdsl.runtime.faults import Fault, LimitStop
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    return few(tmp_path, 40)
+
+
+@pytest.fixture
+def session(scene: Path) -> Session:
+    session, report = Session.open(scene, every=8)
+    assert session is not None, report.errors
+    return session
+
+
+@pytest.fixture
+def live(scene: Path) -> Iterator[Live]:
+    live = Live.open(scene)
+    live.start()
+    yield live
+    live.stop()
+
+
+def filled(ahead: Ahead, session: Session) -> Ahead:
+    while ahead.lacks(session):
+        ahead.go_on(session)
+    return ahead
+
+
+def places(session: Session) -> np.ndarray:
+    population = session.world.populations["forager"]
+    return population.position[population.in_id_order()].astype(np.float32)
+
+
+def test_paths_are_where_the_agents_will_be_and_the_session_is_as_it_was(session: Session) -> None:
+    for _ in range(3):
+        session.step()
+    before, kept = session.hash, dict(session.timeline.curves)
+    ahead = filled(Ahead(), session)
+    assert list(ahead.frames) == list(range(4, 4 + 48 + 1)), "2 seconds at 24 frames"
+    assert session.hash == before and session.timeline.curves == kept and session.frame == 4
+    for frame in range(4, 20):
+        assert ahead.frames[frame]["forager"].position.tobytes() == places(session).tobytes()
+        session.step()
+    bent = ahead.frames[12]["forager"].position - ahead.frames[4]["forager"].position
+    straight = (ahead.frames[5]["forager"].position - ahead.frames[4]["forager"].position) * 8
+    assert np.abs(bent - straight).max() > 2, "no straight extrapolation"
+
+
+def test_who_goes_on_simulates_only_what_is_new(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    ahead = filled(Ahead(), session)
+    made = []
+    monkeypatch.setattr(ahead_module, "step", lambda world, step=ahead_module.step: (made.append(world.frame), step(world)))
+    for _ in range(5):
+        session.step()
+    filled(ahead, session)
+    assert made == [49, 50, 51, 52, 53] and list(ahead.frames) == list(range(6, 55))
+    session.seek(2)
+    filled(ahead, session)
+    assert made[5:] == list(range(2, 50)), "gone back to what is not kept any more"
+
+
+def test_an_edit_makes_other_paths(session: Session) -> None:
+    for _ in range(6):
+        session.step()
+    ahead = filled(Ahead(), session)
+    before = ahead.frames[40]["forager"].position
+    assert session.set("forager.smell", "200 mm").ok
+    assert ahead.lacks(session) and not ahead.frames
+    filled(ahead, session)
+    assert not np.array_equal(ahead.frames[40]["forager"].position, before)
+    for _ in range(3):
+        session.step()
+    assert session.layer("forager", "give_way(radius: 2.2 * size)", on=False).ok
+    there, later = session.frame, filled(ahead, session).frames[session.frame + 12]["forager"].position
+    session.seek(there - 5)
+    filled(ahead, session)
+    assert max(ahead.frames) == there, "history was otherwise from the edit on: paths end there"
+    session.seek(there)
+    for _ in range(12):
+        session.step()
+    assert later.tobytes() == places(session).tobytes()
+
+
+def test_there_is_a_bound_to_what_is_kept(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ahead_module, "_BYTES", 12 * 40 * 7)
+    assert len(filled(Ahead(), session).frames) == 7 + 1
+
+
+def paths(page: Page) -> tuple[dict, dict]:
+    return unpack(page.packets["paths"])
+
+
+def test_a_page_is_shown_the_paths_it_asks_for(live: Live, scene: Path) -> None:
+    expected = hashes(scene, 12)
+    page = Page(live)
+    page.shown(1)
+    assert "paths" not in page.packets
+    page.ask(
+        "look", columns=(), fields=(), flows=(), planned=({"species": "forager", "agent": 3}, {"species": "forager", "agent": 77})
+    )
+    page.until(lambda: "paths" in page.packets and paths(page)[0]["count"] == 49)
+    header, arrays = paths(page)
+    assert header["frame"] == 1 and arrays["forager/id"].tolist() == [3], "whom there is not has no path"
+    path = arrays["forager/path"].reshape(1, 49, 3)
+    page.ask("step", count=10)
+    assert page.hash_at(11) == expected[11], "a run is what it is without them"
+    page.until(lambda: paths(page)[0]["frame"] == 11 and paths(page)[0]["count"] == 49)
+    assert np.array_equal(paths(page)[1]["forager/path"].reshape(1, 49, 3)[:, :39], path[:, 10:])
+    page.ask("look", columns=(), fields=(), flows=(), planned=())
+    page.until(lambda: len(paths(page)[1].get("forager/id", ())) == 40)
+    page.ask("look", columns=(), fields=(), flows=())
+    page.until(lambda: paths(page)[0]["count"] == 0)
+    assert not live.ahead.frames
+
+
+def test_who_plays_comes_upon_what_was_planned(live: Live) -> None:
+    page = Page(live)
+    page.ask("look", columns=(), fields=(), flows=(), planned=({"species": "forager", "agent": 0},))
+    page.until(lambda: "paths" in page.packets and paths(page)[0]["count"] == 49)
+    planned = paths(page)[1]["forager/path"].reshape(49, 3)
+    page.ask("speed", times=0.0)
+    page.ask("play")
+    page.until(lambda: page.frames[-1][0] > 30)
+    page.ask("pause")
+    page.until(lambda: paths(page)[0]["frame"] > 30 and paths(page)[0]["count"] == 49)
+    header, arrays = paths(page)
+    assert np.array_equal(arrays["forager/path"].reshape(49, 3)[: 50 - header["frame"]], planned[header["frame"] - 1 :])
+
+
+def test_of_too_many_at_once_nothing_is_simulated(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.preview.viewing import paths as viewing
+    from antdsl.preview.viewing import screen
+
+    monkeypatch.setattr(viewing, "EVERYBODY", 39)
+    monkeypatch.setattr(screen, "EVERYBODY", 39)
+    page = Page(live)
+    page.ask("look", columns=(), fields=(), flows=(), planned=())
+    page.ask("step", count=2)
+    page.shown(3)
+    assert paths(page)[0]["count"] == 0 and not live.ahead.frames
+
+
+def test_the_page_has_the_same_bounds() -> None:
+    protocol = (Path(ahead_module.__file__).parent / "web" / "src" / "protocol.ts").read_text()
+    assert f"MOST_PLANNED = {{ chosen: 60, all: {EVERYBODY} }}" in protocol
+    assert Look.model_fields["planned"].metadata[0].max_length >= 60
+
+
+def test_asks_are_heard_between_two_frames(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    waiting = []
+    page = Page(live)
+    page.shown(1)
+
+    def slowly(world: World, step: Callable[[World], None] = ahead_module.step) -> None:
+        if len(waiting) < 5:
+            page.ask("speed", times=1.0 + len(waiting))
+        waiting.append(len(live._queue))
+        step(world)
+
+    monkeypatch.setattr(ahead_module, "step", slowly)
+    page.ask("look", columns=(), fields=(), flows=(), planned=({"species": "forager", "agent": 3},))
+    page.until(lambda: "paths" in page.packets and paths(page)[0]["count"] == 49)
+    assert max(waiting) == 1, "never is a second one waiting: the first was heard before the next frame"
+    assert page.last("status")["speed"] == 5.0
+
+
+def test_paths_end_where_a_step_cannot_be_made(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stops(world: World, step: Callable[[World], None] = ahead_module.step) -> None:
+        if world.frame >= 5:
+            raise LimitStop(Fault(world.frame, "forager", -1, "neighbours", None, (), "too many"))
+        step(world)
+
+    monkeypatch.setattr(ahead_module, "step", stops)
+    ahead = Ahead()
+    for _ in range(20):
+        if ahead.lacks(session):
+            ahead.go_on(session)
+    assert list(ahead.frames) == [1, 2, 3, 4, 5] and not ahead.lacks(session)
