@@ -330,3 +330,15 @@ def test_an_agent_is_deformed_alike_whoever_else_is_there(name: str, monkeypatch
         some = bound(made, binding, Poses(np.ascontiguousarray(poses.world[rows]), None, poses.channels[rows]))
         assert some.points.tobytes() == whole.points[rows].tobytes()
         assert some.normals is not None and whole.normals is not None and some.normals.tobytes() == whole.normals[rows].tobytes()
+
+
+def test_a_blend_shape_at_a_joint_is_carried_by_it_and_skinned_points_are_not_carried_again() -> None:
+    made = replace(
+        definition({"head": ""}, channels=(Channel("smile"), Channel("jaw"))),
+        shapes={"face": FACE, "smile": SMILE, "open": OPEN, "ajar": AJAR},
+    )
+    world = np.tile(np.eye(4, dtype=np.float32)[:3], (1, 1, 1, 1))
+    world[0, 0, :, 3] = (0, 10, 0)
+    poses = Poses(world, None, np.array([[1, 0]], np.float32))
+    here, there = (bound(made, Binding(joint, "face", deformer="blendshape"), poses).points[0] for joint in ("", "head"))
+    assert (there - here).tolist() == [[0, 10, 0]] * len(here)

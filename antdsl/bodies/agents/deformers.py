@@ -40,6 +40,9 @@ DEFORMERS: dict[str, Deformer] = {
 }
 
 
+SKINNING = (linear, dual_quaternion, dual_quaternion_blend)  # what moves a shape by the joints of its own points
+
+
 def register(name: str, deformer: Deformer) -> None:
     """Add a deformer by a name that bindings then use. Raises ValueError for a name that is taken, empty, or has a `+`."""
     if not name or "+" in name or name in DEFORMERS:
@@ -56,7 +59,8 @@ def steps(name: str) -> tuple[Deformer, ...]:
 
 
 def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
-    """The shape of a binding for each of n agents, in the space of the agent: carried by its joint, or deformed.
+    """The shape of a binding for each of n agents, in the space of the agent: deformed, and carried by its joint unless it
+    follows joints by its own points.
 
     Raises KeyError for a shape, joint or deformer that there is not, and what its deformers raise."""
     shape = definition.shapes[binding.shape]
@@ -64,7 +68,9 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
     named = shape.blend.attributes if shape.blend else ()
     further = {name: values[None].astype(np.float32) for name, values in shape.attributes.items() if name in named}
     rest = Deformed(shape.points[None], None if shape.normals is None else shape.normals[None], further)
-    chain = steps(binding.deformer) if binding.deformer else (_carried(binding),)
+    chain = steps(binding.deformer) if binding.deformer else ()
+    if binding.transform and not any(step in SKINNING for step in chain):
+        chain = (*chain, _carried(binding))
     points = np.empty((n, *shape.points.shape), np.float32)
     normals = None if shape.normals is None else np.empty(points.shape, np.float32)
     others = {name: np.empty((n, *values.shape[1:]), np.float32) for name, values in rest.attributes.items()}
