@@ -14,6 +14,7 @@ from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene import adjusting
+from antdsl.scene.absent_species import absent_species
 from antdsl.scene.body_files import bodies
 from antdsl.scene.crowd_model import Placement, UsdPlaces
 from antdsl.scene.document import Key
@@ -74,9 +75,8 @@ def _world(scene: Scene, program: Program, report: Report) -> None:
             continue  # one mistake, one complaint
         if name not in given:
             place = scene.span("world", key=True) if "world" in scene.document.entries else scene.span("antdsl", key=True)
-            message = (
-                f"the program's {thing.kind} `{name}` has no {'place' if thing.kind == 'items' else 'geometry'} in the scene"
-            )
+            lacks = "place" if thing.kind == "items" else "geometry"
+            message = f"the program's {thing.kind} `{name}` has no {lacks} in the scene"
             advice = f"add `{name}: {row.scene}` to `world`"
             report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
         elif not isinstance(given[name], MODELS[thing.kind]):
@@ -85,12 +85,6 @@ def _world(scene: Scene, program: Program, report: Report) -> None:
             report.error("wrong-kind", message, place, advice, labels=(Label(thing.span, "declared here"),))
         else:
             _thing(scene, program, report, name, thing)
-    for name, thing in program.world.items():
-        if thing.kind == "species" and name not in program.species:
-            place = scene.span("crowd", key=True) if "crowd" in scene.document.entries else scene.span("antdsl", key=True)
-            message = f"the program asks of the species `{name}`, which no line of the crowd brings"
-            advice = f"add to `crowd`: `- {{species: {name}, from: {name}.ant, count: 0}}`"
-            report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
 
 
 def _surfaces(program: Program, *others: str) -> list[str]:
@@ -395,6 +389,7 @@ CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _world,  # what `around` and `on` name is in here
     _crowd,
     bodies,
+    absent_species,
     _params,
     _fields,
     spreading,
