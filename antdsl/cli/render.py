@@ -163,6 +163,7 @@ def _draw(
 ) -> Iterator[tuple[int, Any]]:
     """Frames with their pictures; with `rest` a camera at eye level stays where the first frame put it, as a film needs it."""
     from antdsl.outputs.cache.cache_reader import CacheError
+    from antdsl.outputs.gallery import NoPicture
     from antdsl.outputs.pictures.render import Renderer
 
     renderer = Renderer(width, height, threads=threads)
@@ -172,6 +173,8 @@ def _draw(
             picture = gallery.picture(frame, agents=frozenset(agents))
         except CacheError as why:
             raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
+        except NoPicture as why:
+            raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
         if standing is None or (camera is View.eye and not rest) or (camera is View.scene and gallery.camera_moves):
             standing = _camera(gallery, picture, camera, agents, width / height, frames)
         try:

@@ -56,6 +56,7 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
             after.events[event] = before.events[event][rows].copy()
     values = {register: before.now[register][rows] for register in _same(old, world, before.plan, after.plan, migrated)}
     _states(before.plan, after.plan, values, migrated)
+    _clips(before.plan, after.plan, values)
     _items(old, world, after.plan, values)
     _pairs(before, world, after.plan, rows, values)
     _put(after, values)
@@ -175,6 +176,15 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
             values[f"{machine.name}.{part}"] = np.where(lost | (other < 0), state, other).astype(now.dtype)
         time = values[f"{machine.name}.time_in_state"]
         values[f"{machine.name}.time_in_state"] = np.where(lost, 0, time).astype(time.dtype)
+
+
+def _clips(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
+    """Numbers of clips into those that these clips have now; where one is played no more, none is."""
+    number = np.array([after.clips.index(clip) if clip in after.clips else -1 for clip in before.clips] + [-1])
+    for machine in after.machines:
+        for register in (f"{machine.name}.clip", f"{machine.name}.clip_before"):
+            if register in values:
+                values[register] = number[values[register]].astype(values[register].dtype)
 
 
 def _pairs(before: Population, world: World, after: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]) -> None:

@@ -8,6 +8,7 @@ from meaning import WAYS, Seen, crowd, play
 from plan_text import plan_of
 
 from antdsl.passes import optimise
+from antdsl.reload import take_over
 from antdsl.runtime import Options, bind, checkpoint, restore, state_hash, step
 from antdsl.scene.setting import ClipData, Setting
 
@@ -49,16 +50,16 @@ def test_a_clip_that_covers_ground_goes_by_the_ground_and_others_by_the_clock() 
 
 
 def test_loops_begin_anywhere_and_others_at_their_start() -> None:
-    begun = [turns(seen := shown(f"state one {{ play walk; steer {GOES} }}", 1, count=40), k)[1] for k in range(40)]
+    begun = [turns(seen := shown(f"state one {{ play walk; steer {GOES} }}", 1, count=40), k)[0] for k in range(40)]
     assert seen.world.faults.count == 0 and min(begun) < 0.2 and max(begun) > 0.8 and max(begun) < 1
-    assert turns(shown(f"state one {{ play wave; steer {GOES} }}", 1))[1] == 0
+    assert turns(shown(f"state one {{ play wave; steer {GOES} }}", 1))[0] == 0
 
 
 def test_one_that_does_not_loop_stays_at_its_end_and_is_done() -> None:
     states = f"state one {{ play wave; steer {GOES}; when clip done -> two }}; state two {{ play breathe; steer {GOES} }}"
     seen = shown(states, 14)
-    assert seen.states() == ["one"] * 10 + ["two"] * 5
-    assert turns(seen)[1:10] == pytest.approx(np.minimum(np.arange(9) * 0.125, 1), abs=1e-5)
+    assert seen.states() == ["one"] * 9 + ["two"] * 6
+    assert turns(seen)[:9] == pytest.approx(np.minimum(np.arange(9) * 0.125, 1), abs=1e-5)
 
 
 def test_a_mark_is_passed_once_a_turn() -> None:
@@ -67,7 +68,7 @@ def test_a_mark_is_passed_once_a_turn() -> None:
     passed = np.diff(np.floor(turns(seen)[1:] - 0.5)).sum()
     assert 7 <= seen["steps"][0] <= 8 and abs(seen["steps"][0] - passed) <= 1
     states = f"state one {{ play wave; steer {GOES}; when clip at top -> two }}; state two {{ play wave; steer {GOES} }}"
-    assert shown(states, 10).states().index("two") == 6
+    assert shown(states, 10).states().index("two") == 5
     never = f"state one {{ play walk; steer {GOES}; when clip at nowhere -> two }}; state two {{ play wave; steer {GOES} }}"
     assert set(shown(never, 20).states()) == {"one"}
 
@@ -81,7 +82,7 @@ def test_the_clip_before_gives_way_in_the_time_that_is_said() -> None:
     fade = turns(seen, name="clip_fade")
     assert fade[:6] == pytest.approx(0) and fade[6:11] == pytest.approx([0.75, 0.5, 0.25, 0, 0], abs=1e-6)
     assert fade[12] == pytest.approx(1 / 3, abs=1e-5) and fade[13] == 0  # 0.15 s where nothing is said
-    assert seen.every("main.clip") == [-1] + [0] * 5 + [1] * 6 + [-1] * 5
+    assert seen.every("main.clip") == [0] * 6 + [1] * 6 + [-1] * 5
     before = turns(seen, name="clip_before_turns")
     assert np.diff(before[6:9]) == pytest.approx(0.2, abs=1e-5)  # it goes on meanwhile
 
@@ -96,7 +97,7 @@ def test_two_that_cover_ground_keep_step() -> None:
 def test_weights_and_groups() -> None:
     states = f"state one {{ play walk(weight: 0.25); steer {GOES}; when after 0.3 s -> two }}"
     seen = shown(states + f"\nstate two {{ play walk(on: arms, weight: 7); steer {GOES} }}", 6)
-    assert seen.every("main.clip_weight") == [0] + [0.25] * 3 + [1] * 3
+    assert seen.every("main.clip_weight") == [1] + [0.25] * 3 + [1] * 3
     assert [(clip.name, clip.on) for clip in seen.world.plan.species["a"].clips] == [("walk", ""), ("walk", "arms")]
 
 
@@ -106,7 +107,8 @@ def test_machines_play_beside_each_other() -> None:
       machine arms {{ start rest; state rest {{ when after 0.3 s -> wave }}; state wave {{ play wave(on: arms) }} }}
     }}"""
     seen = play(text, crowd(1), steps=6, ways=EVERY_WAY, clips=CLIPS)
-    assert seen.every("legs.clip") == [-1] + [0] * 6 and seen.every("arms.clip") == [-1] * 4 + [1] * 3
+    assert seen.every("legs.clip") == [0] * 7 and seen.every("arms.clip") == [-1] * 4 + [1] * 3
+    assert seen.every("arms.clip_fade")[3:6] == pytest.approx([0, 1 / 3, 0], abs=1e-5), "none gives way as well"
 
 
 def test_a_checkpoint_goes_on_where_clips_are() -> None:
@@ -126,9 +128,34 @@ def test_a_checkpoint_goes_on_where_clips_are() -> None:
     assert hashes[0] == hashes[1]
 
 
+def test_a_mark_at_the_start_is_passed_as_the_clip_begins_and_not_as_it_ends() -> None:
+    states = f"state one {{ play wave; steer {GOES}; when clip at start -> one {{ steps += 1 }} }}; steps = 0"
+    clips = {"a": {"wave": ClipData(0.8, 0.0, False, {"start": 0.0})}}
+    seen = play(f"{HEAD}start one\n{states} }}", crowd(1), steps=14, ways=EVERY_WAY, clips=clips)
+    assert seen.every("steps") == [0] + [1] * 14
+
+
+def test_an_edit_that_numbers_clips_anew_lets_them_go_on() -> None:
+    begin = "species a { size 10 mm\nstart one\n"
+    wave = f"state one {{ play wave; steer {GOES}; when after 100 s -> two }}\n"
+    rest = f"state two {{ play breathe; steer {GOES} }}\n}}"
+    first = f"state nul {{ play breathe; steer {GOES}; when after 1 s -> one }}\n"
+    setting = Setting(crowds=(crowd(2, radius=20.0),), seed=2, clips={"a": {"wave": ClipData(5.0, 0.0, False)}})
+    world = bind(optimise(plan_of(begin + wave + rest)), setting, Options(backend="numpy"))
+    for _ in range(20):
+        step(world)
+    turns = world.populations["a"].now["main.clip_turns"].copy()
+    edited, _ = take_over(world, optimise(plan_of(begin + first + wave + rest)), setting)
+    ants = edited.populations["a"]
+    assert [ants.plan.clips[k].name for k in ants.now["main.clip"]] == ["wave", "wave"]
+    step(edited)
+    assert ants.now["main.clip_turns"] == pytest.approx(turns + 1 / 24 / 5, abs=1e-6) and not ants.now["main.clip_fade"].any()
+
+
 @pytest.mark.parametrize(
     ("line", "code", "help"),
     [
+        ("play wave; play walk", "two-writers", "play it in a machine of its own, `machine arms { … }`"),
         ("enter { play wave }", "misplaced", "write `play wave` as a line of the state itself"),
         ("play wave(on: 3)", "wrong-argument", "write `play wave(on: arms)`"),
         ("play wave(speed: 2 mm)", "wrong-unit", None),

@@ -19,6 +19,8 @@ from antdsl.source import Span
 
 OVER = 0.15  # s, in which one clip gives way to the next where no change says otherwise
 NONE = -1
+_BEFORE = 1e-6  # turns: where a clip that begins was before, so that it comes past a mark at its start
+_START = "~clip.start"
 
 
 def clips_of(species: model.Species) -> tuple[ir.ClipPlan, ...]:
@@ -45,6 +47,19 @@ def declare(w: Writer, machine: model.Machine) -> None:
     w.declare(f"{name}.clip_over", Kind.F32, "memory", OVER)
 
 
+def begin(w: Writer, machine: model.Machine) -> None:
+    """At birth: the clip of the start state, from its start, or from anywhere where it loops."""
+    line = next((line for line in machine.states[machine.start].body if isinstance(line, model.Play)), None)
+    if line is None:
+        return
+    b, name, clip = w.b, machine.name, _number(w, line)
+    draw = b("draw", attrs=(f"{w.species.name}.{name}.clip", 0))
+    w.store(f"{name}.clip", clip, line.span)
+    w.store(f"{name}.clip_turns", b("where", _loops(w, clip), draw, b.number(0)), line.span)
+    w.store(f"{name}.clip_last", b("sub", w.read(f"{name}.clip_turns"), b.number(_BEFORE)), line.span)
+    w.store(f"{name}.clip_weight", b.number(1), line.span)
+
+
 def give_way(w: Writer, machine: model.Machine, over: model.Expr | None, span: Span) -> None:
     """A change says in what time the clip of the state that is left gives way."""
     if plays(machine):
@@ -56,12 +71,12 @@ def rest(w: Writer, machine: model.Machine, state: model.State) -> None:
     if plays(machine) and not any(isinstance(line, model.Play) for line in state.body):
         _become(w, machine.name, w.b.row(NONE), w.b.number(0), state.span)
         _fade(w, machine.name, state.span)
+        w.store(f"{machine.name}.clip_weight", w.b.number(0), state.span)
 
 
 def play(w: Writer, machine: str, line: model.Play) -> None:
     """A line of the state that the agent is in."""
-    b, number = w.b, clips_of(w.species).index(ir.ClipPlan(line.clip, line.on))
-    clip = b.row(number)
+    b, clip = w.b, _number(w, line)
     begins = b("ne", w.read(f"{machine}.clip"), clip)
     pace = _pace(w, clip)
     if line.speed is not None:
@@ -87,28 +102,29 @@ def test(w: Writer, e: model.ClipTest) -> Node:
     if not e.mark:
         return b("ge", turns, b.number(1))
     mark = b("clip.value", w.read(f"{machine}.clip"), attrs=(f"mark {e.mark}",))
-    passed = [b("floor", b("sub", each, mark)) for each in (turns, last)]
-    return b("and", b("gt", passed[0], passed[1]), b("ge", mark, b.number(0)))
+    whole = [b("floor", b("sub", each, mark)) for each in (turns, last)]
+    once = b("and", b("lt", last, mark), b("ge", turns, mark))
+    passed = b("or", b("and", _loops(w, w.read(f"{machine}.clip")), b("gt", whole[0], whole[1])), once)
+    return b("and", passed, b("ge", mark, b.number(0)))
 
 
 def _become(w: Writer, machine: str, clip: Node, step: Node, span: Span | None) -> None:
-    """Another clip begins: anywhere where it is the first and loops, in step with the one before where both cover ground, which
-    it then goes on with by so many turns (`step`)."""
+    """Another clip begins at its start, or in step with the one before where both cover ground, which it then goes on with by so
+    many turns (`step`)."""
     b, before = w.b, w.read(f"{machine}.clip")
     turns = w.read(f"{machine}.clip_turns")
+    w.declare(_START, Kind.F32, "temp")
     with w.region(b("ne", before, clip), span or w.species.span):
-        some, first = b("ne", clip, b.row(NONE)), b("eq", before, b.row(NONE))
-        draw = b("draw", attrs=(f"{w.species.name}.{machine}.clip", 0))
         both = b("and", _walks(w, before), _walks(w, clip))
         part = b("sub", turns, b("floor", turns))
-        start = b("where", both, b("add", part, step), b("where", b("and", first, _loops(w, clip)), draw, b.number(0)))
-        w.store(f"{machine}.clip_before", before, span)
+        w.store(_START, b("where", both, b("add", part, step), b.number(0)), span)
         w.store(f"{machine}.clip_before_turns", turns, span)
         w.store(f"{machine}.clip_before_weight", w.read(f"{machine}.clip_weight"), span)
-        w.store(f"{machine}.clip_fade", b("where", b("and", first, some), b.number(0), b.number(1)), span)
-        w.store(f"{machine}.clip_last", start, span)
+        w.store(f"{machine}.clip_fade", b.number(1), span)
+        w.store(f"{machine}.clip_last", b("where", both, part, b.number(-_BEFORE)), span)
+        w.store(f"{machine}.clip_before", before, span)
         w.store(f"{machine}.clip", clip, span)
-        w.store(f"{machine}.clip_turns", w.read(f"{machine}.clip_last"), span)
+        w.store(f"{machine}.clip_turns", w.read(_START), span)
 
 
 def _fade(w: Writer, machine: str, span: Span | None) -> None:
@@ -132,6 +148,11 @@ def _pace(w: Writer, clip: Node) -> Node:
     ground = b("mul", stride, b("max", w.read("size"), b.number(1e-6)))
     by_ground = b("div", speed, b("where", b("gt", ground, b.number(0)), ground, b.number(1)))
     return b("where", b("gt", stride, b.number(0)), by_ground, b("div", b.number(1), b("max", seconds, w.run("dt"))))
+
+
+def _number(w: Writer, line: model.Play) -> Node:
+    """The number of the clip of a line."""
+    return w.b.row(clips_of(w.species).index(ir.ClipPlan(line.clip, line.on)))
 
 
 def _loops(w: Writer, clip: Node) -> Node:

@@ -85,6 +85,7 @@ class MachineWriter:
         """The start state, before anything else happens at birth."""
         for part in ("state", "previous", "next"):
             self.w.store(f"{self.name}.{part}", self.w.b.row(self.machine.start), self.machine.span)
+        clips.begin(self.w, self.machine)
 
     def enter_start(self) -> None:
         start = self.machine.states[self.machine.start]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block
 from antdsl.program.kinds import Kind
@@ -42,3 +43,13 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
         )  # fmt: skip
         return None
     return model.Play(clip, on.name.text if isinstance(on, nodes.NameRef) else "", numbers["speed"], numbers["weight"], line.span)
+
+
+def one_clip(scope: Scope, node: nodes.State) -> None:
+    """Complain about a state that plays several clips."""
+    lines = [line for line in node.body if isinstance(line, nodes.Ask) and line.verb == "play"]
+    for line in lines[1:]:
+        scope.report.error(
+            "two-writers", f"`{node.name.text}` plays a clip already, and a state plays one", line.span,
+            "play it in a machine of its own, `machine arms { … }`", labels=(Label(lines[0].span, "first here"),),
+        )  # fmt: skip
