@@ -59,12 +59,21 @@ class TracedAgent(Agent):
         for block in BLOCKS:
             self.run(block, self.plan)
             if block == "decide":
+                self._decided()
                 self.trace.claims = list(self.effects.claims)
                 with_winnings(self, self.population)
             self._collect(block)
         self.trace.now = {name: array[0] for name, array in self.now.items()}
         self.trace.effects = self.effects
         return self.trace
+
+    def _decided(self) -> None:
+        """Changes of a machine of which none can ever fire: nothing is stored for them, and they were not seen."""
+        for note in self.notes.changes:
+            if note.state.index == int(self.trace.before[f"{note.machine}.state"]):
+                for node in of_change(note):
+                    if node not in self.trace.values:
+                        self.trace.values[node] = self.value(self.became.get(node, node))
 
     def _store(self, s: ir.Store) -> None:
         super()._store(s)
