@@ -17,7 +17,21 @@ from antdsl.syntax import nodes
 Library = Callable[[str], "nodes.File | None"]
 
 _TAKEN = frozenset(
-    {*RUN_NAMES, *SENSED_NAMES, *RESERVED, "state", "previous", "next", "time_in_state", "self", "true", "false", "none"}
+    {
+        *RUN_NAMES,
+        *SENSED_NAMES,
+        *RESERVED,
+        "state",
+        "previous",
+        "next",
+        "time_in_state",
+        "self",
+        "true",
+        "false",
+        "none",
+        "chance",
+        "clip",
+    }
 )
 EVENTS = ("spawn", "collision")
 LIBRARIES = ("steering",)
