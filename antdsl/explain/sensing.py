@@ -60,9 +60,7 @@ def senses(trace: Trace) -> tuple[Sense, ...]:
 
 def _sense(node: Node, value: Any) -> Iterator[Sense]:
     row = SENSES[node.op]
-    if node.op == "clip.value":  # of the body, which is the same in every step
-        return
-    if row.results[0].kind == "l" and value[0] == NOBODY:
+    if row.quiet or (row.results[0].kind == "l" and value[0] == NOBODY):
         return
     kind, _, what = node.op.partition(".")
     values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))

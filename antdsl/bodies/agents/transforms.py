@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.agents import affine
 from antdsl.numerics.elementary import wide_atan2, wide_cos, wide_sin
 
 Floats = NDArray[np.float64]
@@ -17,12 +18,8 @@ ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 def rotation_matrix(quaternion: Floats) -> Floats:
     """Matrices float64[..., 3, 3] of unit quaternions float64[..., 4] (x, y, z, w)."""
-    x, y, z, w = np.moveaxis(quaternion, -1, 0)
-    made = np.empty((*quaternion.shape[:-1], 3, 3))
-    made[..., 0, 0], made[..., 0, 1], made[..., 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    made[..., 1, 0], made[..., 1, 1], made[..., 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    made[..., 2, 0], made[..., 2, 1], made[..., 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    return made
+    nowhere, plain = np.zeros((*quaternion.shape[:-1], 3)), np.ones((*quaternion.shape[:-1], 3))
+    return matrix_of(nowhere, quaternion, plain)[..., :3, :3]
 
 
 def rotation_of(matrix: Floats) -> Floats:
@@ -56,17 +53,7 @@ def unit_quaternion(quaternion: Floats) -> Floats:
 
 def product(a: Floats, b: Floats) -> Floats:
     """The rotation `b` and then `a`, as quaternions float64[..., 4]."""
-    ax, ay, az, aw = np.moveaxis(a, -1, 0)
-    bx, by, bz, bw = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=-1,
-    )
+    return np.moveaxis(affine.product(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), 0, -1)
 
 
 def rotation_of_angles(angles: Floats, order: str) -> Floats:
@@ -117,16 +104,13 @@ def between_rotations(a: Floats, b: Floats, share: Floats) -> Floats:
 
 def matrix_of(translation: Floats, rotation: Floats, scale: Floats, shear: Floats | None = None) -> Floats:
     """Matrices float64[..., 4, 4] of translations [..., 3], unit quaternions [..., 4], scales [..., 3] and shears [..., 3]."""
-    made = np.zeros((*translation.shape[:-1], 4, 4))
-    turn = rotation_matrix(rotation)
-    if shear is not None:
-        turn = turn.copy()
-        x, y = turn[..., 0].copy(), turn[..., 1].copy()
-        turn[..., 1] = x * shear[..., None, 0] + y
-        turn[..., 2] += x * shear[..., None, 1] + y * shear[..., None, 2]
-    made[..., :3, :3] = turn * scale[..., None, :]
-    made[..., :3, 3], made[..., 3, 3] = translation, 1.0
-    return made
+    count = translation[..., 0].size
+    made = np.zeros((count, 4, 4))
+    made[:, 3, 3] = 1.0
+    place, turn, size = (each.reshape(count, each.shape[-1]).T for each in (translation, rotation, scale))
+    slant = None if shear is None else shear.reshape(count, 3).T
+    affine.composed(place, turn, size, slant, made[:, :3].transpose(1, 2, 0))
+    return made.reshape(*translation.shape[:-1], 4, 4)
 
 
 def parts_of(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -24,11 +24,7 @@ Written = dict[str, nodes.Expr]
 
 def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
     """The statement, or None after a complaint."""
-    row = EFFECTS.get(line.verb)
-    if row is None:
-        message = f"`{line.verb}` is a word of the language that does not work yet"
-        scope.report.error("not-yet", message, line.span, "leave it out for now")
-        return None
+    row = EFFECTS[line.verb]
     of = line.name.text if line.name is not None else ""
     form = f"{row.op} {of}".rstrip()
     written = _written(scope, row, line, form)

@@ -84,7 +84,7 @@ class Sense:
 
     `of`: the kind of thing that its first attribute names, "" for none; `attrs`: further attributes. `operands`: kinds, a letter
     each. `trace`: how a trace says the results, by the names of the parts (for three or more numbers, all of them, if it is not
-    given); `nothing`: what it says where the first part is false."""
+    given); `nothing`: what it says where the first part is false. `quiet`: a trace does not tell of it."""
 
     op: str
     of: str
@@ -95,6 +95,7 @@ class Sense:
     attrs: tuple[str, ...] = ()
     trace: str = ""
     nothing: str = ""
+    quiet: bool = False
 
     @property
     def kinds(self) -> str:

@@ -266,6 +266,7 @@ _ROWS = (
         "it); a second, 0 and 1 for no clip",
         operands="i",
         attrs=("what",),
+        quiet=True,  # of the body, which is the same in every step
     ),
     Sense(
         "contact",
