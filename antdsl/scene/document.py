@@ -155,12 +155,17 @@ class _Reader:
             raise self.refuse("wrong-value", "a scene is a list of `key: value` lines", root.span, "begin with `antdsl: 1`")
         return root
 
+    def too_deep(self, span: Span) -> _Refused:
+        return self.refuse("too-large", f"values lie more than {limits.YAML_DEPTH} deep in each other", span)
+
     def syntax(self, problem: Any) -> _Refused:
         mark = getattr(problem, "problem_mark", None) or getattr(problem, "context_mark", None)
         start = self.offset(mark) if mark is not None else 0
         words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
         text, help = self.source.text, None
         labels: list[Label] = []
+        if "nesting depth" in words:  # newer readers of YAML look further ahead than the events they have given
+            return self.too_deep(Span(self.source, start, min(start + 1, len(self.source.text))))
         better = self.better(problem, start)
         if better is not None:
             self.report.add(better)
@@ -227,9 +232,7 @@ class _Reader:
             elif isinstance(event, yaml.CollectionStartEvent):
                 stack.append(_Open(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
                 if len(stack) > limits.YAML_DEPTH:
-                    raise self.refuse(
-                        "too-large", f"values lie more than {limits.YAML_DEPTH} deep in each other", self.span(event)
-                    )
+                    raise self.too_deep(self.span(event))
             elif isinstance(event, yaml.CollectionEndEvent):
                 done = self.close(stack.pop(), self.offset(event.end_mark))
             if done is not None:
