@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.layer import Layer, TransformGroup
+from antdsl.bodies.agents.legs import Gait, Leg
 from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.shape import Shape
 
@@ -22,7 +23,7 @@ UP = (0.0, 1.0, 0.0)
 class Definition:
     """`front` and `up`: the axes of its space that it looks along and stands along; `length`: how long it is along `front` in
     its own units, which is what an agent's `size` scales it to; `unit`: millimetres in one of its units. `materials`: base
-    colours (linear, 0 to 1) by name."""
+    colours (linear, 0 to 1) by name. `gaits` go from slow to fast. `idle`: the clip of agents that play none ("": rest)."""
 
     name: str
     rig: Rig
@@ -36,6 +37,9 @@ class Definition:
     up: tuple[float, float, float] = UP
     length: float = 1.0
     unit: float = 1.0
+    legs: tuple[Leg, ...] = ()
+    gaits: tuple[Gait, ...] = ()
+    idle: str = ""
 
     def base(self) -> NDArray[np.float64]:
         """The matrix float64[4, 4] from its own space to that of agents: length 1, front +x, up +y."""
