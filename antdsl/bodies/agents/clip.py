@@ -16,7 +16,8 @@ class Clip:
     `translation` float32[F, K, 3] in the definition's units, `rotation` float32[F, K, 4] (unit, x y z w), `scale` float32[F, K,
     3], `shear` float32[F, K, 3] or None; `transforms.py` says in which order they apply. `values` float32[F, C]. A clip that
     loops has its first pose again as its last sample. `stride`: how far it goes in one turn, in the definition's units, 0 for a
-    clip that stays where it is. `marks`: seconds by name."""
+    clip that stays where it is. `marks`: seconds by name. `feet`: whether feet stand on the ground while it plays, else legs go
+    as the clip has them."""
 
     name: str
     rate: float
@@ -30,6 +31,7 @@ class Clip:
     loop: bool = True
     stride: float = 0.0
     marks: Mapping[str, float] = field(default_factory=dict)
+    feet: bool = True
 
     @property
     def samples(self) -> int:
