@@ -18,6 +18,7 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.layer import Layer
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
 
@@ -30,21 +31,21 @@ class PosedBody:
 
     `faces` int32[m, 3]; `own` float32[v, 3], linear colours of materials; `tint` float32[v]: 1 takes the agent's colour, as
     does what has no material or one called `state`, 0 its material's. Drawn are the shapes of one layer, `body` where there is
-    one so called, else the first that is not called `collision`."""
+    one so called, else the first that is not called `collision`: `bindings`. `definition` has normals for all that is drawn."""
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]]) -> None:
         self.clips, self._whole = tuple(clips), definition
         self._table = clip_table(definition)
         layer = _worn(definition)
-        self._bindings = (*layer.static, *layer.deforming)
-        names = {binding.shape for binding in self._bindings}
+        self.bindings = (*layer.static, *layer.deforming)
+        names = {binding.shape for binding in self.bindings}
         shaded = {n: _with_normals(shape) if n in names else shape for n, shape in definition.shapes.items()}
-        self._definition = replace(definition, shapes=shaded)
+        self.definition = replace(definition, shapes=shaded)
         base = definition.base()[:3, :3]
         self._base = base.astype(np.float32)
         self._turn = (base * definition.length).astype(np.float32)
-        parts = [_parted(shaded[binding.shape], definition.materials) for binding in self._bindings]
-        starts = np.cumsum([0, *(len(shaded[binding.shape].points) for binding in self._bindings)])
+        parts = [_parted(shaded[binding.shape], definition.materials) for binding in self.bindings]
+        starts = np.cumsum([0, *(len(shaded[binding.shape].points) for binding in self.bindings)])
         counts = np.cumsum([0, *(len(part[0]) for part in parts)])
         none = np.zeros(0, np.int64)
         self._taken = np.concatenate([none, *(part[0] + s for part, s in zip(parts, starts, strict=False))])
@@ -65,11 +66,15 @@ class PosedBody:
         """The same with fewer triangles, for agents that are small in a picture."""
         return PosedBody(coarse(self._whole), self.clips)
 
+    def poses(self, machines: Sequence[MachineClips], count: int, *, local: bool = False, threads: int = 1) -> Poses:
+        """The transforms of all joints of `count` agents that play what their machines say, in the definition's units."""
+        playing = machines_playing(self._table, self.clips, machines, count)
+        return posed(self._table, self.definition.groups, playing, local=local, threads=threads)
+
     def posed(self, machines: Sequence[MachineClips], count: int, threads: int = 1) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths."""
-        playing = machines_playing(self._table, self.clips, machines, count)
-        poses = posed(self._table, self._definition.groups, playing, threads=threads)
-        found = [bound(self._definition, binding, poses) for binding in self._bindings]
+        poses = self.poses(machines, count, threads=threads)
+        found = [bound(self.definition, binding, poses) for binding in self.bindings]
         none = np.zeros((count, 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self._taken]
         normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)[:, self._taken]

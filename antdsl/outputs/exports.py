@@ -8,7 +8,7 @@ from pathlib import Path
 
 from antdsl.outputs.csv_export import export_csv
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.usd_export import export_instances, export_xforms
+from antdsl.outputs.usd.stage import export_crowds, export_xforms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +20,7 @@ class Export:
 
 
 EXPORTS = (
-    Export((".usdc", ".usda", ".usd"), {"instances": export_instances, "xforms": export_xforms}),
+    Export((".usdc", ".usda", ".usd"), {"instances": export_crowds, "xforms": export_xforms}),
     Export((".csv",), {"keyframes": export_csv}),
 )
 

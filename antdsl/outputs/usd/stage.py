@@ -1,0 +1,129 @@
+"""A cache as a USD stage: crowds in one of three forms, and the world around them, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from antdsl import __version__
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.usd.instancers import InstancerWriter
+from antdsl.outputs.usd.moments import Moments
+from antdsl.outputs.usd.skeletons import SkeletonWriter
+from antdsl.outputs.usd.values import BODIES, ROOT, Out
+from antdsl.outputs.usd.world import WorldWriter
+from antdsl.outputs.usd.xforms import XformWriter
+from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.model import UNIT_MM
+from antdsl.whole import whole
+
+SKELETONS = 200  # agents of a species up to which each has a skeleton
+_SAVE_EVERY = 24  # frames that wait in memory for their place in the file
+_SAME = 1e-6  # frames
+
+
+@dataclass(frozen=True, slots=True)
+class UsdOptions:
+    """`skeletons`: up to how many agents of a species each has a skeleton of its own; more are instances of a bank of poses.
+    `shutter`: from when to when around each frame, in frames, agents have samples, `samples` of them. `chunk`: so many frames
+    share a file of values (0: all are in one file). `copies`: agents with skeletons are no instances."""
+
+    skeletons: int = SKELETONS
+    shutter: tuple[float, float] = (0.0, 0.0)
+    samples: int = 1
+    chunk: int = 0
+    copies: bool = False
+
+
+Writer = InstancerWriter | SkeletonWriter | XformWriter
+
+
+def export_crowds(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = UsdOptions()) -> list[str]:
+    """Write these frames into a USD file: a species of few agents as skeletons, of many as a point instancer. It is in its place
+    whole or not at all. What USD cannot hold is told.
+
+    UsdError without usd-core, CacheError for a frame that is damaged, OSError where nothing can be written."""
+    frames = list(frames)
+    most = _most(gallery, frames)
+
+    def kind(number: int) -> Callable[..., Writer]:
+        worn = gallery.manifest.species[number].definition is not None
+        if not worn or most[number] > options.skeletons:
+            return InstancerWriter
+        return partial(SkeletonWriter, copies=options.copies)
+
+    return _export(gallery, frames, path, options, kind)
+
+
+def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = UsdOptions()) -> list[str]:
+    """The same with one Xform an agent, as programs read them that animate objects one by one."""
+    return _export(gallery, list(frames), path, options, lambda number: XformWriter)
+
+
+def _most(gallery: Gallery, frames: list[int]) -> list[int]:
+    """The most agents that each species has in a frame."""
+    count = len(gallery.manifest.species)
+    most = np.zeros(count, np.int64)
+    for frame in frames:
+        arrays = gallery.cache.frame(frame, frozenset(["id", "species"]))
+        which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(len(arrays.get("id", ())), np.int64)
+        most = np.maximum(most, np.bincount(which, minlength=count)[:count])
+    found: list[int] = most.tolist()
+    return found
+
+
+def times(frame: int, options: UsdOptions) -> list[float]:
+    """When agents have samples for a frame: at the frame, and over the shutter."""
+    first, last = options.shutter
+    around = np.linspace(first, last, options.samples) if options.samples > 1 else np.zeros(1)
+    found: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
+    return found
+
+
+def _export(
+    gallery: Gallery, frames: list[int], path: Path, options: UsdOptions, kind: Callable[[int], Callable[..., Writer]]
+) -> list[str]:
+    with whole(path, path.suffix) as part:
+        try:
+            stage = pxr("Usd").Stage.CreateNew(str(part))
+        except pxr("Tf").ErrorException as problem:
+            raise OSError(None, "cannot be written", str(path)) from problem
+        out = Out(stage)
+        _describe(stage, gallery, frames)
+        world, moments = WorldWriter(out, gallery, frames), Moments(gallery)
+        crowds = [kind(number)(out, species, number) for number, species in enumerate(gallery.manifest.species)]
+        written = -np.inf
+        for number, frame in enumerate(frames):
+            world.frame(frame, moments.at(frame, frame).picture)
+            for time in times(frame, options):
+                if time > written + _SAME:
+                    moment = moments.at(time, frame)
+                    for crowd in crowds:
+                        crowd.sample(moment)
+                    written = time
+            if number % _SAVE_EVERY == _SAVE_EVERY - 1:
+                stage.Save()
+        stage.Save()
+        notes = [note for crowd in crowds for note in crowd.notes]
+        del world, crowds, out, stage  # the file is closed before it is moved
+    return list(dict.fromkeys(notes))
+
+
+def _describe(stage: Any, gallery: Gallery, frames: list[int]) -> None:
+    geom, manifest = pxr("UsdGeom"), gallery.manifest
+    geom.SetStageMetersPerUnit(stage, UNIT_MM[manifest.units] / 1000)
+    geom.SetStageUpAxis(stage, manifest.up.upper())
+    stage.SetTimeCodesPerSecond(1 / gallery.dt)
+    stage.SetFramesPerSecond(1 / gallery.dt)
+    stage.SetStartTimeCode(frames[0])
+    stage.SetEndTimeCode(frames[-1])
+    stage.SetMetadata("comment", f"antdsl {__version__}: {manifest.scene}, seed {manifest.seed}")
+    world = geom.Xform.Define(stage, ROOT)
+    pxr("Usd").ModelAPI(world).SetKind("assembly")
+    stage.SetDefaultPrim(world.GetPrim())
+    stage.CreateClassPrim(BODIES)
