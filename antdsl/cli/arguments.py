@@ -44,3 +44,19 @@ def frame_range(text: str | None, flag: str = "--frames"):  # type: ignore[no-un
         return parse_frames(text)
     except BadQuantity as why:
         raise typer.BadParameter(f"`{text}` {why}: {why.help or 'write A..B'}", param_hint=flag) from None
+
+
+def open_time(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
+    """`A..B` as when a shutter opens and closes, in frames from the frame itself; at most one frame, which is near. None for
+    None."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)", text.strip(), re.ASCII)
+    if found is None or len(text) > 32:
+        raise typer.BadParameter(f"`{text}` is no time: write `-0.25..0.25`, in frames", param_hint=flag)
+    first, last = float(found[1]), float(found[2])
+    if not -1 <= first < last <= 1 or last - first > 1:
+        raise typer.BadParameter(
+            f"`{text}` is not open for at most one frame, from -1 to 1; write `-0.25..0.25`", param_hint=flag
+        )
+    return first, last

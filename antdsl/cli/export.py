@@ -17,10 +17,41 @@ def export(
         None, "--as", metavar="WORD", help="Of USD: instances, or xforms (one an agent). [default: instances]", show_default=False
     ),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Which frames. [default: all]", show_default=False),
+    skeletons: int = typer.Option(
+        None,
+        "--skeletons",
+        metavar="N",
+        min=0,
+        max=100_000,
+        show_default=False,
+        help="Of USD: up to N agents of a species have a skeleton each, more are instances of a bank of poses. [default: 200]",
+    ),
+    shutter: str = typer.Option(
+        None,
+        "--shutter",
+        metavar="A..B",
+        show_default=False,
+        help="Of USD: samples between frames, from A to B around each frame.",
+    ),
+    samples: int = typer.Option(
+        None, "--samples", metavar="N", min=2, max=33, show_default=False, help="How many of them. [default: 3]"
+    ),
+    chunk: int = typer.Option(
+        None,
+        "--chunk",
+        metavar="N",
+        min=1,
+        max=100_000,
+        show_default=False,
+        help="Of USD: values of N frames to a file. [default: one]",
+    ),
+    copies: bool = typer.Option(
+        None, "--copies", show_default=False, help="Of USD: agents with skeletons are no instances, as Blender needs them."
+    ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Write a cache as a USD file (agents, meshes, items, camera; needs the extra [usd]), or keyframes of agents as CSV."""
-    from antdsl.cli.arguments import frame_range
+    from antdsl.cli.arguments import frame_range, open_time
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.exports import EXPORTS, export_for
@@ -36,6 +67,14 @@ def export(
         raise typer.BadParameter(
             f"`{to.name}` cannot be written as `{word}`: there is {', '.join(export.forms)}", param_hint="--as"
         )
+    wanted = {"skeletons": skeletons, "shutter": open_time(shutter), "samples": samples, "chunk": chunk, "copies": copies}
+    given = {name: value for name, value in wanted.items() if value is not None}
+    if given and word not in export.options:
+        name = next(iter(given))
+        raise typer.BadParameter(f"`{to.name}` as `{word}` has no such choice; USD files have", param_hint=f"--{name}")
+    if "samples" in given and "shutter" not in given:
+        raise typer.BadParameter("say when they are: `--shutter -0.25..0.25`", param_hint="--samples")
+    options = (export.options[word](**given),) if word in export.options else ()
     file_to_write(to, "--to")
     between = frame_range(frames)
     try:
@@ -45,7 +84,7 @@ def export(
         there = [f for f in gallery.cache.frames() if between is None or between.first <= f <= between.last]
         if not there:
             raise Stop(Exit.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has")
-        export.forms[word](gallery, there, to)
+        notes = export.forms[word](gallery, there, to, *options) or ()
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
@@ -56,3 +95,5 @@ def export(
         raise Stop(Exit.FINDINGS, f"error: {why}", why.help or "") from None
     if not quiet:
         typer.echo(f"{to}: frames {there[0]}..{there[-1]}, {len(gallery.manifest.species)} species")
+        for note in notes:
+            typer.echo(f"note: {note}")

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from antdsl.outputs.csv_export import export_csv
-from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.usd.stage import export_crowds, export_xforms
+from antdsl.outputs.usd.stage import UsdOptions, export_instances, export_xforms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
-    """Files of some `endings`. `forms`: by name the functions that write frames of a cache into one; the first is the usual."""
+    """Files of some `endings`. `forms`: by name the functions that write frames of a cache into one; the first is the usual.
+    `options`: by name of a form what it takes beside them, as keywords of a class."""
 
     endings: tuple[str, ...]
-    forms: Mapping[str, Callable[[Gallery, list[int], Path], None]]
+    forms: Mapping[str, Callable[..., Sequence[str] | None]]
+    options: Mapping[str, Callable[..., object]] = field(default_factory=dict)
 
 
 EXPORTS = (
-    Export((".usdc", ".usda", ".usd"), {"instances": export_crowds, "xforms": export_xforms}),
+    Export(
+        (".usdc", ".usda", ".usd"),
+        {"instances": export_instances, "xforms": export_xforms},
+        {"instances": UsdOptions, "xforms": UsdOptions},
+    ),
     Export((".csv",), {"keyframes": export_csv}),
 )
 

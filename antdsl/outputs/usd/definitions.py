@@ -1,8 +1,8 @@
 """An agent definition as UsdSkel: a skeleton and the shapes of a layer, bound to it, with their materials.
 
-A static shape is one whose points all follow its joint. UsdSkel has one bind pose a skeleton: shapes that were captured in another
-one than those before them have a skeleton of their own, of the same joints. It blends shapes first and skins then, linearly or by
-dual quaternions; what a definition has beyond that is left out and told."""
+A static shape is one whose points all follow its joint. UsdSkel has one bind pose a skeleton: shapes that were captured in
+another one than those before them have a skeleton of their own, of the same joints. It blends shapes first and skins then,
+linearly or by dual quaternions; what a definition has beyond that is left out and told."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _SAME = 1e-5  # body lengths by which bind poses may differ and be one
 @dataclass(slots=True)
 class SkelDefinition:
     """What was written of a body: `path` of the prim that agents are instances of, `joints` by their paths in the rig's order,
-    names of `channels` that blend, `tinted`: meshes below it that have the colour of the agent, and `notes`: what UsdSkel does not
-    hold."""
+    names of `channels` that blend, `tinted`: meshes below it that have the colour of the agent, and `notes`: what UsdSkel does
+    not hold."""
 
     path: str
     joints: tuple[str, ...]

@@ -66,6 +66,6 @@ class DrawnBody:
 
 def alone(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:
     """Agents that play a clip each, -1 for none, whole and unmixed."""
-    clip = np.asarray(clip, np.int16)
+    chosen = np.asarray(clip, np.int16)
     none, one = np.zeros(len(clip), np.float32), np.ones(len(clip), np.float32)
-    return MachineClips(clip, np.asarray(turns, np.float32), one, np.full(len(clip), -1, np.int16), none, none, none)
+    return MachineClips(chosen, np.asarray(turns, np.float32), one, np.full(len(clip), -1, np.int16), none, none, none)

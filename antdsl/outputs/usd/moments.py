@@ -1,7 +1,8 @@
 """Agents of a species at any time of a cache: in a frame, and between two frames, each by its id.
 
 Between two frames places and scales go evenly and orientations turn at a constant rate by the shorter way, so that velocities and
-angular velocities, which lead from a frame to the next, say the same. Who is not in the next frame goes on at its own velocity."""
+angular velocities, which lead from a frame to the next, say the same. Who is not in the next frame goes on at its own
+velocity."""
 
 from __future__ import annotations
 
@@ -42,8 +43,8 @@ class Agents:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """A time in frames: the `picture` of the frame at or before it, the agents of each species there, those of the frame after it where
-    that is in the cache, and how far it lies from the one to the other; `dt`: seconds between
+    """A time in frames: the `picture` of the frame at or before it, the agents of each species there, those of the frame after
+    it where that is in the cache, and how far it lies from the one to the other; `dt`: seconds between
     frames."""
 
     time: float
@@ -167,8 +168,8 @@ def _leading(here: Agents, after: Agents | None, before: Agents | None, dt: floa
 
 
 def rotation_vector(first: Floats, second: Floats) -> Floats:
-    """By how much orientations (n, 4: x y z w, unit) turn to others by the shorter way: axes of the world times radians (n, 3)."""
-    a, b = first, second * np.where(dot(first, second) < 0, -1.0, 1.0)[:, None]
+    """By how much orientations (n, 4: x y z w, unit) turn to others by the shorter way: axes of the world times radians (n,
+    3).""" a, b = first, second * np.where(dot(first, second) < 0, -1.0, 1.0)[:, None]
     real = dot(a, b)
     axis = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])
     size = np.linalg.norm(axis, axis=1)
@@ -185,7 +186,8 @@ def turned_by(orient: Floats, turn: Floats) -> Floats:
     v, w = turn * by[:, None], np.cos(angle / 2)[:, None]
     own, real = orient[:, :3], orient[:, 3:]
     made = np.concatenate([w * own + real * v + np.cross(v, own), w * real - dot(v, own)[:, None]], axis=1)
-    return made / np.linalg.norm(made, axis=1, keepdims=True)
+    found: Floats = made / np.linalg.norm(made, axis=1, keepdims=True)
+    return found
 
 
 def _moved(here: Agents, after: Agents | None, share: float, dt: float) -> Agents:

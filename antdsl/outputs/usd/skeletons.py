@@ -69,7 +69,7 @@ class SkeletonWriter:
                         self._out, self._path, name, made, self._species, self._first, moment.time, self._copies
                     )
                 self._agents[name].place(moment.time, agents, row, colour[row])
-                self._agents[name].pose(moment.time, *(each[k] for each in joints.values), joints.channels[k, channels])
+                self._agents[name].pose(moment.time, [each[k] for each in joints.values], joints.channels[k, channels])
 
     def _body(self, worn: PosedBody) -> tuple[PosedBody, SkelDefinition]:
         if id(worn) not in self._bodies:
@@ -186,7 +186,8 @@ class _Agent:
             self._number(name, values[row], time)
         self._seen.set(time, True)
 
-    def pose(self, time: float, places: Any, turns: Any, scales: Any, weights: Any) -> None:
+    def pose(self, time: float, joints: list[Any], weights: Any) -> None:
+        places, turns, scales = joints
         before = self._before[1]
         if before is not None:
             turns = np.where((turns * before).sum(axis=-1, keepdims=True) < 0, -turns, turns)

@@ -12,6 +12,7 @@ import numpy as np
 
 from antdsl import __version__
 from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.usd.clips import ValueFiles
 from antdsl.outputs.usd.instancers import InstancerWriter
 from antdsl.outputs.usd.moments import Moments
 from antdsl.outputs.usd.skeletons import SkeletonWriter
@@ -30,20 +31,21 @@ _SAME = 1e-6  # frames
 @dataclass(frozen=True, slots=True)
 class UsdOptions:
     """`skeletons`: up to how many agents of a species each has a skeleton of its own; more are instances of a bank of poses.
-    `shutter`: from when to when around each frame, in frames, agents have samples, `samples` of them. `chunk`: so many frames
-    share a file of values (0: all are in one file). `copies`: agents with skeletons are no instances."""
+    `shutter`: from when to when around each frame, in frames, agents have samples, `samples` of them; None for at frames alone.
+    `chunk`: so many frames share a file of values (0: all are in one file). `copies`: agents with skeletons are no instances."""
 
     skeletons: int = SKELETONS
-    shutter: tuple[float, float] = (0.0, 0.0)
-    samples: int = 1
+    shutter: tuple[float, float] | None = None
+    samples: int = 3
     chunk: int = 0
     copies: bool = False
 
 
+_USUAL = UsdOptions()
 Writer = InstancerWriter | SkeletonWriter | XformWriter
 
 
-def export_crowds(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = UsdOptions()) -> list[str]:
+def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _USUAL) -> list[str]:
     """Write these frames into a USD file: a species of few agents as skeletons, of many as a point instancer. It is in its place
     whole or not at all. What USD cannot hold is told.
 
@@ -60,7 +62,7 @@ def export_crowds(gallery: Gallery, frames: Iterable[int], path: Path, options: 
     return _export(gallery, frames, path, options, kind)
 
 
-def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = UsdOptions()) -> list[str]:
+def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _USUAL) -> list[str]:
     """The same with one Xform an agent, as programs read them that animate objects one by one."""
     return _export(gallery, list(frames), path, options, lambda number: XformWriter)
 
@@ -79,8 +81,7 @@ def _most(gallery: Gallery, frames: list[int]) -> list[int]:
 
 def times(frame: int, options: UsdOptions) -> list[float]:
     """When agents have samples for a frame: at the frame, and over the shutter."""
-    first, last = options.shutter
-    around = np.linspace(first, last, options.samples) if options.samples > 1 else np.zeros(1)
+    around = np.linspace(*options.shutter, options.samples) if options.shutter else np.zeros(1)
     found: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
     return found
 
@@ -94,24 +95,49 @@ def _export(
         except pxr("Tf").ErrorException as problem:
             raise OSError(None, "cannot be written", str(path)) from problem
         out = Out(stage)
-        _describe(stage, gallery, frames)
-        world, moments = WorldWriter(out, gallery, frames), Moments(gallery)
-        crowds = [kind(number)(out, species, number) for number, species in enumerate(gallery.manifest.species)]
-        written = -np.inf
-        for number, frame in enumerate(frames):
-            world.frame(frame, moments.at(frame, frame).picture)
-            for time in times(frame, options):
-                if time > written + _SAME:
-                    moment = moments.at(time, frame)
-                    for crowd in crowds:
-                        crowd.sample(moment)
-                    written = time
-            if number % _SAVE_EVERY == _SAVE_EVERY - 1:
-                stage.Save()
-        stage.Save()
-        notes = [note for crowd in crowds for note in crowd.notes]
-        del world, crowds, out, stage  # the file is closed before it is moved
+        with ValueFiles(out, path, frames, options.chunk) as files:
+            _describe(stage, gallery, frames)
+            crowds = [kind(number)(out, species, number) for number, species in enumerate(gallery.manifest.species)]
+            _write(_Shot(WorldWriter(out, gallery, frames), crowds, Moments(gallery)), files, frames, options, stage)
+            notes = [note for crowd in crowds for note in crowd.notes]
+        del crowds, files, out, stage  # the file is closed before it is moved
     return list(dict.fromkeys(notes))
+
+
+@dataclass(frozen=True, slots=True)
+class _Shot:
+    """All that is written of a frame."""
+
+    world: WorldWriter
+    crowds: list[Writer]
+    moments: Moments
+
+    def at(self, time: float, frame: int) -> None:
+        """Write agents at a time, and at the frame itself the world."""
+        moment = self.moments.at(time, frame)
+        if time == frame:
+            self.world.frame(frame, moment.picture)
+        for crowd in self.crowds:
+            crowd.sample(moment)
+
+
+def _write(shot: _Shot, files: ValueFiles, frames: list[int], options: UsdOptions, stage: Any) -> None:
+    written = -np.inf
+    for number, frame in enumerate(frames):
+        for time in times(frame, options):
+            if time <= written + _SAME:
+                continue
+            if written == -np.inf:
+                files.begin(frame)
+            elif time == frame and files.begins(frame):
+                shot.at(time, frame)  # the end of the file before
+                files.begin(frame)
+            shot.at(time, frame)
+            written = time
+        if number % _SAVE_EVERY == _SAVE_EVERY - 1:
+            stage.Save()
+    files.finish()
+    stage.Save()
 
 
 def _describe(stage: Any, gallery: Gallery, frames: list[int]) -> None:

@@ -46,12 +46,16 @@ class Samples:
         if layer is None:
             self._attribute.Set(self._convert(value), time)
             return
-        if layer.GetAttributeAtPath(self._path) is None:
-            for each in (layer, self._out.manifest):
-                pxr("Sdf").JustCreatePrimAttributeInLayer(
-                    each, self._path, self._attribute.GetTypeName(), pxr("Sdf").VariabilityVarying
-                )
+        for each in (layer, self._out.manifest):
+            if each.GetAttributeAtPath(self._path) is None:
+                self._declare(each)
         layer.SetTimeSample(self._path, time, self._convert(value))
+
+    def _declare(self, layer: Any) -> None:
+        kind = self._attribute.GetTypeName()
+        pxr("Sdf").JustCreatePrimAttributeInLayer(layer, self._path, kind, pxr("Sdf").VariabilityVarying)
+        if layer is self._out.manifest and self._path.name == pxr("UsdGeom").Tokens.visibility:
+            layer.GetAttributeAtPath(self._path).default = "invisible"  # in files that know nothing of it
 
 
 class Out:
@@ -59,7 +63,10 @@ class Out:
     other, of which `manifest` names all attributes."""
 
     def __init__(self, stage: Any) -> None:
-        self.stage, self.clip, self.manifest, self.number = stage, None, None, 0
+        self.stage: Any = stage
+        self.clip: Any = None
+        self.manifest: Any = None
+        self.number = 0
 
     def samples(
         self, attribute: Any, convert: Callable[[Array], Any], kind: Any = np.float64, *, always: bool = False

@@ -19,7 +19,9 @@ from antdsl.scene.model import UNIT_MM
 
 _APERTURE = 36.0  # mm
 _CREASE = np.cos(np.radians(40.0))  # edges that are sharper stay sharp
-_COLOURS = {"ground": (0.27, 0.19, 0.12), "stone": (0.30, 0.29, 0.27), "boulder": (0.33, 0.31, 0.28), "hill": (0.32, 0.20, 0.11)}  # fmt: skip
+_COLOURS = {
+    "ground": (0.27, 0.19, 0.12), "stone": (0.30, 0.29, 0.27), "boulder": (0.33, 0.31, 0.28), "hill": (0.32, 0.20, 0.11),
+}  # fmt: skip
 
 
 class WorldWriter:
@@ -47,7 +49,7 @@ class WorldWriter:
             if trail.name not in self._fields:
                 self._fields[trail.name] = _FieldWriter(self._out, trail)
             self._fields[trail.name].frame(frame, trail)
-        if self._camera is not None and (self._gallery.camera_moves or not self._camera.written):
+        if self._camera is not None:
             self._camera.frame(frame)
 
     def _item(self, frame: int, item: Item) -> None:
@@ -60,16 +62,17 @@ class WorldWriter:
                 geom.Xform.Define(stage, f"{ROOT}/items")
             path = f"{ROOT}/items/{identifier(item.name)}"
             points, faces, colour = placed(item.shape)
-            normals = vertex_normals(points, faces)
+            ways: tuple[Array, Array] = (points, vertex_normals(points, faces))
             if self._gallery.manifest.up == "z":
-                points, normals = (np.stack([each[:, 0], -each[:, 2], each[:, 1]], axis=1) for each in (points, normals))
-            shape = mesh(stage, path, points, faces, normals, _around(points))
-            move, size = shape.AddTranslateOp(), shape.AddScaleOp(geom.XformOp.PrecisionDouble)
-            self._items[item.name] = (self._out.samples(move, _vector), self._out.samples(size, _vector))
+                ways = (_upright(ways[0]), _upright(ways[1]))
+            place, normals = ways
+            shape = mesh(stage, path, place, faces, normals, _around(points))
+            ops = (shape.AddTranslateOp(), shape.AddScaleOp(geom.XformOp.PrecisionDouble))
+            self._items[item.name] = (self._out.samples(ops[0], _vector), self._out.samples(ops[1], _vector))
             shape.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(colour)))
             self._looks.bind(shape.GetPrim(), "")
-        place, scale = self._items[item.name]
-        place.set(frame, item.position)
+        move, scale = self._items[item.name]
+        move.set(frame, item.position)
         scale.set(frame, np.full(3, item.radius * max(min(item.left, 1.0), 1e-9) ** (1 / 3)))
 
 
@@ -77,7 +80,7 @@ class _CameraWriter:
     """The scene's own camera."""
 
     def __init__(self, out: Out, gallery: Gallery) -> None:
-        self._gallery, self.written = gallery, False
+        self._gallery, self._reaches = gallery, False
         made = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT}/camera")
         self._tenths = 10.0 / UNIT_MM[gallery.manifest.units]  # of a millimetre in the stage's unit
         made.CreateHorizontalApertureAttr(_APERTURE * self._tenths)
@@ -103,9 +106,9 @@ class _CameraWriter:
         self._move.set(frame, rows)
         self._focal.set(frame, [camera.focal * self._tenths])
         self._focus.set(frame, [far])
-        if not self.written:
+        if not self._reaches:
             self._clipping.Set(pxr("Gf").Vec2f(far / 1000, far * 1000))
-        self.written = True
+            self._reaches = True
 
 
 class _MeshWriter:
@@ -199,6 +202,11 @@ def _around(points: Array) -> Array:
     size = np.maximum(np.linalg.norm(way, axis=1), 1e-12)
     around = np.arctan2(way[:, 2], way[:, 0]) / (2 * np.pi) + 0.5
     return np.stack([around, np.arccos(np.clip(way[:, 1] / size, -1.0, 1.0)) / np.pi], axis=1).astype(np.float32)
+
+
+def _upright(ways: Array) -> Array:
+    """Vectors (n, 3) of a world with y up in one with z up."""
+    return np.stack([ways[:, 0], -ways[:, 2], ways[:, 1]], axis=1)
 
 
 def _vector(values: Array) -> Any:
