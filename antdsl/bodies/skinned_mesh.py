@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.deformers import SKINNING, steps
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.deformers import SKINNING, steps
 from antdsl.bodies.agents.layer import Binding
 from antdsl.bodies.agents.shape import Capture, Shape
 from antdsl.bodies.agents.transforms import world_matrices
@@ -109,7 +109,9 @@ def _captured(definition: Definition, binding: Binding, found: _Bones) -> _Part:
     capture = shape.capture
     if capture is None:
         raise ValueError(f"shape `{shape.name}` says for none of its points which joints they follow (capture)")
-    number = np.array([found.number(definition.rig.joint(name), capture.inverse[k]) for k, name in enumerate(capture.names)], np.int32)
+    number = np.array(
+        [found.number(definition.rig.joint(name), capture.inverse[k]) for k, name in enumerate(capture.names)], np.int32
+    )
     joints, weights = _four(capture)
     return _Part(shape.points, _normals(shape), number[joints], weights)
 

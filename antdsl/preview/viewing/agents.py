@@ -46,7 +46,8 @@ class Agents:
         lights = seen.session.shown(world.frame) or {}  # what is remembered of it was just made of it
         for name, population in world.populations.items():
             light = lights[name] if name in lights else Light.of(population)
-            arrays |= _remembered({name: light}) | _now(population, factors) | _plays(population, seen)
+            arrays |= _remembered({name: light}) | _now(population, factors)
+            arrays |= _plays(population, seen)
         arrays |= _items(world, seen.shot.program)
         feelers, whose = _feelers(world, seen.shot.program, seen.wanted)
         yield "frame", pack("frame", arrays | feelers, frame=world.frame, light=False, felt=whose)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.machine_clips import FIELDS
+from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
 from antdsl.outputs.cache.clip_arrays import clips_playing, playing
 from antdsl.runtime import Population
 
@@ -22,21 +21,21 @@ def plays(population: Population, rows: NDArray[np.intp], loops: Sequence[bool])
     arrays, found = clips_playing(population, rows), {}
     again = np.array([*loops, False])
     for machine in playing(population):
-        told = {name: arrays[f"clips.{population.name}.{machine}.{name}"] for name in FIELDS}
-        found[f"{population.name}/plays/{machine}"] = _packed(told, again)
+        told = MachineClips(*(arrays[f"clips.{population.name}.{machine}.{name}"] for name in FIELDS))
+        found[f"{population.name}/plays/{machine}"] = packed(told, again)
     return found
 
 
-def _packed(told: Mapping[str, NDArray[Any]], loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    fade = np.clip(np.nan_to_num(told["fade"]), 0, 1)
+def packed(told: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    """What one machine of n agents plays, uint16[n, 6]. `loops`: of each clip, and False for none."""
+    fade = np.clip(np.nan_to_num(told.fade), 0, 1)
     made = np.empty((len(fade), 6), np.uint16)
-    for place, (clip, share) in enumerate((("clip", 1 - fade), ("before", fade))):
-        number = told[clip].astype(np.int64)
-        known = (number >= 0) & (number < len(loops) - 1)
-        turns = np.nan_to_num(told["turns" if place == 0 else "before_turns"].astype(np.float64))
-        turns = np.where(loops[np.where(known, number, -1)], turns - np.floor(turns), np.clip(turns, 0, 1))
-        weight = np.clip(np.nan_to_num(told["weight" if place == 0 else "before_weight"]) * share, 0, 1)
-        made[:, place] = np.where(known, number, NONE)
-        made[:, 2 + place] = np.round(turns * _WHOLE)
-        made[:, 4 + place] = np.round(weight * _WHOLE)
+    slots = ((told.clip, told.turns, told.weight, 1 - fade), (told.before, told.before_turns, told.before_weight, fade))
+    for place, (clip, turns, weight, share) in enumerate(slots):
+        known = (clip >= 0) & (clip < len(loops) - 1)
+        exact = np.nan_to_num(turns.astype(np.float64))
+        again = loops[np.where(known, clip, -1)]
+        made[:, place] = np.where(known, clip, NONE)
+        made[:, 2 + place] = np.round(np.where(again, exact - np.floor(exact), np.clip(exact, 0, 1)) * _WHOLE)
+        made[:, 4 + place] = np.round(np.clip(np.nan_to_num(weight) * share, 0, 1) * _WHOLE)
     return made

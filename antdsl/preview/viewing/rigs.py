@@ -1,4 +1,4 @@
-"""Bodies of species that agent definitions give: skinned meshes with the samples of the clips that are played, for the page to pose."""
+"""Bodies that agent definitions give: skinned meshes with the samples of the clips that are played, for the page to pose."""
 
 from __future__ import annotations
 
@@ -77,9 +77,9 @@ def _clips(table: ClipTable, definition: Definition, plays: Plays) -> Arrays:
     rows = table.samples[np.concatenate(kept)]
     sample = np.zeros((len(rows), joints, _texels(table), 4), np.float32)
     at = 0
-    for place, width in enumerate((3, 4, *([3] if table.scaled else []), *([3] if table.sheared else []))):
+    for texel, width in enumerate((3, 4, *([3] if table.scaled else []), *([3] if table.sheared else []))):
         part = rows[:, at : at + width * joints].reshape(len(rows), width, joints)
-        sample[:, :, place, :width] = part.transpose(0, 2, 1)
+        sample[:, :, texel, :width] = part.transpose(0, 2, 1)
         at += width * joints
     place = np.empty(joints, np.int32)
     place[table.order] = np.arange(joints)
