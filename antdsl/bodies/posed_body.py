@@ -20,6 +20,7 @@ from antdsl.bodies.agents.layer import Layer
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
+from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
 
 BODY, COLLISION = "body", "collision"  # layers
 STATE = "state"  # the material that has the colour of the agent's state
@@ -64,6 +65,11 @@ class PosedBody:
     def coarse(self) -> PosedBody:
         """The same with fewer triangles, for agents that are small in a picture."""
         return PosedBody(coarse(self._whole), self.clips)
+
+    @cached_property
+    def mesh(self) -> SkinnedMesh:
+        """The same vertices with the bones that they follow, for graphics hardware to pose."""
+        return skinned_mesh(self._definition, self._bindings, self._taken)
 
     def posed(self, machines: Sequence[MachineClips], count: int, threads: int = 1) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths."""
