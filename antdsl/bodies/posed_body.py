@@ -21,6 +21,7 @@ from antdsl.bodies.agents.layer import Layer
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
+from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
 
 BODY, CLOSE, COLLISION = "body", "close", "collision"  # layers
 _GOLDEN = (5**0.5 - 1) / 2  # multiples of it are spread evenly over a turn
@@ -90,6 +91,11 @@ class PosedBody:
         ones, none = np.ones(len(turns), np.float32), np.zeros(len(turns), np.float32)
         number = np.full(len(turns), len(self.clips), np.int16)
         return (MachineClips(number, turns.astype(np.float32), ones, np.full(len(turns), -1, np.int16), none, none, none),)
+
+    @cached_property
+    def mesh(self) -> SkinnedMesh:
+        """The same vertices with the bones that they follow, for graphics hardware to pose."""
+        return skinned_mesh(self._definition, self._bindings, self._taken)
 
     def posed(self, machines: Sequence[MachineClips], count: int, threads: int = 1) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths."""
