@@ -11,6 +11,7 @@ import numpy as np
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
 from antdsl.bodies.kept_definitions import definition_at
 from antdsl.diagnostics import Label, Report
@@ -19,7 +20,7 @@ from antdsl.plan.lowering.traversal import inside
 from antdsl.program.model import ClipTest, Expr, Machine, Play, Program, Species
 from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.load import Scene
-from antdsl.scene.setting import ClipData, RoomData
+from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span
 
 _SHOWN = 12  # names in a message
@@ -27,12 +28,13 @@ _SHOWN = 12  # names in a message
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """By species, for those whose body is a file: its definition (one for all that name the same file), clips and room. `hashes`:
+    """By species, for those whose body is a file: its definition (one for all that name the same file), clips, room and, with gaits, legs. `hashes`:
     of the content of each file, by its path in the scene."""
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
+    legs: Mapping[str, LegsData] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -58,6 +60,7 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
         worn,
         {species: {name: clip_data(clip, body) for name, clip in body.clips.items()} for species, body in worn.items()},
         {species: room_of(body) for species, body in worn.items()},
+        {species: legs_of(body) for species, body in worn.items() if body.legs and body.gaits},
         {text: digest(body) for text, body in whole.items()},
     )
     return made, report
