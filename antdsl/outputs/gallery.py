@@ -19,6 +19,7 @@ from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.foot_arrays import feet_of
 from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
@@ -186,7 +187,9 @@ class Gallery:
         plays = machines_of(species, arrays, len(crowd.position))
         if species.definition is None or plays is None:
             return crowd
-        return replace(crowd, worn=self._body(number), plays=plays)
+        body = self._body(number)
+        feet = feet_of(species.name, arrays, len(crowd.position), 0 if body.legs is None else body.legs.count)
+        return replace(crowd, worn=body, plays=plays, feet=feet)
 
     def _body(self, number: int) -> PosedBody:
         """The body of its own that a species has."""
@@ -296,6 +299,7 @@ def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
                 colour=crowd.colour[rows],
                 walked=None if crowd.walked is None else crowd.walked[rows],
                 plays=tuple(each.rows(rows) for each in crowd.plays),
+                feet=None if crowd.feet is None else crowd.feet.rows(rows),
                 ids=crowd.ids[rows] if named else None,
                 velocity=crowd.velocity[rows] if named and crowd.velocity is not None else None,
             )

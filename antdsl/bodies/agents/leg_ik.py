@@ -100,6 +100,11 @@ class Legs:
         }
         self._free = {name for name, clip in body.clips.items() if not clip.feet}
 
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self._chains)
+
     def kept(self, clips: Sequence[tuple[str, str]], machines: Sequence[MachineClips], count: int) -> Floats:
         """How much the feet of `count` agents stand, float32[n] from 0 to 1: less as clips play that leave feet free, by the
         same layers and weights that their poses have."""

@@ -78,6 +78,14 @@ class Feet:
         """One whose arrays do not change with these."""
         return Feet(**{name: array.copy() for name, array in self.arrays().items()})
 
+    def take(self, before: Feet) -> None:
+        """Take over the feet of all who had some before."""
+        at = np.minimum(np.searchsorted(before.ids, self.ids), max(len(before.ids) - 1, 0))
+        known = before.ids[at] == self.ids if len(before.ids) else np.zeros(len(self.ids), np.bool_)
+        for name, array in self.arrays().items():
+            rows: tuple[Any, ...] = (slice(None),) * _AXIS.get(name, 0)
+            array[(*rows, known)] = getattr(before, name)[(*rows, at[known])]
+
     def matched(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
         """The feet of agents by ascending ids, zero for those who had none before; and the rows of these."""
         if np.array_equal(ids, self.ids):
