@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
 from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
@@ -21,7 +23,7 @@ from antdsl.plan.lowering.traversal import inside
 from antdsl.program.model import ClipTest, Expr, Machine, Play, Program, Species
 from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.load import Scene
-from antdsl.scene.setting import ClipData, RoomData
+from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span
 
 _SHOWN = 12  # names in a message
@@ -30,12 +32,36 @@ _SHOWN = 12  # names in a message
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
     """By species: `definitions` of those whose body is a file (one for all that name the same file) and the `rooms` that these
-    take; `clips` of all. `hashes`: of the content of each file, by its path in the scene."""
+    take; `clips` of all; `legs` of those that have some, with gaits. `hashes`: of the content of each file, by its path in the
+    scene."""
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
+    legs: Mapping[str, LegsData] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
+
+
+class Walkers(Mapping[str, LegsData]):
+    """The legs of species whose body has some, with gaits; `bodies`: by species, a definition or the name of one of the library.
+    Worked out where they are asked for: most commands never do."""
+
+    def __init__(self, bodies: Mapping[str, Definition | str]) -> None:
+        self._bodies = bodies
+
+    @cached_property
+    def _legs(self) -> dict[str, LegsData]:
+        found = {name: library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
+        return {name: legs_of(body) for name, body in found.items() if body.legs and body.gaits}
+
+    def __getitem__(self, species: str) -> LegsData:
+        return self._legs[species]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._legs)
+
+    def __len__(self) -> int:
+        return len(self._legs)
 
 
 def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
@@ -69,6 +95,7 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
             for species, body in (worn | library).items()
         },
         {species: room_of(body) for species, body in worn.items()},
+        Walkers(worn | {name: text for name, text in _library(scene, program).items() if name not in worn}),
         {text: digest(body) for text, body in whole.items()},
     )
     return made, report
@@ -90,6 +117,13 @@ def room_of(body: Definition) -> RoomData:
     width = max(float(high[2] - low[2]), 1e-3)
     middle = (low + high) / 2
     return RoomData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))
+
+
+def _library(scene: Scene, program: Program) -> dict[str, str]:
+    """The body of the library that each species has whose body is no file."""
+    named = _named(scene)
+    words = {name: named[name][0] if name in named else body_of(name) for name in program.species}
+    return {name: text for name, text in words.items() if text in BODY_WORDS}
 
 
 def _named(scene: Scene) -> dict[str, tuple[str, Span]]:

@@ -18,6 +18,7 @@ from antdsl.bodies.agents.coarse import coarse
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.layer import Layer
+from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
@@ -97,15 +98,31 @@ class PosedBody:
         """The same vertices with the bones that they follow, for graphics hardware to pose."""
         return skinned_mesh(self._definition, self._bindings, self._taken)
 
-    def posed(self, machines: Sequence[MachineClips], count: int, threads: int = 1) -> tuple[Floats, Floats]:
-        """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths."""
+    @cached_property
+    def legs(self) -> Legs | None:
+        """What its feet stand on; None for a body without legs."""
+        return Legs(self._whole) if self._whole.legs else None
+
+    def posed(
+        self, machines: Sequence[MachineClips], count: int, feet: FeetOfBodies | None = None, threads: int = 1
+    ) -> tuple[Floats, Floats]:
+        """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths; with
+        `feet` legs are bent to where these are, and trunks moved with them."""
         playing = machines_playing(self._table, self._played, machines, count)
         poses = posed(self._table, self._definition.groups, playing, threads=threads)
+        legs = self.legs if feet is not None else None
+        if legs is not None and feet is not None:
+            stands = legs.kept(self._played, machines, count)
+            feet = feet.less(stands)
+            poses = legs.bent(poses, feet, stands)
         found = [bound(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((count, 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self._taken]
         normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)[:, self._taken]
-        return points @ self._base.T, normals @ self._turn.T
+        points, normals = points @ self._base.T, normals @ self._turn.T
+        if legs is None or feet is None:
+            return points, normals
+        return legs.on_trunk(points, feet), legs.on_trunk(normals, feet.level())
 
 
 def _worn(definition: Definition) -> Layer:

@@ -21,6 +21,7 @@ from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.foot_arrays import feet_of
 from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
@@ -180,10 +181,13 @@ class Gallery:
         return tuple(made), tuple(legend)
 
     def _dressed(self, crowd: Crowd, number: int, frame: int, ids: NDArray[Any], arrays: Arrays) -> Crowd:
-        """The crowd in its body, posed by what the frame says that each plays over the clip of those who play none."""
-        plays = machines_of(self.manifest.species[number], arrays, len(crowd.position)) or ()
+        """The crowd in its body, posed by what the frame says that each plays over the clip of those who play none, on the feet
+        that the frame has."""
+        count = len(crowd.position)
+        plays = machines_of(self.manifest.species[number], arrays, count) or ()
         body = self._body(number)
-        return replace(crowd, worn=body, plays=(*body.idling(ids, frame * self.dt), *plays))
+        feet = feet_of(crowd.species, arrays, count, 0 if body.legs is None else body.legs.count)
+        return replace(crowd, worn=body, plays=(*body.idling(ids, frame * self.dt), *plays), feet=feet)
 
     def _body(self, number: int) -> PosedBody:
         """The body that a species has: its own, kept in the cache, or one of the library."""
@@ -282,6 +286,7 @@ def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
                 scale=crowd.scale[rows],
                 colour=crowd.colour[rows],
                 plays=tuple(each.rows(rows) for each in crowd.plays),
+                feet=None if crowd.feet is None else crowd.feet.rows(rows),
                 ids=crowd.ids[rows] if named else None,
                 velocity=crowd.velocity[rows] if named and crowd.velocity is not None else None,
             )
