@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.blend_shapes import difference, knots, matched, values
+from antdsl.bodies.agents.blend_shapes import difference, knots_of, matched, values_of
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.layer import Binding
 from antdsl.bodies.agents.shape import Shape
@@ -185,7 +185,7 @@ def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape
     for name in blend.shapes:
         each = f"{path}/{_free(identifier(name), taken)}"
         made = skel.BlendShape.Define(stage, each)
-        shapes, weights = knots(definition, name)
+        shapes, weights = knots_of(definition, name)
         for target, weight in zip(shapes, weights.tolist(), strict=True):
             into = made if weight == 1.0 else made.CreateInbetween(identifier(target.name))
             rows, other = matched(shape, target, blend.point_id)
@@ -206,6 +206,6 @@ def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape
 def _offsets(base: Shape, target: Shape, name: str, rows: Array, other: Array, blended: tuple[str, ...]) -> Array:
     """What all points of the base have to be moved by to be those of another shape, float32[P, 3]."""
     found = np.zeros((len(base.points), 3), np.float32)
-    if name in blended and values(base, name) is not None and values(target, name) is not None:
+    if name in blended and values_of(base, name) is not None and values_of(target, name) is not None:
         found[rows] = difference(base, target, name, rows, other).T
     return found

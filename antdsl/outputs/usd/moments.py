@@ -168,8 +168,8 @@ def _leading(here: Agents, after: Agents | None, before: Agents | None, dt: floa
 
 
 def rotation_vector(first: Floats, second: Floats) -> Floats:
-    """By how much orientations (n, 4: x y z w, unit) turn to others by the shorter way: axes of the world times radians (n,
-    3).""" a, b = first, second * np.where(dot(first, second) < 0, -1.0, 1.0)[:, None]
+    """By how much orientations (n, 4: x y z w, unit) turn to others by the shorter way: world axes times radians (n, 3)."""
+    a, b = first, second * np.where(dot(first, second) < 0, -1.0, 1.0)[:, None]
     real = dot(a, b)
     axis = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])
     size = np.linalg.norm(axis, axis=1)
