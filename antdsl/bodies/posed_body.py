@@ -119,8 +119,17 @@ class PosedBody:
         """The bindings of the layer that is drawn, static ones first."""
         return self._bindings
 
+    def with_clips(self, clips: Sequence[tuple[str, str]]) -> PosedBody:
+        """The same for agents that play other clips."""
+        return PosedBody(self._whole, clips)
+
     def poses(
-        self, machines: Sequence[MachineClips], count: int, threads: int = 1, local: bool = False, feet: FeetOfBodies | None = None
+        self,
+        machines: Sequence[MachineClips],
+        count: int,
+        threads: int = 1,
+        local: bool = False,
+        feet: FeetOfBodies | None = None,
     ) -> Poses:
         """Transforms and channels of `count` agents that play what their machines say, in the definition's space; `local` too.
         With `feet` legs are bent to where these are, and trunks moved with them."""

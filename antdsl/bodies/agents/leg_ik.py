@@ -61,9 +61,7 @@ class PlacedFeet:
         """The same of some agents."""
         return PlacedFeet(self.P[chosen], self.down[chosen], self.phase[chosen], self.rise[chosen], self.tilt[chosen])
 
-    def beside(
-        self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]
-    ) -> FeetOfBodies:
+    def beside(self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]) -> FeetOfBodies:
         """Beside bodies that stand at `position` [n, 3], turned by `orient` [n, 4], `scale` [n] long. Numbers that are not finite
         count as 0."""
         with np.errstate(all="ignore"):

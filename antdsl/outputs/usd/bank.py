@@ -1,21 +1,19 @@
 """A bank of poses: for each species the prototypes that its agents are instances of, made when an agent is first in one.
 
-A pose is what each machine of an agent plays at the nearest of some moments of the clip: the clip that has more than half of the
-weight, the one before it while that still has. A prototype is such a pose in the colour of a state."""
+A pose is the topmost clip that an agent plays on its whole body, and each clip on a part of it, at the nearest of some moments; a
+clip counts that has most of its machine's weight. Who goes on its feet and plays no clip that goes has one that does, by its speed,
+at the phase of its gait. A prototype is such a pose in the colour of a state."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.body import Body
-from antdsl.bodies.catalogue import body as catalogue_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decoded
@@ -23,21 +21,22 @@ from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.usd.drawn import DrawnBody, alone
 from antdsl.outputs.usd.materials import Looks
 from antdsl.outputs.usd.moments import Agents
-from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, identifier, mesh, vectors
+from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Array, identifier, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 
 SAMPLES = 16  # of a clip on the whole body
 _SAMPLES_OF_PARTS = 4  # of a clip on a transform group
 _MOST = 2048  # prototypes of a species, beyond which clips on groups are left out
+_STANDS = 0.02  # body lengths a second below which an agent stands
 _FINE = 1500  # triangles above which the coarse body is taken
 
 
 class Bank:
     """The poses of one species, as classes, and its prototypes, below the path of its instancer."""
 
-    def __init__(self, stage: Any, species: SpeciesEntry) -> None:
-        self._stage, self._name = stage, identifier(species.name)
-        self._bodies: list[tuple[PosedBody | Body, _Drawn | _Plain]] = []
+    def __init__(self, stage: Any, species: SpeciesEntry, close: bool = False) -> None:
+        self._stage, self._name, self._close = stage, identifier(species.name), close
+        self._bodies: list[tuple[PosedBody, _Drawn]] = []
         self._numbers: dict[tuple[int, ...], int] = {}
         self._poses: dict[tuple[int, ...], str] = {}
         self.paths: list[str] = []
@@ -67,22 +66,21 @@ class Bank:
         them each has."""
         state = np.full(len(agents.ids), -1) if agents.state is None else agents.state
         for crowd, rows in agents.parts:
-            worn = crowd.worn or plain(crowd.body)
-            body = self._body(worn)
-            played = [walked(worn, crowd)] if isinstance(worn, Body) else moments_played(worn, crowd.plays)
-            columns = [state[rows], *played]
-            if len(self.paths) > _MOST and isinstance(worn, PosedBody):
-                columns[1:] = [np.where(_on_part(worn, column), 0, column) for column in played]
+            if crowd.worn is None:
+                continue
+            speed = np.linalg.norm(agents.own_velocity[rows], axis=1) / np.maximum(agents.scale[rows], 1e-12)
+            whole, *on_parts = played(crowd.worn, crowd, speed)
+            columns = [state[rows], whole, *(on_parts if len(self.paths) < _MOST else ())]
             kinds, which = _kinds(np.stack(columns, axis=1).astype(np.int64))
+            body = self._body(crowd.worn)
             yield rows, [(body, *kind) for kind in kinds.tolist()], which
 
-    def _body(self, worn: PosedBody | Body) -> int:
+    def _body(self, worn: PosedBody) -> int:
         for number, (known, _) in enumerate(self._bodies):
             if known is worn:
                 return number
-        kind = _Plain if isinstance(worn, Body) else _Drawn
         name = self._name + (f"_{len(self._bodies) + 1}" if self._bodies else "")
-        self._bodies.append((worn, kind(self._stage, name, worn)))  # type: ignore[arg-type]
+        self._bodies.append((worn, _Drawn(self._stage, name, worn, self._close)))
         return len(self._bodies) - 1
 
     def _pose(self, body: int, *played: int) -> str:
@@ -113,20 +111,13 @@ def coloured(stage: Any, path: str, pose: str) -> Any:
     return pxr("UsdGeom").PrimvarsAPI(prim).CreatePrimvar("displayColor", pxr("Sdf").ValueTypeNames.Color3fArray, "constant")
 
 
-def _on_part(worn: PosedBody, played: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of what is played is on a transform group."""
-    groups = np.array([bool(group) for _, group in worn.clips] + [False])
-    found: NDArray[np.bool_] = groups[played // (SAMPLES + 1) - 1]
-    return found
-
-
 class _Drawn:
     """A body that poses are written of."""
 
-    def __init__(self, stage: Any, name: str, worn: PosedBody) -> None:
+    def __init__(self, stage: Any, name: str, worn: PosedBody, close: bool) -> None:
         self._stage, self._path = stage, f"{BODIES}/{name}"
-        body = worn.coarse if len(worn.faces) > _FINE else worn
-        self._drawn = DrawnBody(body)
+        body = worn.fine if close else worn.coarse if len(worn.faces) > _FINE else worn
+        self._drawn = DrawnBody(body.with_clips(bank_clips(worn)))
         stage.CreateClassPrim(self._path)
         self._looks = Looks(stage, f"{LOOKS}/{name}", worn.definition.materials)
 
@@ -141,53 +132,60 @@ class _Drawn:
         return path, float(np.linalg.norm(points, axis=1).max(initial=0.0))
 
 
-class _Plain:
-    """A plain body that poses are written of."""
-
-    def __init__(self, stage: Any, name: str, worn: Body) -> None:
-        self._stage, self._worn, self._path = stage, worn, f"{BODIES}/{name}"
-        stage.CreateClassPrim(self._path)
-        self._looks = Looks(stage, f"{LOOKS}/{name}", {"dark": (0.02, 0.016, 0.012)})
-
-    def write(self, number: int, played: list[int]) -> tuple[str, float]:
-        """The mesh of a pose, and how far it reaches, in body lengths."""
-        points, faces = self._worn.poses[played[0]], self._worn.faces
-        path = f"{self._path}/pose_{number:04d}"
-        made = mesh(self._stage, path, points, faces, self._worn.normals)
-        dark = (self._worn.tint[faces].mean(axis=1) < 0.5).astype(np.int64)
-        self._looks.bind_faces(made, ("", "dark"), dark)
-        return path, float(np.linalg.norm(points, axis=1).max(initial=0.0))
+def bank_clips(worn: PosedBody) -> list[tuple[str, str]]:
+    """What poses of a bank may be of: the clips that the species plays, the one of those who play none, and those to go on."""
+    strides = [(name, "") for name, clip in worn.definition.clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
+    return [*worn.clips, (worn.definition.idle, ""), *strides]
 
 
-@cache
-def plain(name: str) -> Body:
-    return catalogue_body(name)
-
-
-def walked(worn: Body, crowd: Crowd) -> NDArray[np.int64]:
-    """The moment of its walk that each agent is in, by the way that it has gone."""
-    count = len(worn.poses)
-    way = np.zeros(len(crowd.position)) if crowd.walked is None else crowd.walked / np.maximum(crowd.scale, 1e-12) / worn.stride
-    return ((way % 1.0) * count).astype(np.int64) % count
-
-
-def moments_played(worn: PosedBody, machines: tuple[MachineClips, ...]) -> list[NDArray[np.int64]]:
-    """For each machine what its agents play, int64[n]: 0 for nothing, else (clip + 1) · (SAMPLES + 1) + the nearest of so many
-    moments."""
-    durations = [worn.definition.clips.get(name) for name, _ in worn.clips]
-    loops = np.array([clip is not None and clip.loop for clip in durations] + [False])
-    steps = np.array([_SAMPLES_OF_PARTS if group else SAMPLES for _, group in worn.clips] + [1])
-    found = []
-    for machine in machines:
+def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
+    """What the bodies of a crowd play, int64[n] each: first the topmost clip on the whole body, then for each machine the clip on
+    a transform group. 0 is nothing, else (clip + 1) · (SAMPLES + 1) + the nearest of so many moments; clips are those of
+    `bank_clips`. Who goes and plays nothing that goes has the clip whose speed is nearest to its `speed` [n] (body lengths a
+    second), at the phase of its feet."""
+    clips = [worn.definition.clips.get(name) for name, _ in bank_clips(worn)]
+    loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
+    groups = np.array([bool(group) for _, group in bank_clips(worn)] + [False])
+    steps = np.where(groups, _SAMPLES_OF_PARTS, SAMPLES)
+    count = len(crowd.position)
+    whole, on_parts = np.full(count, 0, np.int64), []
+    for machine in crowd.plays:
         fade = np.clip(machine.fade, 0.0, 1.0)
         here, before = machine.weight * (1 - fade), machine.before_weight * fade
         clip = np.where(here >= before, machine.clip, machine.before).astype(np.int64)
         turns = np.where(here >= before, machine.turns, machine.before_turns).astype(np.float64)
-        clip = np.where((here + before >= 0.5) & (clip < len(worn.clips)), clip, -1)
-        part = np.where(loops[clip], turns - np.floor(turns), np.clip(turns, 0.0, 1.0))
-        step = np.rint(part * steps[clip]).astype(np.int64)
-        step = np.where(loops[clip], step % steps[clip], step) * (SAMPLES // np.maximum(steps[clip], 1))
-        found.append(np.where(clip >= 0, (clip + 1) * (SAMPLES + 1) + step, 0))
+        clip = np.where((here + before >= 0.5) & (clip >= 0) & (clip <= len(worn.clips)), clip, -1)
+        code = np.where(clip >= 0, _code(clip, turns, loops, steps), 0)
+        whole = np.where((clip >= 0) & ~groups[clip], code, whole)
+        part = np.where(groups[clip], code, 0)
+        if part.any():
+            on_parts.append(part)
+    if crowd.feet is not None and speed is not None and len(clips) > len(worn.clips) + 1:
+        whole = _going(worn, clips, whole, crowd.feet.phase.astype(np.float64), speed)
+    return [whole, *on_parts]
+
+
+def _code(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, steps: Array) -> NDArray[np.int64]:
+    """A clip and the nearest of its moments as one number."""
+    part = np.where(loops[clip], turns - np.floor(turns), np.clip(turns, 0.0, 1.0))
+    step = np.rint(part * steps[clip]).astype(np.int64)
+    step = np.where(loops[clip], step % steps[clip], step) * (SAMPLES // steps[clip])
+    found: NDArray[np.int64] = (clip + 1) * (SAMPLES + 1) + step
+    return found
+
+
+def _going(
+    worn: PosedBody, clips: list[Clip | None], whole: NDArray[np.int64], phase: NDArray[np.float64], speed: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """What bodies play, with a clip to go on for those who go and play none that does."""
+    first = len(worn.clips) + 1
+    speeds = np.array([clip.stride / clip.duration / worn.definition.length for clip in clips[first:] if clip is not None])
+    clip = whole // (SAMPLES + 1) - 1
+    free = np.array([each is None or (each.stride == 0 and each.feet) for each in clips] + [True])
+    goes = free[clip] & (speed > _STANDS) & np.isfinite(phase)
+    nearest = np.abs(speeds - speed[:, None]).argmin(axis=1) + first
+    step = np.rint((np.nan_to_num(phase) % 1.0) * SAMPLES).astype(np.int64) % SAMPLES
+    found: NDArray[np.int64] = np.where(goes, (nearest + 1) * (SAMPLES + 1) + step, whole)
     return found
 
 

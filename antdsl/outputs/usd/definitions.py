@@ -37,28 +37,48 @@ class SkelDefinition:
     notes: list[str] = field(default_factory=list)
 
 
-def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks) -> SkelDefinition:
-    """Write a body as a SkelRoot at a path, in agents' own space: length 1 along +x, up +y; `looks` are its materials."""
-    skel, definition = pxr("UsdSkel"), body.definition
+def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close: bool = False) -> SkelDefinition:
+    """Write a body as a SkelRoot at a path, in agents' own space: length 1 along +x, up +y; `looks` are its
+    materials. One with a layer for close-ups has the variants `crowd` and `close` of its set `detail`; `close` chooses."""
+    skel, definition = pxr("UsdSkel"), body.shaded
     root = skel.Root.Define(stage, path)
     joints = joint_paths(definition)
-    bindings = [b for b in body.bindings if len(definition.shapes[b.shape].faces)]
+    details = {"crowd": body} | ({"close": body.fine} if body.fine is not body else {})
+    drawn = {name: [b for b in each.bindings if len(each.shaded.shapes[b.shape].faces)] for name, each in details.items()}
     channels = dict.fromkeys(
         channel
-        for b in bindings
-        if "blendshape" in b.deformer and (blend := definition.shapes[b.shape].blend)
+        for name, each in details.items()
+        for binding in drawn[name]
+        if "blendshape" in binding.deformer and (blend := each.shaded.shapes[binding.shape].blend)
         for channel in blend.channels
     )
     made = SkelDefinition(path, joints, tuple(channels))
     rig = pxr("UsdGeom").Xform.Define(stage, f"{path}/rig")
     rig.AddTransformOp().Set(matrix(definition.base()))
     skeletons = _Skeletons(stage, f"{path}/rig", definition, joints)
-    names: set[str] = set()
-    for binding in bindings:
-        name = _free(identifier(binding.shape), names)
-        _write_shape(stage, f"{path}/rig/{name}", definition, binding, skeletons, looks, made)
+    for name, each in details.items():
+        pxr("UsdGeom").Xform.Define(stage, f"{path}/rig/{name}")
+        names: set[str] = set()
+        for binding in drawn[name]:
+            shape = _free(identifier(binding.shape), names)
+            _write_shape(stage, f"{path}/rig/{name}/{shape}", each.shaded, binding, skeletons, looks, made)
     root.CreateExtentAttr(vectors(DrawnBody(body).extent()))
+    if len(details) > 1:
+        _choices(root.GetPrim(), list(details), "close" if close else "crowd")
     return made
+
+
+def _choices(prim: Any, names: list[str], chosen: str) -> None:
+    """Variants in each of which the others are not there."""
+    found = prim.GetVariantSets().AddVariantSet("detail")
+    for name in names:
+        found.AddVariant(name)
+        found.SetVariantSelection(name)
+        with found.GetVariantEditContext():
+            for other in names:
+                if other != name:
+                    prim.GetStage().OverridePrim(f"{prim.GetPath()}/rig/{other}").SetActive(False)
+    found.SetVariantSelection(chosen)
 
 
 def joint_paths(definition: Definition) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ class DrawnBody:
 
     def __init__(self, body: PosedBody) -> None:
         self.body = body
-        shapes = [body.definition.shapes[binding.shape] for binding in body.bindings]
+        shapes = [body.shaded.shapes[binding.shape] for binding in body.bindings]
         starts = np.cumsum([0, *(len(shape.points) for shape in shapes)])
         none = np.zeros((0, 3), np.int32)
         self.faces = np.concatenate([none, *(s.faces + np.int32(a) for s, a in zip(shapes, starts, strict=False))])
@@ -40,7 +40,7 @@ class DrawnBody:
 
     def posed(self, poses: Poses) -> tuple[Floats, Floats]:
         """Points and unit normals float32[n, v, 3] of n agents, in body lengths: front +x, up +y."""
-        found = [bound(self.body.definition, binding, poses) for binding in self.body.bindings]
+        found = [bound(self.body.shaded, binding, poses) for binding in self.body.bindings]
         none = np.zeros((len(poses.world), 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in found)], axis=1)
         normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)

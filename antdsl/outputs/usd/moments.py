@@ -25,7 +25,8 @@ _KEPT = 3  # frames in memory: the one before, this and the next
 class Agents:
     """Agents of a species, by ascending id: `ids` int64[n], `position` [n, 3], `orient` [n, 4] (x y z w, unit), `scale` [n],
     `colour` float64[n, 3] (display), `velocity` [n, 3] in units a second and `turning` [n, 3] in degrees a second about axes of
-    the world, `state` int64[n] or None, `numbers`: further values by name. `parts`: crowds of one worn body each, and the rows
+    the world, `state` int64[n] or None, `own_velocity` [n, 3]: on its ground,
+    as the cache has it; `numbers`: further values by name. `parts`: crowds of one worn body each, and the rows
     that they have here. `seen` bool[n]: who has a place that can be drawn."""
 
     ids: NDArray[np.int64]
@@ -36,6 +37,7 @@ class Agents:
     velocity: Floats
     turning: Floats
     state: NDArray[np.int64] | None
+    own_velocity: Floats
     numbers: dict[str, NDArray[np.generic]]
     parts: tuple[tuple[Crowd, NDArray[np.intp]], ...]
     seen: NDArray[np.bool_]
@@ -116,9 +118,10 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
     size = np.linalg.norm(orient, axis=1, keepdims=True)
     seen = np.isfinite(place).all(axis=1) & np.isfinite(size[:, 0]) & (size[:, 0] > 0) & np.isfinite(scale) & (scale > 0)
     turn = np.where(seen[:, None], orient / np.where(size > 0, size, 1.0), (0.0, 0.0, 0.0, 1.0))
-    velocity = np.zeros((len(rows), 3))
-    for key in ("v", "v_ground"):
-        velocity += np.nan_to_num(np.asarray(arrays[key], np.float64)[rows]) if key in arrays else 0.0
+    own, ground = (
+        np.nan_to_num(np.asarray(arrays[key], np.float64)[rows]) if key in arrays else np.zeros((len(rows), 3))
+        for key in ("v", "v_ground")
+    )
     colour = np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35)
     numbers = {
         key: values[rows]
@@ -126,11 +129,16 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
         if key not in _OWN and "." not in key.removesuffix(".state") and values.ndim == 1 and len(values) == len(arrays["P"])
     }
     if "v" in arrays:
-        numbers["speed"] = np.linalg.norm(np.asarray(arrays["v"], np.float64)[rows], axis=1)
+        numbers["speed"] = np.linalg.norm(own, axis=1)
+    parts = tuple(_part(crowd, ids) for crowd in picture.crowds if crowd.species == name)
+    if any(crowd.feet is not None for crowd, _ in parts):
+        phase = np.zeros(len(rows), np.float32)
+        for crowd, there in parts:
+            phase[there] = 0.0 if crowd.feet is None else crowd.feet.phase
+        numbers["phase"] = phase
     return Agents(
-        ids, np.where(seen[:, None], place, 0.0), turn, np.where(seen, scale, 0.0), colour, velocity, np.zeros((len(rows), 3)),
-        np.asarray(arrays["state"], np.int64)[rows] if "state" in arrays else None, numbers,
-        tuple(_part(crowd, ids) for crowd in picture.crowds if crowd.species == name), seen,
+        ids, np.where(seen[:, None], place, 0.0), turn, np.where(seen, scale, 0.0), colour, own + ground, np.zeros((len(rows), 3)),
+        np.asarray(arrays["state"], np.int64)[rows] if "state" in arrays else None, own, numbers, parts, seen,
     )  # fmt: skip
 
 

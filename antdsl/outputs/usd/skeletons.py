@@ -12,6 +12,7 @@ from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
 from antdsl.outputs.usd.materials import Looks
 from antdsl.outputs.usd.moments import Agents, Moment, matched
@@ -25,7 +26,7 @@ class SkeletonWriter:
     """One species: an instance for each agent, its animation beside it. With `copies` agents are no instances, and their meshes
     have the colours of states themselves, for programs that pose no instances and inherit no primvars."""
 
-    def __init__(self, out: Out, species: SpeciesEntry, number: int, copies: bool = False) -> None:
+    def __init__(self, out: Out, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
         self._out, self._species, self._number, stage = out, species, number, out.stage
         self._path = f"{ROOT}/{identifier(species.name)}"
         name_states(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
@@ -34,7 +35,7 @@ class SkeletonWriter:
         self._agents = dict[int, _Agent]()
         self._there = np.zeros(0, np.int64)
         self._first: float | None = None
-        self._sheared, self._copies = False, copies
+        self._sheared, self._copies, self._close = False, copies, close
 
     @property
     def notes(self) -> list[str]:
@@ -76,7 +77,7 @@ class SkeletonWriter:
             number = f"_{len(self._bodies) + 1}" if self._bodies else ""
             name = identifier(self._species.name) + number
             looks = Looks(self._out.stage, f"{LOOKS}/{name}", worn.definition.materials)
-            made = write_definition(self._out.stage, f"{BODIES}/{name}", worn, looks)
+            made = write_definition(self._out.stage, f"{BODIES}/{name}", worn, looks, self._close)
             self._bodies[id(worn)] = worn, made
         return self._bodies[id(worn)]
 
@@ -112,7 +113,7 @@ def _joints(moment: Moment, number: int, part: int, body: PosedBody) -> _Joints:
     """The joints of those who wear a body, at a time."""
     agents = moment.species[number]
     crowd, rows = agents.parts[part]
-    found = _Joints(body.poses(crowd.plays, len(crowd.position), local=True))
+    found = _Joints(_posed(body, crowd))
     after = moment.after[number] if moment.share > 0 and moment.after else None
     if after is None:
         return found
@@ -120,8 +121,14 @@ def _joints(moment: Moment, number: int, part: int, body: PosedBody) -> _Joints:
         if other.worn is not body:
             continue
         at, same = matched(agents.ids[rows], after.ids[there])
-        found.mix(same, _Joints(body.poses(other.plays, len(other.position), local=True)), at, moment.share)
+        found.mix(same, _Joints(_posed(body, other)), at, moment.share)
     return found
+
+
+def _posed(body: PosedBody, crowd: Crowd) -> Poses:
+    """Poses of a crowd, on its feet where these are known."""
+    feet = crowd.feet_beside(np.arange(len(crowd.position)))
+    return body.poses(crowd.plays, len(crowd.position), local=True, feet=feet)
 
 
 class _Agent:

@@ -32,13 +32,15 @@ _SAME = 1e-6  # frames
 class UsdOptions:
     """`skeletons`: up to how many agents of a species each has a skeleton of its own; more are instances of a bank of poses.
     `shutter`: from when to when around each frame, in frames, agents have samples, `samples` of them; None for at frames alone.
-    `chunk`: so many frames share a file of values (0: all are in one file). `copies`: agents with skeletons are no instances."""
+    `chunk`: so many frames share a file of values (0: all are in one file). `copies`: agents with skeletons are no instances. `close`: bodies are
+    those for close-ups."""
 
     skeletons: int = SKELETONS
     shutter: tuple[float, float] | None = None
     samples: int = 3
     chunk: int = 0
     copies: bool = False
+    close: bool = False
 
 
 _USUAL = UsdOptions()
@@ -54,10 +56,9 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
     most = _most(gallery, frames)
 
     def kind(number: int) -> Callable[..., Writer]:
-        worn = gallery.manifest.species[number].definition is not None
-        if not worn or most[number] > options.skeletons:
-            return InstancerWriter
-        return partial(SkeletonWriter, copies=options.copies)
+        if most[number] > options.skeletons:
+            return partial(InstancerWriter, close=options.close)
+        return partial(SkeletonWriter, copies=options.copies, close=options.close)
 
     return _export(gallery, frames, path, options, kind)
 

@@ -44,7 +44,9 @@ class Frames:
     size: NDArray[np.float64]
 
     @staticmethod
-    def of(position: NDArray[np.float64], heading: NDArray[np.float64], up: NDArray[np.float64], size: NDArray[np.float64]) -> Frames:
+    def of(
+        position: NDArray[np.float64], heading: NDArray[np.float64], up: NDArray[np.float64], size: NDArray[np.float64]
+    ) -> Frames:
         """With the heading as it is, and up across it."""
         forward: vec.Vector = tuple(heading)  # type: ignore[assignment]
         above: vec.Vector = tuple(up)  # type: ignore[assignment]
@@ -240,9 +242,7 @@ class _Step:
         half = [np.minimum(stance, _F(1e4)) * part * _F(0.5) for part in self.covered]
         long = np.sqrt(half[0] * half[0] + half[1] * half[1])
         by = np.minimum(_F(1), gaits.reach / np.maximum(long, _F(1e-9)))
-        x, z = (
-            rest + part * left + most * by for rest, part, most in zip(self.walkers.rest, self.covered, half, strict=True)
-        )
+        x, z = (rest + part * left + most * by for rest, part, most in zip(self.walkers.rest, self.covered, half, strict=True))
         lands = flying & (done >= 1)
         gap = np.square(self.beside[0] - x) + np.square(self.beside[2] - z)
         again = lands & ((gap > np.square(_AGAIN * self.walkers.leg)) | (feet.on == NOTHING) | self._too_far(_F(REACHED)))
@@ -315,5 +315,3 @@ class _Step:
         long = vec.length(tuple(away))  # type: ignore[arg-type]
         most = self.walkers.legs.length[leg] * size * REACHED
         feet.shown[:, who, leg] = hip + away * np.minimum(1.0, most / np.maximum(long, 1e-12))
-
-
