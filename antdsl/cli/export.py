@@ -48,6 +48,7 @@ def export(
     copies: bool = typer.Option(
         None, "--copies", show_default=False, help="Of USD: agents with skeletons are no instances, as Blender needs them."
     ),
+    close: bool = typer.Option(None, "--close", show_default=False, help="Of USD: bodies as they are for close-ups."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Write a cache as a USD file (agents, meshes, items, camera; needs the extra [usd]), or keyframes of agents as CSV."""
@@ -67,11 +68,18 @@ def export(
         raise typer.BadParameter(
             f"`{to.name}` cannot be written as `{word}`: there is {', '.join(export.forms)}", param_hint="--as"
         )
-    wanted = {"skeletons": skeletons, "shutter": open_time(shutter), "samples": samples, "chunk": chunk, "copies": copies}
+    wanted = {
+        "skeletons": skeletons,
+        "shutter": open_time(shutter),
+        "samples": samples,
+        "chunk": chunk,
+        "copies": copies,
+        "close": close,
+    }
     given = {name: value for name, value in wanted.items() if value is not None}
-    if given and word not in export.options:
-        name = next(iter(given))
-        raise typer.BadParameter(f"`{to.name}` as `{word}` has no such choice; USD files have", param_hint=f"--{name}")
+    for name in sorted(given.keys() - export.takes(word)):
+        forms = [f"`{each.endings[0]}` as `{w}`" for each in EXPORTS for w in each.forms if name in each.takes(w)]
+        raise typer.BadParameter(f"`{to.name}` as `{word}` does not take this; {', '.join(forms)} does", param_hint=f"--{name}")
     if "samples" in given and "shutter" not in given:
         raise typer.BadParameter("say when they are: `--shutter -0.25..0.25`", param_hint="--samples")
     options = (export.options[word](**given),) if word in export.options else ()

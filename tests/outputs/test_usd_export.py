@@ -49,7 +49,7 @@ def test_a_cache_is_read_back_from_usd(
 
     _, folder = made
     file = tmp_path / f"out.{suffix}"
-    assert command(monkeypatch, "export", str(folder), "--to", str(file)) == 0
+    assert command(monkeypatch, "export", str(folder), "--to", str(file), "--skeletons", "0") == 0
     assert [path.name for path in tmp_path.iterdir()] == [file.name], "nothing is left beside it"
     stage = Usd.Stage.Open(str(file))
     assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 0.01
@@ -113,6 +113,10 @@ def test_meshes_and_camera_come_back_through_a_scene(
     own = shot.setting.camera
     assert own is not None and np.allclose(camera.at, own.at) and np.allclose(camera.look_at, own.look_at, atol=1e-3)
     assert np.allclose(camera.up, own.up) and np.allclose(camera.focal, 35)
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(tmp_path / "out.usdc"))
+    assert all(prim.IsA(UsdGeom.Imageable) for prim in stage.Traverse() if str(prim.GetPath()).startswith("/World/items"))
     food = read_usd_mesh(open_stage(Roots(tmp_path, {}), "out.usdc", "/World/items/food_0", **given))
     middle = (food.raw.vertices.min(axis=0) + food.raw.vertices.max(axis=0)) / 2
     assert np.linalg.norm(middle - shot.setting.items["food"][0].position) < 10
@@ -157,7 +161,9 @@ species breeder {
     assert shot is not None, report.errors
     for _ in record(begin(shot, tmp_path / "cache", Options(), resume=False, force=False)):
         pass
-    assert command(monkeypatch, "export", str(tmp_path / "cache"), "--to", str(tmp_path / "out.usda"), "-q") == 0
+    assert (
+        command(monkeypatch, "export", str(tmp_path / "cache"), "--to", str(tmp_path / "out.usda"), "-q", "--skeletons", "0") == 0
+    )
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     ants = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/breeder"))
     cache = open_cache(tmp_path / "cache")

@@ -1,8 +1,8 @@
 """A bank of poses: for each species the prototypes that its agents are instances of, made when an agent is first in one.
 
-A pose is the topmost clip that an agent plays on its whole body, and each clip on a part of it, at the nearest of some moments; a
-clip counts that has most of its machine's weight. Who goes on its feet and plays no clip that goes has one that does, by its speed,
-at the phase of its gait. A prototype is such a pose in the colour of a state."""
+A pose is the topmost clip that an agent plays on its whole body, and each clip on a part of it, at the nearest of some moments;
+a clip counts that has most of its machine's weight. Who goes on its feet and plays no clip that goes has one that does, by its
+speed, at the phase of its gait. A prototype is such a pose in the colour of a state."""
 
 from __future__ import annotations
 

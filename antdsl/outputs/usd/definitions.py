@@ -64,7 +64,9 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close
             _write_shape(stage, f"{path}/rig/{name}/{shape}", each.shaded, binding, skeletons, looks, made)
     root.CreateExtentAttr(vectors(DrawnBody(body).extent()))
     if len(details) > 1:
-        _choices(root.GetPrim(), list(details), "close" if close else "crowd")
+        chosen = "close" if close else "crowd"
+        _choices(root.GetPrim(), list(details), chosen)
+        made.tinted = [below for below in made.tinted if below.startswith(f"rig/{chosen}/")]
     return made
 
 
@@ -217,7 +219,7 @@ def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape
             else:
                 into.SetWeight(weight)
                 into.SetOffsets(vectors(offsets))
-                into.CreateNormalOffsetsAttr().Set(vectors(normals))
+                into.CreateNormalOffsetsAttr(vectors(normals))
         targets.append(made.GetPath())
     api.CreateBlendShapesAttr(pxr("Vt").TokenArray([identifier(channel) for channel in blend.channels]))
     api.CreateBlendShapeTargetsRel().SetTargets(targets)

@@ -46,7 +46,7 @@ class Agents:
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
     """A time in frames: the `picture` of the frame at or before it, the agents of each species there, those of the frame after
-    it where that is in the cache, and how far it lies from the one to the other; `dt`: seconds between
+    it where that is in the cache, else of the one before, and how far it lies from the one to the other; `dt`: seconds between
     frames."""
 
     time: float
@@ -55,6 +55,7 @@ class Moment:
     picture: Picture
     species: tuple[Agents, ...]
     after: tuple[Agents, ...] | None
+    before: tuple[Agents, ...] | None
 
     def agents(self, number: int) -> Agents:
         """The agents of a species as they are at the time."""
@@ -81,7 +82,8 @@ class Moments:
         share = float(time) - first
         picture, _ = self._frame(first)
         after = self._frame(first + 1)[1] if first + 1 in self._known else None
-        return Moment(time, 0.0 if abs(share) < 1e-9 else share, self.gallery.dt, picture, self._led(first), after)
+        before = self._frame(first - 1)[1] if after is None and first - 1 in self._known else None
+        return Moment(time, 0.0 if abs(share) < 1e-9 else share, self.gallery.dt, picture, self._led(first), after, before)
 
     def _led(self, frame: int) -> tuple[Agents, ...]:
         """The agents of a frame, with velocities that lead to the next."""
@@ -137,8 +139,8 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
             phase[there] = 0.0 if crowd.feet is None else crowd.feet.phase
         numbers["phase"] = phase
     return Agents(
-        ids, np.where(seen[:, None], place, 0.0), turn, np.where(seen, scale, 0.0), colour, own + ground, np.zeros((len(rows), 3)),
-        np.asarray(arrays["state"], np.int64)[rows] if "state" in arrays else None, own, numbers, parts, seen,
+        ids, np.where(seen[:, None], place, 0.0), turn, np.where(seen, scale, 0.0), colour, own + ground,
+        np.zeros((len(rows), 3)), np.asarray(arrays["state"], np.int64)[rows] if "state" in arrays else None, own, numbers, parts, seen,
     )  # fmt: skip
 
 
@@ -177,8 +179,8 @@ def _leading(here: Agents, after: Agents | None, before: Agents | None, dt: floa
 
 def rotation_vector(first: Floats, second: Floats) -> Floats:
     """By how much orientations (n, 4: x y z w, unit) turn to others by the shorter way: world axes times radians (n, 3)."""
-    a, b = first, second * np.where(dot(first, second) < 0, -1.0, 1.0)[:, None]
-    real = dot(a, b)
+    a, b = first, second * np.where((first * second).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    real = (a * b).sum(axis=1)
     axis = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])
     size = np.linalg.norm(axis, axis=1)
     angle = 2.0 * np.arctan2(size, real)

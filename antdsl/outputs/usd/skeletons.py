@@ -98,7 +98,7 @@ class _Joints:
         self.channels = np.asarray(poses.channels, np.float32)
 
     def mix(self, rows: NDArray[np.bool_], other: _Joints, at: NDArray[np.intp], share: float) -> None:
-        """Go a share of the way to the joints that others have at some rows: evenly, rotations by the shorter way."""
+        """Go a share of the way to the joints that others have at some rows, or away: evenly, rotations by the shorter way."""
         for k, (mine, theirs) in enumerate(zip(self.values, other.values, strict=True)):
             towards = theirs[at[rows]]
             if k == 1:
@@ -110,18 +110,17 @@ class _Joints:
 
 
 def _joints(moment: Moment, number: int, part: int, body: PosedBody) -> _Joints:
-    """The joints of those who wear a body, at a time."""
+    """The joints of those who wear a body, at a time; beyond the last frame they go on as they came to it."""
     agents = moment.species[number]
     crowd, rows = agents.parts[part]
     found = _Joints(_posed(body, crowd))
-    after = moment.after[number] if moment.share > 0 and moment.after else None
-    if after is None:
+    others, share = (moment.after, moment.share) if moment.after else (moment.before, -moment.share)
+    if not share or others is None:
         return found
-    for other, there in after.parts:
-        if other.worn is not body:
-            continue
-        at, same = matched(agents.ids[rows], after.ids[there])
-        found.mix(same, _Joints(_posed(body, other)), at, moment.share)
+    for other, there in others[number].parts:
+        if other.worn is body:
+            at, same = matched(agents.ids[rows], others[number].ids[there])
+            found.mix(same, _Joints(_posed(body, other)), at, share)
     return found
 
 

@@ -28,19 +28,25 @@ _SAVE_EVERY = 24  # frames that wait in memory for their place in the file
 _SAME = 1e-6  # frames
 
 
-@dataclass(frozen=True, slots=True)
-class UsdOptions:
-    """`skeletons`: up to how many agents of a species each has a skeleton of its own; more are instances of a bank of poses.
-    `shutter`: from when to when around each frame, in frames, agents have samples, `samples` of them; None for at frames alone.
-    `chunk`: so many frames share a file of values (0: all are in one file). `copies`: agents with skeletons are no instances. `close`: bodies are
-    those for close-ups."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class XformOptions:
+    """`shutter`: from when to when around each frame, in frames, agents have samples, `samples` of them; None for at frames
+    alone. `chunk`: so many frames share a file of values (0: all are in the stage's own). `close`: bodies are those for
+    close-ups."""
 
-    skeletons: int = SKELETONS
     shutter: tuple[float, float] | None = None
     samples: int = 3
     chunk: int = 0
-    copies: bool = False
     close: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UsdOptions(XformOptions):
+    """`skeletons`: up to how many agents of a species each has a skeleton of its own; more are instances of a bank of poses.
+    `copies`: agents with skeletons are no instances."""
+
+    skeletons: int = SKELETONS
+    copies: bool = False
 
 
 _USUAL = UsdOptions()
@@ -63,9 +69,9 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
     return _export(gallery, frames, path, options, kind)
 
 
-def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _USUAL) -> list[str]:
+def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: XformOptions = _USUAL) -> list[str]:
     """The same with one Xform an agent, as programs read them that animate objects one by one."""
-    return _export(gallery, list(frames), path, options, lambda number: XformWriter)
+    return _export(gallery, list(frames), path, options, lambda number: partial(XformWriter, close=options.close))
 
 
 def _most(gallery: Gallery, frames: list[int]) -> list[int]:
@@ -80,7 +86,7 @@ def _most(gallery: Gallery, frames: list[int]) -> list[int]:
     return found
 
 
-def times(frame: int, options: UsdOptions) -> list[float]:
+def times(frame: int, options: XformOptions) -> list[float]:
     """When agents have samples for a frame: at the frame, and over the shutter."""
     around = np.linspace(*options.shutter, options.samples) if options.shutter else np.zeros(1)
     found: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
@@ -88,7 +94,7 @@ def times(frame: int, options: UsdOptions) -> list[float]:
 
 
 def _export(
-    gallery: Gallery, frames: list[int], path: Path, options: UsdOptions, kind: Callable[[int], Callable[..., Writer]]
+    gallery: Gallery, frames: list[int], path: Path, options: XformOptions, kind: Callable[[int], Callable[..., Writer]]
 ) -> list[str]:
     with whole(path, path.suffix) as part:
         try:
@@ -122,7 +128,7 @@ class _Shot:
             crowd.sample(moment)
 
 
-def _write(shot: _Shot, files: ValueFiles, frames: list[int], options: UsdOptions, stage: Any) -> None:
+def _write(shot: _Shot, files: ValueFiles, frames: list[int], options: XformOptions, stage: Any) -> None:
     written = -np.inf
     for number, frame in enumerate(frames):
         for time in times(frame, options):

@@ -20,10 +20,10 @@ class XformWriter:
 
     notes: tuple[str, ...] = ()
 
-    def __init__(self, out: Out, species: SpeciesEntry, number: int) -> None:
+    def __init__(self, out: Out, species: SpeciesEntry, number: int, close: bool = False) -> None:
         self._out, self._number, self._path = out, number, f"{ROOT}/{identifier(species.name)}"
         name_states(pxr("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
-        self._bank = Bank(out.stage, species)
+        self._bank = Bank(out.stage, species, close)
         self._angles, self._agents, self._there = Angles(), dict[int, _Agent](), np.empty(0, np.int64)
         self._first: float | None = None
 
