@@ -244,6 +244,9 @@ def test_a_shutter_has_samples_between_frames(people: Cache, tmp_path: Path) -> 
     assert np.allclose(made.GetPositionsAttr().Get(4.25), four + (five - four) / 4, atol=1e-5)
     assert np.allclose(made.GetPositionsAttr().Get(4.75), five + (four - five) / 4, atol=1e-5)
     assert np.allclose(made.GetVelocitiesAttr().Get(4.25), made.GetVelocitiesAttr().Get(4))
+    for frame in range(1, FRAMES + 1):
+        poses = [list(made.GetProtoIndicesAttr().Get(frame + part)) for part in (-0.25, 0.0, 0.25)]
+        assert poses[0] == poses[1] == poses[2], "one mesh while the shutter is open"
     one = people.frame(1)["P"] - np.array(made.GetVelocitiesAttr().Get(1)) / 24 / 4
     assert np.allclose(made.GetPositionsAttr().Get(0.75), one, atol=1e-5), "before the first frame its velocities lead back"
     limbs = exported(people, tmp_path / "limbs.usdc", shutter=(0, 0.5), samples=2)
