@@ -14,9 +14,9 @@ import pytest
 
 pytest.importorskip("pxr")
 
-from test_usd_crowds import exported, recorded  # noqa: E402
+from test_usd_crowds import exported, recorded
 
-from antdsl.outputs.pictures.light import decoded  # noqa: E402
+from antdsl.outputs.pictures.light import decoded
 
 pytestmark = pytest.mark.slow
 FORAGING = Path(__file__).parents[2] / "examples" / "foraging"
