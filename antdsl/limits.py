@@ -50,6 +50,7 @@ BODY_VALUES: Final = 1_000_000  # of one JSON file; numbers in a row count less
 BODY_BYTES: Final = 512 * MIB  # of one glTF file, its buffers included
 JOINTS: Final = 4096  # of one rig
 CHANNELS: Final = 4096  # of one rig
+LAYERS_WORN: Final = 64  # layers that agents of one species may show beside their own: bits of a mask
 BODY_PARTS: Final = 4096  # shapes, layers, clips or transform groups of one definition
 BODY_POINTS: Final = 3_000_000  # of all shapes of one definition
 CLIP_BYTES: Final = 1 * GIB  # of all samples of the clips of one definition

@@ -16,12 +16,14 @@ from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.coarse import coarse
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import bound
-from antdsl.bodies.agents.layer import Layer
+from antdsl.bodies.agents.driving import Driven, with_channels, with_looks
+from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
 
 BODY, COLLISION = "body", "collision"  # layers
+NOTHING = Driven()
 STATE = "state"  # the material that has the colour of the agent's state
 
 
@@ -29,14 +31,14 @@ class PosedBody:
     """Length 1 along +x (where it heads), up +y, as a `Body`, but posed by what each agent plays.
 
     `faces` int32[m, 3]; `own` float32[v, 3], linear colours of materials; `tint` float32[v]: 1 takes the agent's colour, as
-    does what has no material or one called `state`, 0 its material's. Drawn are the shapes of one layer, `body` where there is
-    one so called, else the first that is not called `collision`."""
+    does what has no material or one called `state`, 0 its material's. Drawn are the shapes of its own layer, `body` where there
+    is one so called, else the first that is not called `collision`, and of `layers` beside it; those that it does not have are
+    passed over."""
 
-    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]]) -> None:
-        self.clips, self._whole = tuple(clips), definition
+    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]], layers: Sequence[str] = ()) -> None:
+        self.clips, self.layers, self._whole = tuple(clips), tuple(layers), definition
         self._table = clip_table(definition)
-        layer = _worn(definition)
-        self._bindings = (*layer.static, *layer.deforming)
+        self._bindings = _bindings(definition, layers)
         names = {binding.shape for binding in self._bindings}
         shaded = {n: _with_normals(shape) if n in names else shape for n, shape in definition.shapes.items()}
         self._definition = replace(definition, shapes=shaded)
@@ -63,12 +65,17 @@ class PosedBody:
     @cached_property
     def coarse(self) -> PosedBody:
         """The same with fewer triangles, for agents that are small in a picture."""
-        return PosedBody(coarse(self._whole), self.clips)
+        return PosedBody(coarse(self._whole), self.clips, self.layers)
 
-    def posed(self, machines: Sequence[MachineClips], count: int, threads: int = 1) -> tuple[Floats, Floats]:
-        """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths."""
+    def posed(
+        self, machines: Sequence[MachineClips], count: int, threads: int = 1, *, driven: Driven = NOTHING
+    ) -> tuple[Floats, Floats]:
+        """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say and show what is
+        `driven`, in body lengths."""
         playing = machines_playing(self._table, self.clips, machines, count)
         poses = posed(self._table, self._definition.groups, playing, threads=threads)
+        poses = with_channels(self._table, poses, driven.channels)
+        poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])
         found = [bound(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((count, 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self._taken]
@@ -76,11 +83,18 @@ class PosedBody:
         return points @ self._base.T, normals @ self._turn.T
 
 
-def _worn(definition: Definition) -> Layer:
-    """The layer that is drawn; none has no shapes."""
+def own_layer(definition: Definition) -> Layer:
+    """The layer that a body always shows; none has no shapes."""
     layers = definition.layers
     worn = [layer for name, layer in layers.items() if name != COLLISION]
     return layers.get(BODY) or next(iter(worn), Layer(BODY))
+
+
+def _bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:
+    """What is shown of a body with some layers beside its own: each binding once, in the order of the definition's layers."""
+    own = own_layer(definition)
+    worn = (own, *(layer for name, layer in definition.layers.items() if name in layers and layer is not own))
+    return tuple(dict.fromkeys(binding for layer in worn for binding in (*layer.static, *layer.deforming)))
 
 
 def _with_normals(shape: Shape) -> Shape:

@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
@@ -20,7 +21,8 @@ from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
-from antdsl.outputs.cutting import Cut
+from antdsl.outputs.cache.shown_arrays import driven, layers_of, worn_masks
+from antdsl.outputs.cutting import Cut, some_of
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
 from antdsl.outputs.paths import Walks, Window
@@ -60,7 +62,8 @@ class Gallery:
             Arrows(name, place, way, _ARROWS[number % len(_ARROWS)])
             for number, (name, (place, way)) in enumerate(drawn(self.static).items())
         )
-        self._worn: dict[int, PosedBody] = {}
+        self._worn: dict[tuple[int, int], PosedBody] = {}  # by species and the mask of the layers that are worn
+        self._definitions: dict[int, Definition] = {}
         self._walked: dict[str, tuple[int, NDArray[np.int64], NDArray[np.float64]]] = {}
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
@@ -170,8 +173,8 @@ class Gallery:
                 ids=ids[rows],
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )
-            crowd = self._dressed(crowd, number, arrays)
-            made += [self._with_lines(part, species, number, frame) for part in _parted(crowd, agents)]
+            dressed = self._dressed(crowd, number, arrays)
+            made += [self._with_lines(part, species, number, frame) for each in dressed for part in _parted(each, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
@@ -180,24 +183,33 @@ class Gallery:
                 ]
         return tuple(made), tuple(legend)
 
-    def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> Crowd:
-        """The crowd in a body of its own, where its species has one, posed by what the frame says that each plays."""
-        species = self.manifest.species[number]
-        plays = machines_of(species, arrays, len(crowd.position))
-        if species.definition is None or plays is None:
-            return crowd
-        return replace(crowd, worn=self._body(number), plays=plays)
+    def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:
+        """The crowd in a body of its own, where its species has one, posed by what the frame says that each plays and shows: a
+        crowd for each set of layers that some wear."""
+        species, count = self.manifest.species[number], len(crowd.position)
+        plays = machines_of(species, arrays, count)
+        if species.definition is None or plays is None or crowd.ids is None:
+            return [crowd]
+        whole = replace(crowd, plays=plays, driven=driven(species, arrays, np.asarray(crowd.ids, np.int64)))
+        masks = worn_masks(species, arrays, count)
+        sets = [int(mask) for mask in np.unique(masks)] or [0]
+        if len(sets) == 1:
+            return [replace(whole, worn=self._body(number, sets[0]))]
+        parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
+        return [replace(some_of(whole, rows), worn=self._body(number, mask)) for mask, rows in parts]
 
-    def _body(self, number: int) -> PosedBody:
-        """The body of its own that a species has."""
+    def _body(self, number: int, mask: int = 0) -> PosedBody:
+        """The body of its own that a species has, with the layers of a mask."""
         species = self.manifest.species[number]
-        if number not in self._worn:
-            try:
-                found = definition_of(self.manifest, self.static, species.definition or 0)
-            except BodyError as why:
-                raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
-            self._worn[number] = PosedBody(found, tuple((clip.name, clip.on) for clip in species.clips))
-        return self._worn[number]
+        if (number, mask) not in self._worn:
+            if number not in self._definitions:
+                try:
+                    self._definitions[number] = definition_of(self.manifest, self.static, species.definition or 0)
+                except BodyError as why:
+                    raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
+            clips = tuple((clip.name, clip.on) for clip in species.clips)
+            self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
+        return self._worn[number, mask]
 
     def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """The crowd with its paths and the rays of its feelers, where they are to be seen."""
@@ -287,19 +299,8 @@ def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
     chosen = np.isin(crowd.ids, sorted(agents))
     parts = []
     for rows, named in ((chosen, True), (~chosen, False)):
-        parts.append(
-            replace(
-                crowd,
-                position=crowd.position[rows],
-                orient=crowd.orient[rows],
-                scale=crowd.scale[rows],
-                colour=crowd.colour[rows],
-                walked=None if crowd.walked is None else crowd.walked[rows],
-                plays=tuple(each.rows(rows) for each in crowd.plays),
-                ids=crowd.ids[rows] if named else None,
-                velocity=crowd.velocity[rows] if named and crowd.velocity is not None else None,
-            )
-        )
+        some = some_of(crowd, rows)
+        parts.append(some if named else replace(some, ids=None, velocity=None))
     return parts
 
 
