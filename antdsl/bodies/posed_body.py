@@ -21,6 +21,7 @@ from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
+from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
 
 BODY, COLLISION = "body", "collision"  # layers
 NOTHING = Driven()
@@ -66,6 +67,11 @@ class PosedBody:
     def coarse(self) -> PosedBody:
         """The same with fewer triangles, for agents that are small in a picture."""
         return PosedBody(coarse(self._whole), self.clips, self.layers)
+
+    @cached_property
+    def mesh(self) -> SkinnedMesh:
+        """The same vertices with the bones that they follow, for graphics hardware to pose."""
+        return skinned_mesh(self._definition, self._bindings, self._taken)
 
     def posed(
         self, machines: Sequence[MachineClips], count: int, threads: int = 1, *, driven: Driven = NOTHING

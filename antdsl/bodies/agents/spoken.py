@@ -35,8 +35,8 @@ def spoken_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def spoken(body: Definition) -> Definition:
-    """The definition with its clips, their marks, its layers and its transform groups by spoken names. Channels keep theirs:
-    clips and shapes name them."""
+    """The definition with its clips (the idle one too), their marks, its layers and its transform groups by spoken names.
+    Channels keep theirs: clips and shapes name them."""
     clips, groups, layers = (spoken_names(each) for each in (body.clips, body.groups, body.layers))
     marked = {name: spoken_names(clip.marks) for name, clip in body.clips.items()}
     if all(name == own for each in (clips, groups, layers, *marked.values()) for name, own in each.items()):
@@ -47,6 +47,7 @@ def spoken(body: Definition) -> Definition:
             clips[name]: replace(clip, name=clips[name], marks={marked[name][mark]: at for mark, at in clip.marks.items()})
             for name, clip in body.clips.items()
         },
+        idle=clips.get(body.idle, body.idle),
         layers={layers[name]: replace(layer, name=layers[name]) for name, layer in body.layers.items()},
         groups={groups[name]: replace(group, name=groups[name]) for name, group in body.groups.items()},
     )
