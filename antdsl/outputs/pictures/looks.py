@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import Sun, decoded
 from antdsl.outputs.pictures.shading_rows import Floats, dots, units
 from antdsl.outputs.pictures.texture_noise import value_noise
 
@@ -130,3 +130,8 @@ def _figure(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Fl
 
 
 _COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure)
+
+
+def glow(kind: NDArray[np.uint8], look: Surface, way: Floats, sun: Sun) -> Floats:
+    """Light (n, 3) that samples send out beside what they scatter: a mirrored sky, or light of their own."""
+    return np.zeros((len(kind), 3), np.float32)

@@ -43,7 +43,7 @@ class Crowd:
     which drives the legs.
 
     `worn` is a body posed by the clips that agents play, and `plays` what each machine of theirs plays; without it `body` says
-    what is drawn. `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to
+    what is drawn. `after`: the same agents, row by row, in the frame after, for motion blur. `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to
     be shown."""
 
     species: str
@@ -59,6 +59,7 @@ class Crowd:
     paths: Paths | None = None
     worn: PosedBody | None = None
     plays: tuple[MachineClips, ...] = ()
+    after: "Crowd | None" = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,13 +99,15 @@ class Arrows:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole on a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees across the width) where that is given."""
+    """A pinhole on a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees across the width) where that is given. With
+    `wide` its rays are parallel, and the picture is so many world units wide."""
 
     at: tuple[float, float, float]
     look_at: tuple[float, float, float]
     focal: float = 35.0
     fov: float | None = None
     up: tuple[float, float, float] | None = None
+    wide: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,30 +29,29 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def draw_overlay(
-    image: Image, picture: Picture, view: View, far: NDArray[np.float32], samples: int, show: tuple[str, ...]
+    image: Image, picture: Picture, view: View, far: NDArray[np.float32], show: tuple[str, ...]
 ) -> Image:
     """`image` with the lines, ids, legend and frame number that `show` and `picture` ask for, less what is behind ground.
 
-    `far`: distance of the still things per sample, rows first."""
+    `far` (h, w): distance of the still things."""
     lines = [word for word in ("flow", "velocity", "paths", "feelers", "ids") if word in show]
     if not (lines or picture.legend or picture.frame is not None):
         return image
     canvas = PillowImage.fromarray(image)
     draw = ImageDraw.Draw(canvas, "RGBA")
-    depth = far.reshape(view.height, samples, view.width, samples)[:, samples // 2, :, samples // 2]
     for flow in picture.flows if "flow" in show else ():
-        _draw_arrows(draw, view, flow, _unhidden(flow.position, view, depth))
+        _draw_arrows(draw, view, flow, _unhidden(flow.position, view, far))
     for crowd in picture.crowds if "paths" in show else ():
         if crowd.paths is not None:
-            _draw_paths(draw, view, crowd.paths, depth)
+            _draw_paths(draw, view, crowd.paths, far)
     for crowd in picture.crowds:
-        seen = _visible(crowd, view, depth)
+        seen = _visible(crowd, view, far)
         if "velocity" in show and crowd.velocity is not None:
             lift = _lifted(crowd)[seen]
             _draw_lines(draw, view, np.stack([lift, lift + _AHEAD * np.asarray(crowd.velocity)[seen]], axis=1), _VELOCITY)
         if "feelers" in show and crowd.feelers is not None and len(crowd.feelers):
             ends = np.asarray(crowd.feelers, np.float64)
-            _draw_lines(draw, view, ends[_unhidden(ends[:, 0], view, depth)], _FEELER)
+            _draw_lines(draw, view, ends[_unhidden(ends[:, 0], view, far)], _FEELER)
         if "ids" in show and crowd.ids is not None:
             _draw_ids(draw, view, crowd, np.flatnonzero(seen)[:_MOST_IDS])
     _draw_legend(draw, picture, view)
@@ -74,7 +73,7 @@ def _unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[
     places, ahead = view.project(points)
     inside = (ahead > 0) & (places >= 0).all(axis=1) & (places[:, 0] < view.width) & (places[:, 1] < view.height)
     column, row = np.where(inside[:, None], places, 0).astype(np.int64).T
-    distance = np.linalg.norm(points - view.eye, axis=1)
+    distance = view.distance(points)
     near = distance <= depth[row, column] * 1.005 + view.pixel_at(np.maximum(ahead, 0)) * 2
     return np.asarray(inside & near)
 
