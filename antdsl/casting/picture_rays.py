@@ -15,8 +15,8 @@ _CHUNK = 1 << 17  # rays at once
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sights:
-    """What each of n rays met: `t` float32[n] lengths of its direction (inf = nothing), `face` int32[n] (-1 = nothing), `u` `v` the
-    weights of the face's second and third corner, `normal` float32[n,3] of the face, unit, towards the ray's origin."""
+    """What each of n rays met: `t` float32[n] lengths of its direction (inf = nothing), `face` int32[n] (-1 = nothing), `u`
+    `v` the weights of the face's second and third corner, `normal` float32[n,3] of the face, unit, towards the ray's origin."""
 
     t: NDArray[np.float32]
     face: NDArray[np.int32]

@@ -3,13 +3,14 @@ ground."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
@@ -19,7 +20,7 @@ from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
+from antdsl.outputs.cache.manifest import CameraEntry, MeshEntry, SpeciesEntry
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
@@ -29,6 +30,7 @@ from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, Leg
 from antdsl.outputs.pictures.trails import robust_full
 
 _KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
+_LOOKS: dict[str, Kind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
 _UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 WANTED = ("P", "orient", "pscale")
 _DYES = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
@@ -43,18 +45,32 @@ class NoPicture(Exception):
 
 class Gallery:
     """Makes pictures of one cache. Frames asked for in order let the legs of agents move on between them. With a `window` they
-    hold paths: where each agent is in the frames of so many seconds before and after."""
+    hold paths: where each agent is in the frames of so many seconds before and after. `blurred`: they say where agents are in the
+    frame after, too. `full`: by field, the strength that is drawn strongest. Raises NoPicture for a cache without what
+    pictures need, or without such a field."""
 
-    def __init__(self, cache: Cache, cut: Cut | None = None, window: Window | None = None) -> None:
+    def __init__(
+        self,
+        cache: Cache,
+        cut: Cut | None = None,
+        window: Window | None = None,
+        *,
+        blurred: bool = False,
+        full: Mapping[str, float] | None = None,
+    ) -> None:
         self.cache, self.manifest, self._cut = cache, cache.manifest, cut
         missing = [name for name in WANTED if name not in self.manifest.attributes]
         if missing:
             raise NoPicture(f"the cache has no attribute `{missing[0]}`, which pictures need")
+        strange = [name for name in full or () if name not in {field.name for field in self.manifest.fields}]
+        if strange:
+            raise NoPicture(f"the cache has no field `{strange[0]}`")
+        self._blurred, self._given = blurred, dict(full or {})
         above, below = self.manifest.fps.split("/")
         self.dt = int(below) / int(above)
         self._walks = None if window is None else Walks(cache, self.dt, window)
         self.static = cache.static()
-        self._stones = tuple(self._solid(m.name, m.kind) for m in self.manifest.meshes if m.kind != "solid")
+        self._stones = tuple(self._solid(m) for m in self.manifest.meshes if m.kind != "solid" and m.look != "none")
         self._dug = DugSolids(cache, self.static, cut)
         self.flows = tuple(
             Arrows(name, place, way, _ARROWS[number % len(_ARROWS)])
@@ -74,7 +90,7 @@ class Gallery:
             self._first = self.cache.frame(frames[0]) if frames else arrays
         crowds, legend = self._crowds(frame, arrays, agents)
         whole = Picture(
-            solids=(*self._solids(arrays), *self._dug.at(frame)),
+            solids=(*self._solids(arrays), *self._dug_at(frame)),
             crowds=crowds,
             items=self._items(arrays),
             trails=self._trails(arrays),
@@ -136,6 +152,15 @@ class Gallery:
         at, look_at, up = (three(self.static[f"camera.{name}"][k]) for name in ("at", "look_at", "up"))
         return Camera(at, look_at, focal=float(self.static["camera.focal"][k]) or 35.0, up=up)
 
+    def _dug_at(self, frame: int) -> tuple[Solid, ...]:
+        """The solids as far as they are dug."""
+        looks = {mesh.name: mesh.look for mesh in self.manifest.meshes if mesh.look is not None}
+        return tuple(
+            solid if solid.name not in looks else replace(solid, kind=_LOOKS[str(looks[solid.name])])
+            for solid in self._dug.at(frame)
+            if looks.get(solid.name) != "none"
+        )
+
     def _solids(self, arrays: Arrays) -> tuple[Solid, ...]:
         """The meshes, those that move as they are in a frame."""
         moved = {mesh.name: f"mesh.{mesh.name}.vertices" for mesh in self.manifest.meshes if mesh.moves}
@@ -146,10 +171,12 @@ class Gallery:
             for solid in self._stones
         )
 
-    def _solid(self, name: str, kind: str) -> Solid:
-        look: Kind = next((k for word, k in _KINDS if word in name.lower()), "stone" if kind == "obstacle" else "ground")
+    def _solid(self, mesh: MeshEntry) -> Solid:
+        name = mesh.name
+        look = next((k for word, k in _KINDS if word in name.lower()), "stone" if mesh.kind == "obstacle" else "ground")
         vertices = np.asarray(self.static[f"mesh.{name}.vertices"], np.float64)
-        return Solid(name, vertices, np.asarray(self.static[f"mesh.{name}.faces"], np.int32), look)
+        faces = np.asarray(self.static[f"mesh.{name}.faces"], np.int32)
+        return Solid(name, vertices, faces, look if mesh.look is None else _LOOKS[mesh.look])
 
     def _crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
         made: list[Crowd] = []
@@ -171,11 +198,13 @@ class Gallery:
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )
             crowd = self._dressed(crowd, number, arrays)
+            if self._blurred:
+                crowd = replace(crowd, after=self._after(crowd, number, frame))
             made += [self._with_lines(part, species, number, frame) for part in _parted(crowd, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
-                    LegendRow(state.label or state.name, _bytes(state.colour), int(n))
+                    LegendRow(state.label or state.name, _bytes(state.colour), int(n), species.name)
                     for state, n in zip(species.machines[0].states, counts, strict=False)
                 ]
         return tuple(made), tuple(legend)
@@ -187,6 +216,38 @@ class Gallery:
         if species.definition is None or plays is None:
             return crowd
         return replace(crowd, worn=self._body(number), plays=plays)
+
+    def _after(self, crowd: Crowd, number: int, frame: int) -> Crowd | None:
+        """The same agents in the frame after, where the cache has it; one that is gone then stays as it is."""
+        if frame + 1 not in self.cache.frames():
+            return None
+        arrays = self.cache.frame(frame + 1)
+        which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(len(arrays["P"]), np.int16)
+        rows = np.flatnonzero(which == number)
+        ids = np.asarray(arrays["id"])[rows] if "id" in arrays else rows
+        own = np.asarray(crowd.ids)
+        order = np.argsort(ids, kind="stable")
+        at = order[np.minimum(np.searchsorted(ids, own, sorter=order), max(len(ids) - 1, 0))] if len(ids) else own
+        there = ids[at] == own if len(ids) else np.zeros(len(own), np.bool_)
+        at = np.where(there, at, len(rows) + np.arange(len(own)))
+
+        def both(later: NDArray[Any], now: NDArray[Any]) -> NDArray[Any]:
+            return np.concatenate([later, now])[at]
+
+        plays = machines_of(self.manifest.species[number], arrays, len(rows)) or ()
+        walked = crowd.walked
+        if walked is not None and crowd.velocity is not None:
+            walked = walked + np.linalg.norm(crowd.velocity, axis=1) * self.dt
+        return replace(
+            crowd,
+            position=both(np.asarray(arrays["P"], np.float64)[rows], crowd.position),
+            orient=both(np.asarray(arrays["orient"], np.float64)[rows], crowd.orient),
+            walked=walked,
+            plays=tuple(
+                MachineClips(*(both(getattr(later, name), getattr(now, name)) for name in FIELDS))
+                for later, now in zip(plays, crowd.plays, strict=False)
+            ),
+        )
 
     def _body(self, number: int) -> PosedBody:
         """The body of its own that a species has."""
@@ -229,8 +290,12 @@ class Gallery:
             moved = arrays.get(f"items.{group.name}.P") if group.moves else None
             places = group.position if moved is None else [three(place) for place in moved]
             for number, (name, position, radius) in enumerate(zip(group.names, places, group.radius, strict=True)):
+                look = group.looks[number] if number < len(group.looks) else None
                 shape = cast(Shape, shape_of(group.name, name))
-                made.append(Item(name, position, radius, self._left(group.name, group.attributes, number, arrays), shape))
+                if look == "none" or (shape == "none" and look is not None):
+                    shape = "none" if look == "none" else "sphere"  # a place that is meant is seen where the scene says of what
+                left = self._left(group.name, group.attributes, number, arrays)
+                made.append(Item(name, position, radius, left, shape, None if look == "none" else look))
         return tuple(made)
 
     def _left(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
@@ -254,7 +319,7 @@ class Gallery:
                     places = np.concatenate([places, np.asarray(added, np.float64)])
                 strength = np.zeros(len(places))
                 strength[cells] = values
-                full = self._strongest().get(field.name) or None
+                full = self._given.get(field.name) or self._strongest().get(field.name) or None
                 made.append(Trail(field.name, places, strength, field.cell, _DYES[number % len(_DYES)], full))
         return tuple(made)
 
@@ -285,22 +350,8 @@ def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
     if not agents or crowd.ids is None:
         return [crowd]
     chosen = np.isin(crowd.ids, sorted(agents))
-    parts = []
-    for rows, named in ((chosen, True), (~chosen, False)):
-        parts.append(
-            replace(
-                crowd,
-                position=crowd.position[rows],
-                orient=crowd.orient[rows],
-                scale=crowd.scale[rows],
-                colour=crowd.colour[rows],
-                walked=None if crowd.walked is None else crowd.walked[rows],
-                plays=tuple(each.rows(rows) for each in crowd.plays),
-                ids=crowd.ids[rows] if named else None,
-                velocity=crowd.velocity[rows] if named and crowd.velocity is not None else None,
-            )
-        )
-    return parts
+    some, others = crowd.rows(chosen), crowd.rows(~chosen)
+    return [some, replace(others, ids=None, velocity=None)]
 
 
 def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:

@@ -55,7 +55,10 @@ def at(image, picture, camera, point):
 
 def test_rays_and_projection_agree():
     ready = view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
-    for camera in (Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), wide=9.0)):
+    for camera in (
+        Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0),
+        Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), wide=9.0),
+    ):
         ready = view(camera, W, H, (0.0, 1.0, 0.0))
         start, way = ready.rays(np.array([40 * W + 3, 40 * W + 90]), 0.25, 0.5)
         places, ahead = ready.project(start + 7.0 * way.astype(float))

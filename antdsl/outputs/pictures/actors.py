@@ -10,6 +10,7 @@ from antdsl.bodies.catalogue import body
 from antdsl.bodies.placed import placed
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.casting.picture_rays import PictureRays
+from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
@@ -19,8 +20,8 @@ Array = NDArray[np.float64]
 
 CLOSE = 28.0  # pixels of body length from which the close-up body is worth its triangles
 MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
-MOST_ENLARGED = 3.0
 MOST_MOMENTS = 9
+METAL, LIGHT = 1.5, -1.0  # in place of gloss
 MOST_TRIANGLES = 2_000_000  # of close-up bodies of a species' own
 _STEEP = 0.8  # of a heap's slope: what is steeper beside it is a stone or a wall
 _DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
@@ -28,7 +29,8 @@ _DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """One kind of thing many times: vertices and normals (n, 3), faces, linear colour (n, 3), gloss (n,)."""
+    """One kind of thing many times: vertices and normals (n, 3), faces, linear colour (n, 3), gloss (n,): 0 dull to 1, METAL
+    above, and LIGHT below for what has light of its own."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -39,8 +41,8 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """b bodies of one shape: vertices float32 (b, v, 3) as they are turned at the picture's frame, their places (b, 3), and the same
-    at the frame after, or None for what stands still; faces of all, and normal, colour and gloss of their vertices."""
+    """b bodies of one shape: vertices float32 (b, v, 3) as they are turned at the picture's frame, their places (b, 3), and
+    the same at the frame after, or None for what stands still; faces of all, and normal, colour and gloss of their vertices."""
 
     local: Floats
     place: Array
@@ -61,8 +63,8 @@ class Part:
 @dataclass(frozen=True, slots=True, eq=False)
 class Actors:
     """Everything that moves. `rays`: at one moment or at several over which the shutter is open; `mesh` is at the middle one.
-    `near` bool (h · w,): pixels where any of it may be seen. `tall`: the longest way its shadow needs to be looked for; `size`: how
-    far around a body the ground lies in its shade."""
+    `near` bool (h · w,): pixels where any of it may be seen. `tall`: the longest way its shadow needs to be looked for;
+    `size`: how far around a body the ground lies in its shade."""
 
     rays: tuple[PictureRays, ...]
     mesh: Mesh
@@ -71,16 +73,18 @@ class Actors:
     size: float
 
 
-def actors(picture: Picture, view: View, least: float = 0.0, ground: PictureRays | None = None, blur: float = 0.0) -> Actors:
+def actors(
+    picture: Picture, view: View, least: float = 0.0, ground: PictureRays | None = None, blur: float = 0.0, enlarged: float = 3.0
+) -> Actors:
     """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those out of sight left out;
     what is of loose soil follows `ground`. The shutter is open for `blur` of the way to the frame after.
 
-    Bodies shorter than `least` pixels are drawn that long, though never more than MOST_ENLARGED times their size."""
+    Bodies shorter than `least` pixels are drawn that long, though never more than `enlarged` times their size."""
     parts: list[Part] = []
     longest = 0.0
     for crowd in picture.crowds:
         if len(crowd.position):
-            parts += _crowd(crowd, view, least)
+            parts += _crowd(crowd, view, least, enlarged)
             longest = max(longest, float(np.max(crowd.scale)))
     for item in picture.items:
         if item.shape != "none" and item.left > 0 and item.radius > 0:
@@ -150,7 +154,7 @@ def _near(parts: list[Part], meshes: list[Mesh], view: View) -> NDArray[np.bool_
     return np.asarray(count.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0).reshape(-1)
 
 
-def _crowd(crowd: Crowd, view: View, least: float) -> list[Part]:
+def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part]:
     scale = np.asarray(crowd.scale, np.float64)
     finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(crowd.orient).all(axis=1) & np.isfinite(scale) & (scale > 0)
     position = np.where(finite[:, None], crowd.position, 0.0)
@@ -164,7 +168,7 @@ def _crowd(crowd: Crowd, view: View, least: float) -> list[Part]:
     most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.faces)))
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     far = np.setdiff1d(np.flatnonzero(seen), close)
-    sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), MOST_ENLARGED * scale)
+    sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), enlarged * scale)
     if crowd.worn is not None:
         parts = ((crowd.worn, close), (crowd.worn.coarse, far))
         return [_worn(crowd, own, rows, sizes) for own, rows in parts if len(rows) and len(own.faces)]
@@ -195,7 +199,13 @@ def _turn(crowd: Crowd, rows: NDArray[np.int64]) -> Floats:
 
 
 def _part(
-    local: Floats, place: Array, then: tuple[Floats, Array] | None, faces: NDArray[np.int32], normal: Floats, colour: Floats, gloss: float
+    local: Floats,
+    place: Array,
+    then: tuple[Floats, Array] | None,
+    faces: NDArray[np.int32],
+    normal: Floats,
+    colour: Floats,
+    gloss: float,
 ) -> Part:
     bodies, own = local.shape[:2]
     every = (faces[None] + (np.arange(bodies, dtype=np.int32) * own)[:, None, None]).reshape(-1, 3)
@@ -244,13 +254,26 @@ def item_mesh(item: Item, up: tuple[float, float, float], ground: PictureRays | 
     points = (vertices * size) @ turn.T + np.asarray(item.position, np.float64)
     if item.shape == "mound" and ground is not None:
         points += _slump(points, np.asarray(item.position, np.float64), upward[0], size, ground)[:, None] * upward
-    gloss = np.full(len(points), 0.0 if item.shape == "mound" else 0.5, np.float32)
-    return Mesh(points, faces, vertex_normals(points, faces), decoded(colour), gloss)
+    shade, gloss = _made_of(item, decoded(colour))
+    return Mesh(points, faces, vertex_normals(points, faces), shade, np.full(len(points), gloss, np.float32))
+
+
+def _made_of(item: Item, colour: Floats) -> tuple[Floats, float]:
+    """Linear colours (n, 3) and gloss of an item by what it is made of."""
+    if item.look is None:
+        return colour, 0.0 if item.shape == "mound" else 0.5
+    plain, gloss = {
+        "metal": (looks.STEEL, METAL),
+        "soil": (decoded((0.55, 0.42, 0.30)), 0.0),
+        "leaf": (looks.GREEN, 0.4),
+        "light": (looks.LIT, LIGHT),
+    }[item.look]
+    return np.broadcast_to(plain, colour.shape), gloss
 
 
 def _slump(points: Array, foot: Array, up: Array, size: float, ground: PictureRays) -> Array:
-    """How much higher than at `foot` the ground is below each point (n,): as far as loose soil lies, and 0 where it is farther off
-    than `size`."""
+    """How much higher than at `foot` the ground is below each point (n,): as far as loose soil lies, and 0 where it is farther
+    off than `size`."""
     away = points - foot
     level = points - (away @ up)[:, None] * up
     start = level + size * up

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.light import Sun, decoded
+from antdsl.outputs.pictures.light import Sun, around, decoded
 from antdsl.outputs.pictures.shading_rows import Floats, dots, units
 from antdsl.outputs.pictures.texture_noise import value_noise
 
-KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure")
-GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN, FIGURE = range(len(KINDS))
-TRAILED = (GROUND, BOULDER, HILL, FIGURE)  # where a field's colour may lie
+KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light")
+GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN, FIGURE, METAL, LEAF, LIGHT = range(len(KINDS))
+TRAILED = (GROUND, BOULDER, HILL, FIGURE, METAL, LEAF)  # where a field's colour may lie
 
-_SOIL = decoded((0.68, 0.60, 0.48))
+SOIL = decoded((0.68, 0.60, 0.48))
 _DRY = decoded((0.755, 0.70, 0.59))
 _MOSS = decoded((0.56, 0.585, 0.42))
 _ROCK = decoded((0.50, 0.465, 0.42))
@@ -25,6 +25,9 @@ _EARTH = decoded((0.42, 0.33, 0.25))
 _CLAY = decoded((0.78, 0.70, 0.61))
 _PALE = decoded((0.84, 0.775, 0.69))
 _TABLE = decoded((0.80, 0.80, 0.79))
+STEEL, GREEN, LIT = decoded((0.70, 0.71, 0.73)), decoded((0.33, 0.50, 0.17)), decoded((1.0, 0.93, 0.78))
+_VEIN = decoded((0.52, 0.64, 0.30))
+BRIGHT = 2.6  # of a light: several times what the sun makes of white
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +66,7 @@ def surface(
 
 def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> Surface:
     """Bumps and specks, each size only where a pixel is small enough to show it."""
-    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.5, 0.45], np.float32)[kind]
+    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.5, 0.45, 0.05, 0.25, 0.0], np.float32)[kind]
     for wavelength, height, speck, seed in (
         (2.4, 0.30, 0.10, 5),
         (0.6, 0.34, 0.14, 6),
@@ -89,7 +92,7 @@ def _mixed(first: Floats, second: Floats, share: Floats) -> Floats:
 
 
 def _ground(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    colour = _mixed(_SOIL, _DRY, 0.5 + 0.9 * large)
+    colour = _mixed(SOIL, _DRY, 0.5 + 0.9 * large)
     colour = _mixed(colour, _MOSS, (0.55 * patch - 0.75 * large - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
     return _mixed(colour, _ROCK, (0.86 - upness + 0.10 * patch) * 4.0)
 
@@ -122,16 +125,49 @@ def _edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floa
 
 def _grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
     tone, _ = value_noise(points, scales.grain * 0.9, 9)
-    return _mixed(_mixed(_SOIL, _ROCK, 0.45 - 1.4 * tone), _DRY * 1.1, 1.6 * tone)
+    return _mixed(_mixed(SOIL, _ROCK, 0.45 - 1.4 * tone), _DRY * 1.1, 1.6 * tone)
 
 
 def _figure(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
     return _mixed(_CLAY, _PALE, 0.5 + 0.5 * large + 0.25 * patch)
 
 
-_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure)
+def _metal(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    return 0.30 * STEEL * (1 + 0.08 * patch)[:, None]
+
+
+def _leaf(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    fine, _ = value_noise(points, scales.extent / 90, 12)
+    return _mixed(GREEN * (1 + 0.22 * patch + 0.15 * large)[:, None], _VEIN, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6)
+
+
+def _light(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    return np.broadcast_to(LIT, points.shape)
+
+
+_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure, _metal, _leaf, _light)
 
 
 def glow(kind: NDArray[np.uint8], look: Surface, way: Floats, sun: Sun) -> Floats:
-    """Light (n, 3) that samples send out beside what they scatter: a mirrored sky, or light of their own."""
-    return np.zeros((len(kind), 3), np.float32)
+    """Light (n, 3) that samples seen along `way` send out beside what they scatter: what metal and leaves mirror, light of their
+    own."""
+    light = np.zeros((len(kind), 3), np.float32)
+    for code, colour, least in ((METAL, STEEL, 0.75), (LEAF, np.ones(3, np.float32), 0.04)):
+        here = np.flatnonzero(kind == code)
+        if len(here):
+            normal, ray = look.normal[here], way[here]
+            light[here] = mirrored(normal, ray, sun) * schlick(normal, ray, least)[:, None] * colour
+    light[kind == LIGHT] = LIT * BRIGHT
+    return light
+
+
+def mirrored(normal: Floats, way: Floats, sun: Sun) -> Floats:
+    """What surfaces mirror (n, 3) of sky and ground along rays that come by `way` (n, 3)."""
+    back = np.clip(-dots(normal, way), 0, 1)
+    return around(way + normal * (2 * back)[:, None], sun)
+
+
+def schlick(normal: Floats, way: Floats, least: float) -> Floats:
+    """The share (n,) of light that a surface mirrors: `least` from straight above, all at a grazing angle (Schlick, Computer
+    Graphics Forum 13(3), 1994)."""
+    return np.asarray(least + (1 - least) * (1 - np.clip(-dots(normal, way), 0, 1)) ** 5, np.float32)

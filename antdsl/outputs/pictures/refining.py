@@ -38,7 +38,7 @@ def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
     seen, cast, threads = still.middle, lighting.cast, lighting.threads
     visible, opened = np.ones(len(seen), np.float32), still.shade
     if cast.size > 0:
-        visible = sunlit(still.grid, seen.sun, lighting.sun, cast.rays, cast.tall, threads, None)
+        visible = sunlit(still.grid, seen.sun, lighting.sun, cast.rays, cast.tall, threads)
         contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], 1.1 * cast.size, _CONTACT_RAYS, threads)
         opened = opened * contact
     albedo = dyes.coloured(seen)
@@ -70,7 +70,8 @@ def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
 def before(
     still: Stage, lighting: Lighting, pixels: Rows, far: Floats, place: tuple[float, float], moment: int
 ) -> tuple[Rows, Sights]:
-    """Which of the rays through one place in some pixels meet something that moves at a moment, nearer than `far`; what they meet."""
+    """Which of the rays through one place in some pixels meet something that moves at a moment, nearer than `far`; what they
+    meet."""
     start, way = still.view.rays(pixels, *place)
     hits = lighting.cast.rays[moment].cast(start, way, lighting.threads)
     kept = np.flatnonzero(hits.t < far)

@@ -5,7 +5,7 @@ One `Renderer` for a film; `render_frame` for a single picture."""
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,17 +41,27 @@ class Renderer:
 
     Every pixel is one ray through its middle; one in which something ends, or moves, is the mean of 2 · `samples`² and more.
     `threads`: for the rays (the bits do not depend on it). `least`: bodies that would be shorter than so many pixels are drawn
-    that long, up to three times their size. `blur`: the share of a frame that the shutter is open for."""
+    that long, up to `enlarged` times their size. With `marks` they are discs so many pixels wide instead. `blur`: the share of
+    a frame that the shutter is open for."""
 
     def __init__(
-        self, width: int = 960, height: int = 540, *, samples: int = 2, threads: int = 1, least: float = 7.0, blur: float = 0.0
+        self,
+        width: int = 960,
+        height: int = 540,
+        *,
+        samples: int = 2,
+        threads: int = 1,
+        least: float = 7.0,
+        enlarged: float = 3.0,
+        marks: float = 0.0,
+        blur: float = 0.0,
     ) -> None:
         if not (1 <= width <= 8192 and 1 <= height <= 8192 and 1 <= samples <= 4):
             raise ValueError("a picture is 1 to 8192 pixels wide and high, with 1 to 4 samples along a pixel's edge")
         if not 0 <= blur <= 1:
             raise ValueError("the shutter is open for 0 to 1 of a frame")
         self.width, self.height, self.samples = width, height, samples
-        self.threads, self.least, self.blur = max(1, threads), least, blur
+        self.threads, self.least, self.enlarged, self.marks, self.blur = max(1, threads), least, enlarged, marks, blur
         self._settings: list[tuple[tuple[int, ...], Setting, tuple[object, ...]]] = []
         self._kept: dict[tuple[object, ...], _Kept] = {}
 
@@ -67,10 +77,11 @@ class Renderer:
         still = self._setting(picture, up)
         scales = Scales(still.extent, _grain(picture, still.extent))
         kept = self._stage(picture, camera, still, seen, sun, scales)
-        cast = actors(picture, seen, self.least, still.rays, self.blur)
+        bodied = picture if self.marks <= 0 else replace(picture, crowds=())
+        cast = actors(bodied, seen, self.least, still.rays, self.blur, self.enlarged)
         kept.dyes.wet(picture.trails if "trail" in wanted else ())
         image = self._light(kept, cast, Lighting(cast, still.rays, sun, scales, self.threads))
-        return draw_overlay(image, picture, seen, kept.stage.middle.far.reshape(self.height, self.width), wanted)
+        return draw_overlay(image, picture, seen, kept.stage.middle.far.reshape(self.height, self.width), wanted, self.marks)
 
     def _setting(self, picture: Picture, up: Array) -> Setting:
         """The ray scene of the solids; kept with the solids themselves, so that an id is not given to others."""

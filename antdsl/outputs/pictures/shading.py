@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from antdsl.casting.picture_rays import PictureRays, Sights
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.actors import Actors
-from antdsl.outputs.pictures.light import LAMP, SUN, Sun, ambient, around, hazed, sky
+from antdsl.outputs.pictures.light import LAMP, SUN, Sun, ambient, hazed, sky
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
 from antdsl.outputs.pictures.stage import Samples
@@ -32,7 +32,8 @@ class Lighting:
 
 
 def still_light(lighting: Lighting, seen: Samples, own: slice, albedo: Floats, visible: Floats, opened: Floats) -> Floats:
-    """Light (n, 3) of some samples of what stands still, on which the sun falls by `visible` (n,), and the sky by `opened` (n,)."""
+    """Light (n, 3) of some samples of what stands still, on which the sun falls by `visible` (n,), and the sky by `opened`
+    (n,)."""
     sun, extent = lighting.sun, lighting.scales.extent
     far, way = seen.far[own], seen.way[own]
     direct = seen.sun[own] * visible
@@ -70,8 +71,8 @@ def shadowed(lighting: Lighting, seen: Samples, moment: int, spot: Floats) -> Fl
 
 
 def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, moment: int, spot: Floats) -> Floats:
-    """Light (n, 3) from rays, from `start` along `way` (n, 3), that meet something that moves: a dull body with a coat that mirrors
-    sky and ground, the more the flatter it is looked at (Schlick, Computer Graphics Forum 13(3), 1994), and the sun."""
+    """Light (n, 3) from rays, from `start` along `way` (n, 3), that meet something that moves: a dull body with a coat that
+    mirrors sky and ground, and the sun; metal, which mirrors more; lights."""
     mesh, sun = lighting.cast.mesh, lighting.sun
     corners = mesh.faces[hits.face]
     normal = units(blended(mesh.normal, corners, hits.u, hits.v))
@@ -84,16 +85,21 @@ def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, m
     facing *= np.clip((hits.normal @ sun.towards) * 6 + 0.6, 0, 1)
     _hide(lighting, facing, where, moment, spot)
     upness = normal @ sun.up
-    back = np.clip(-dots(normal, way), 0, 1)
-    mirrored = way + normal * (2 * back)[:, None]
-    schlick = np.float32(0.04) + np.float32(0.96) * (1 - back) ** 5
     half = units(spot - way)
-    shine = gloss * (0.5 * np.clip(dots(normal, half), 0, 1) ** 60 + 0.12 * np.clip(dots(normal, half), 0, 1) ** 12) * (facing > 0)
+    shine = (
+        gloss * (0.5 * np.clip(dots(normal, half), 0, 1) ** 60 + 0.12 * np.clip(dots(normal, half), 0, 1) ** 12) * (facing > 0)
+    )
     # Undersides see mostly the near ground, which the body keeps dark.
     near = 0.42 + 0.58 * np.clip(0.55 + 0.75 * upness, 0, 1)
+    metal = gloss > 1
     light: Floats = colour * (facing[:, None] * SUN + ambient(upness) * near[:, None])
-    light += around(mirrored, sun) * (gloss * schlick * near)[:, None]
+    coat = looks.schlick(normal, way, 0.04) * gloss
+    coat[metal] = looks.schlick(normal[metal], way[metal], 0.8)
+    tint = np.where(metal[:, None], looks.STEEL, np.float32(1))
+    light *= np.where(metal, np.float32(0.3), np.float32(1))[:, None]
+    light += looks.mirrored(normal, way, sun) * (coat * near)[:, None] * tint
     light += shine[:, None] * SUN
+    light[gloss < 0] = looks.LIT * looks.BRIGHT
     return hazed(light, hits.t, way, sun, _AIR * lighting.scales.extent)
 
 

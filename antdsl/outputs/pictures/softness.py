@@ -1,5 +1,5 @@
-"""Soft edges of shadows and of shade without noise: neighbouring pixels ask in different directions, and share their answers where
-the surface goes on.
+"""Soft edges of shadows and of shade without noise: neighbouring pixels ask in different directions, and share their answers
+where the surface goes on.
 
 Interleaved sampling (Keller and Heidrich, Eurographics Workshop on Rendering, 2001); filters whose weights cancel the pattern."""
 
@@ -58,15 +58,12 @@ def _smaller(view: View) -> View:
     return View(view.eye, view.right, view.above, view.ahead, view.half, wide, high, view.parallel)
 
 
-def sunlit(
-    grid: Grid, facing: Floats, sun: Sun, casts: Sequence[PictureRays], far: float, threads: int, only: NDArray[np.bool_] | None
-) -> Floats:
-    """Share (h · w,) of the sun that pixels see: all where they do not face it, `facing` (h · w,) ≤ 0, or are not among `only`.
+def sunlit(grid: Grid, facing: Floats, sun: Sun, casts: Sequence[PictureRays], far: float, threads: int) -> Floats:
+    """Share (h · w,) of the sun that pixels see: all where they do not face it, `facing` (h · w,) ≤ 0.
 
     `casts`: what is in the way, at as many moments, over which the answers are spread; `far`: nothing farther off is."""
     high, wide = grid.view.height, grid.view.width
-    asked = grid.solid & (facing > 0)
-    asked = np.flatnonzero(asked if only is None else asked & only)
+    asked = np.flatnonzero(grid.solid & (facing > 0))
     share = np.ones(high * wide, np.float32)
     if not len(asked):
         return share
@@ -92,9 +89,7 @@ def sunlit(
     return share
 
 
-def _met(
-    grid: Grid, pixels: NDArray[np.int64], way: Floats, cast: PictureRays, far: float, threads: int
-) -> NDArray[np.bool_]:
+def _met(grid: Grid, pixels: NDArray[np.int64], way: Floats, cast: PictureRays, far: float, threads: int) -> NDArray[np.bool_]:
     met = np.zeros(len(pixels), np.bool_)
 
     def fill(own: slice) -> None:
@@ -128,9 +123,7 @@ def _filtered(
     return means
 
 
-def _along(
-    values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None
-) -> Floats:
+def _along(values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None) -> Floats:
     """The same where the surface may end."""
     high, wide = values.shape
     row, column = np.divmod(pixels, wide)
@@ -165,25 +158,19 @@ def _goes_on(grid: Grid, there: NDArray[np.int64], point: Floats, normal: Floats
     return np.asarray(alike)
 
 
-def open_share(
-    grid: Grid, rays: PictureRays, reach: float, count: int, threads: int, only: NDArray[np.bool_] | None = None
-) -> Floats:
+def open_share(grid: Grid, rays: PictureRays, reach: float, count: int, threads: int) -> Floats:
     """Share (h · w,) of directions over each pixel's surface in which nothing is near, `reach` (world units) at most: of `count`
-    rays a pixel, every second pixel of every second row, filled in between along the surfaces. 1 outside of `only`."""
+    rays a pixel, every second pixel of every second row, filled in between along the surfaces."""
     high, wide = grid.view.height, grid.view.width
     small = grid.halved()
-    wanted = small.solid.copy()
-    if only is not None:
-        near = only.reshape(high, wide)[::2, ::2].reshape(-1)
-        wanted &= near
-    pixels = np.flatnonzero(wanted)
+    pixels = np.flatnonzero(small.solid)
     shade = np.ones(len(small.solid), np.float32)
     if not len(pixels):
         return np.ones(high * wide, np.float32)
     row, column = np.divmod(pixels, small.view.width)
     shade[pixels] = _opened(small, pixels, _ORDER[(row % 4) * 4 + column % 4], rays, reach, count, threads)
     shade[pixels] = _filtered(shade.reshape(small.view.height, small.view.width), pixels, small, _WIDE_TAPS)
-    return _filled(grid, small, shade, rays, reach, threads, only)
+    return _filled(grid, small, shade, rays, reach, threads)
 
 
 def _opened(
@@ -209,14 +196,12 @@ def _opened(
     return opened
 
 
-def _filled(
-    grid: Grid, small: Grid, shade: Floats, rays: PictureRays, reach: float, threads: int, only: NDArray[np.bool_] | None
-) -> Floats:
+def _filled(grid: Grid, small: Grid, shade: Floats, rays: PictureRays, reach: float, threads: int) -> Floats:
     """The shade of all pixels from that of every second one; where none of its neighbours has the same surface, by own rays."""
     high, wide = grid.view.height, grid.view.width
     full = _between(shade.reshape(small.view.height, small.view.width), high, wide)
     full[~grid.solid] = 1
-    wanted = np.flatnonzero(grid.solid if only is None else grid.solid & only)
+    wanted = np.flatnonzero(grid.solid)
     wanted = wanted[grid.broken(wanted, 2)]
     lonely: list[NDArray[np.int64]] = []
 

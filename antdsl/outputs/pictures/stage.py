@@ -96,7 +96,7 @@ def stage(setting: Setting, view: View, sun: Sun, scales: Scales, threads: int) 
     solid = np.isfinite(middle.far)
     edge = _edges(view, middle, solid)
     grid = Grid(view, middle.point, middle.normal, solid, edge, 3e-5 * scales.extent)
-    middle.sun[:] *= sunlit(grid, middle.sun, sun, [setting.rays], np.inf, threads, None)
+    middle.sun[:] *= sunlit(grid, middle.sun, sun, [setting.rays], np.inf, threads)
     shade = open_share(grid, setting.rays, _SHADE_REACH * scales.grain, SHADE_RAYS, threads)
     return Stage(setting, view, middle, grid, shade, np.flatnonzero(edge), sun, scales)
 

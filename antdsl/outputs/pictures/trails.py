@@ -15,7 +15,8 @@ _MOST_VOXELS = 40_000_000
 
 
 class TrailCloth:
-    """The voxels that a trail's cells lie in, between two corners `low` and `high` (3,): made once a camera, coloured each frame."""
+    """The voxels that a trail's cells lie in, between two corners `low` and `high` (3,): made once a camera, coloured each
+    frame."""
 
     def __init__(self, low: Array, high: Array, cell: float) -> None:
         self.cell = cell
@@ -35,7 +36,7 @@ class TrailCloth:
         self._scent = self._spread.onto(cover(trail))
 
     def share(self, points: Floats) -> Floats:
-        """How much of the ground (n,) the trail covers at points (n, 3), 0..1: the mean of the cells around, the nearer the more."""
+        """How much of the ground (n,) the trail covers at points (n, 3), 0..1: the nearer a cell, the more it counts."""
         scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
         whole = np.clip(np.floor(scaled), 0, np.asarray(self.shape, np.float32) - 2)
         part = np.clip(scaled - whole, 0, 1)
@@ -119,11 +120,20 @@ def robust_full(strength: Array) -> float:
     return float(held[np.searchsorted(np.cumsum(held), 0.3 * held.sum())]) if len(held) else 0.0
 
 
+def full_of(trail: Trail) -> float:
+    """The strength that is drawn strongest."""
+    return trail.full if trail.full is not None else robust_full(trail.strength)
+
+
 def cover(trail: Trail) -> Floats:
-    """Share of the ground (n,) that each cell's scent covers. Scent spans many powers of ten, of which the faint ones lead
-    the way too: the 0.4th power shows a thousandth of the strongest as a sixteenth."""
-    full = trail.full if trail.full is not None else robust_full(trail.strength)
-    share = np.clip(np.asarray(trail.strength, np.float64) / max(full, 1e-30), 0.0, 1.0) ** 0.4
+    """Share of the ground (n,) that each cell's scent covers."""
+    return cover_of(trail.strength, full_of(trail))
+
+
+def cover_of(strength: Array, full: float) -> Floats:
+    """Shares (n,) of the ground that strengths (n,) cover. Scent spans many powers of ten, of which the faint ones lead the
+    way too: the 0.4th power shows a thousandth of the strongest as a sixteenth."""
+    share = np.clip(np.asarray(strength, np.float64) / max(full, 1e-30), 0.0, 1.0) ** 0.4
     return np.asarray(share, np.float32)
 
 
