@@ -13,6 +13,7 @@ from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
 from antdsl.outputs.pictures.model import Picture, Solid
 
+_SECTION = (0.33, 0.24, 0.17)  # display values of cut soil
 _WRITTEN = re.compile(r"\s*([xyz])\s*([<>])\s*(-?[0-9]+(?:\.[0-9]+)?)\s*")
 
 
@@ -34,6 +35,12 @@ class Cut:
         """Which places [n,3] are taken away."""
         along = places[:, self.axis]
         return along < self.at if self.below else along > self.at
+
+    def painted(self, places: NDArray[np.float64], near: float) -> NDArray[np.float64]:
+        """Colours [n,3] of a solid's vertices: a dark one on the plane, so that what is hollow stands out, and none elsewhere."""
+        colour = np.full((len(places), 3), np.nan)
+        colour[np.abs(places[:, self.axis] - self.at) < near] = _SECTION
+        return colour
 
     def opened(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
         """A copy of a solid from which all beyond the plane has been dug: max(distance, depth beyond it)."""

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 CLOSE = 28.0  # pixels of body length from which the close-up body is worth its triangles
 MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
-MOST_MOMENTS = 9
+MOST_MOMENTS = 20
 METAL, LIGHT = 1.5, -1.0  # in place of gloss
 MOST_TRIANGLES = 2_000_000  # of close-up bodies of a species' own
 _STEEP = 0.8  # of a heap's slope: what is steeper beside it is a stone or a wall

@@ -7,6 +7,7 @@ from antdsl.bodies.body import turned
 from antdsl.casting.rays import RayScene
 from antdsl.outputs.pictures.actors import item_mesh
 from antdsl.outputs.pictures.camera import three, view
+from antdsl.outputs.pictures.light import sun_over
 from antdsl.outputs.pictures.model import Camera, Crowd, Picture
 from antdsl.outputs.pictures.setting import BELOW
 
@@ -174,4 +175,6 @@ def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
     inside = (ahead < 60 * scale) & (places > 0).all(axis=1) & (places < [160, 90]).all(axis=1)
     before, away = inside & (ahead > 0) & (ahead < 1.7 * scale), inside & (ahead >= 1.7 * scale)
     clear = rays.cast(seen.eye[None], seen.ahead[None]).t[0] > 14 * scale
+    up = np.asarray(camera.up or (0.0, 1.0, 0.0), np.float64)
+    clear &= not rays.occluded(target[None] + 0.3 * scale * up, sun_over(up).towards[None].astype(np.float64)).any()
     return float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) - 4.0 * float(before.sum())

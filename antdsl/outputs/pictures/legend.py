@@ -17,7 +17,7 @@ from antdsl.outputs.pictures.trails import cover_of, dyed, full_of
 Image = NDArray[np.uint8]
 
 _PAPER, _INK, _SOFT = (28, 30, 34), (238, 238, 234), (164, 166, 168)
-_SHARE = 0.2  # of the picture's width
+_SHARE = 0.22  # of the picture's width
 _TICKS = (1.0, 0.1, 0.01, 0.001)  # of the strongest
 
 
@@ -39,6 +39,7 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
     lines = 1.6 + sum(1.7 + len(rows) for _, rows in species) + 4.2 * len(trails)
     size = max(8, min(high // 40, wide // 13, int(high / (1.4 * max(lines, 1)))))
     edge, line = size, round(size * 1.4)
+    small = _fitting(draw, picture, wide - 2 * edge - round(2.2 * size), size)
     top = edge
     if picture.frame is not None:
         draw.text((edge, top), f"frame {picture.frame}", font=font(size), fill=_SOFT)
@@ -46,12 +47,12 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
     for name, rows in species:
         if name:
             count = f"{sum(row.count for row in rows):,}"
-            _line(draw, name, count, (edge, top), wide - edge, size, _INK)
+            _line(draw, name, count, (edge, top), wide - edge, size)
             draw.line((edge, top + line, wide - edge, top + line), fill=(78, 80, 84))
             top += round(1.25 * line)
         for row in rows:
             draw.ellipse((edge, top + size * 0.15, edge + size * 0.9, top + size * 1.05), fill=row.colour)
-            _line(draw, row.name, f"{row.count:,}", (edge + round(1.4 * size), top), wide - edge, size, _INK)
+            _line(draw, row.name, f"{row.count:,}", (edge + round(1.4 * size), top), wide - edge, small)
             top += line
         top += round(0.45 * line)
     for trail in trails:
@@ -60,20 +61,26 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
     return np.concatenate([image, np.asarray(strip)], axis=1)
 
 
-def _line(
-    draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[int, int], right: int, size: int, ink: tuple[int, int, int]
-) -> None:
-    """A name at the left and a number at the right; letters are made smaller, then left out, until both have room."""
+def _fitting(draw: ImageDraw.ImageDraw, picture: Picture, room: int, size: int) -> int:
+    """The size of letters at which the longest name of a state has its number beside it, if not less than a little smaller."""
+    small = size
+    while small > max(8, round(0.7 * size)) and any(
+        draw.textlength(row.name, font=font(small)) + draw.textlength(f"{row.count:,}", font=font(small)) > room
+        for row in picture.legend
+    ):
+        small -= 1
+    return small
+
+
+def _line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[int, int], right: int, size: int) -> None:
+    """A name at the left, cut short where there is no room, and a number at the right."""
     left, top = place
     number = draw.textlength(count, font=font(size))
-    room = right - left - number - size * 0.6
-    small = size
-    while small > max(7, size // 2) and draw.textlength(name, font=font(small)) > room:
-        small -= 1
-    while len(name) > 1 and draw.textlength(name, font=font(small)) > room:
-        name = name[:-2] + "…"
-    draw.text((left, top + (size - small) // 2), name, font=font(small), fill=ink)
-    draw.text((right - number, top), count, font=font(size), fill=ink)
+    room = right - left - number - size * 0.5
+    while len(name) > 2 and draw.textlength(name, font=font(size)) > room:
+        name = name[:-2].rstrip() + "…"
+    draw.text((left, top), name, font=font(size), fill=_INK)
+    draw.text((right - number, top), count, font=font(size), fill=_INK)
 
 
 def _scale(

@@ -20,7 +20,8 @@ Shape = Literal["apple", "ring", "mound", "sphere", "none"]
 class Solid:
     """A mesh that stands still between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
 
-    `colour`: display (sRGB) values 0..1, one (3,) or one a vertex (n, 3); None takes the look of its `kind`."""
+    `colour`: display (sRGB) values 0..1, one (3,) or one a vertex (n, 3); None, and a vertex that has none (NaN), take the
+    look of its `kind`."""
 
     name: str
     vertices: Array

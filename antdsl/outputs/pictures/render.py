@@ -80,7 +80,7 @@ class Renderer:
         bodied = picture if self.marks <= 0 else replace(picture, crowds=())
         cast = actors(bodied, seen, self.least, still.rays, self.blur, self.enlarged)
         kept.dyes.wet(picture.trails if "trail" in wanted else ())
-        image = self._light(kept, cast, Lighting(cast, still.rays, sun, scales, self.threads))
+        image = self._light(kept, cast, Lighting(cast, still.rays, sun, scales, seen, self.threads))
         return draw_overlay(image, picture, seen, kept.stage.middle.far.reshape(self.height, self.width), wanted, self.marks)
 
     def _setting(self, picture: Picture, up: Array) -> Setting:

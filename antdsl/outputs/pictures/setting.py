@@ -64,6 +64,7 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
         if solid.colour is not None:
             painted = np.ones((len(solid.vertices), 4), np.float32)
             painted[:, :3] = decoded(np.asarray(solid.colour, np.float32))
+            painted[~np.isfinite(painted).all(axis=1)] = 0
         vertices = np.asarray(solid.vertices, np.float64)
         kind = "figure" if solid.kind == "ground" and not floor else solid.kind
         parts.append(Part(vertices, solid.faces, looks.KINDS.index(kind), painted))

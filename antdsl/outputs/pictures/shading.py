@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from antdsl.casting.picture_rays import PictureRays, Sights
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.actors import Actors
+from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import LAMP, SUN, Sun, ambient, hazed, sky
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
@@ -28,6 +29,7 @@ class Lighting:
     ground: PictureRays
     sun: Sun
     scales: Scales
+    view: View
     threads: int
 
 
@@ -81,6 +83,11 @@ def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, m
     gloss = mesh.gloss[corners[:, 0]]
     where: Floats = start + hits.t[:, None] * way
     where += hits.normal * np.float32(_LIFT * lighting.scales.extent)
+    soil = np.flatnonzero(gloss == 0)
+    if len(soil):
+        wide = np.asarray(lighting.view.pixel_at(hits.t[soil]), np.float32) * np.float32(0.6)
+        look = looks.soiled(colour[soil], normal[soil], where[soil], wide, lighting.scales)
+        colour[soil], normal[soil] = look.albedo, look.normal
     facing = np.clip(normal @ sun.towards, 0, 1)
     facing *= np.clip((hits.normal @ sun.towards) * 6 + 0.6, 0, 1)
     _hide(lighting, facing, where, moment, spot)
