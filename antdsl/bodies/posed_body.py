@@ -16,8 +16,9 @@ from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.coarse import coarse
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import bound
-from antdsl.bodies.agents.layer import Layer
+from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
 
@@ -65,10 +66,24 @@ class PosedBody:
         """The same with fewer triangles, for agents that are small in a picture."""
         return PosedBody(coarse(self._whole), self.clips)
 
+    @property
+    def definition(self) -> Definition:
+        """The agent definition itself."""
+        return self._whole
+
+    @property
+    def bindings(self) -> tuple[Binding, ...]:
+        """The bindings of the layer that is drawn, static ones first."""
+        return self._bindings
+
+    def poses(self, machines: Sequence[MachineClips], count: int, threads: int = 1, local: bool = False) -> Poses:
+        """Transforms and channels of `count` agents that play what their machines say, in the definition's space; `local` too."""
+        playing = machines_playing(self._table, self.clips, machines, count)
+        return posed(self._table, self._definition.groups, playing, local=local, threads=threads)
+
     def posed(self, machines: Sequence[MachineClips], count: int, threads: int = 1) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths."""
-        playing = machines_playing(self._table, self.clips, machines, count)
-        poses = posed(self._table, self._definition.groups, playing, threads=threads)
+        poses = self.poses(machines, count, threads)
         found = [bound(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((count, 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self._taken]

@@ -120,7 +120,7 @@ class Gallery:
         reach = np.ones(len(self.manifest.species))
         for number, species in enumerate(self.manifest.species):
             if species.definition is not None:
-                reach[number] = max(1.0, self._body(number).reach)
+                reach[number] = max(1.0, self.body(number).reach)
         if "species" not in arrays or not len(reach):
             return float(reach.max(initial=1.0))
         return reach[np.clip(np.asarray(arrays["species"], np.int64), 0, len(reach) - 1)]
@@ -186,9 +186,9 @@ class Gallery:
         plays = machines_of(species, arrays, len(crowd.position))
         if species.definition is None or plays is None:
             return crowd
-        return replace(crowd, worn=self._body(number), plays=plays)
+        return replace(crowd, worn=self.body(number), plays=plays)
 
-    def _body(self, number: int) -> PosedBody:
+    def body(self, number: int) -> PosedBody:
         """The body of its own that a species has."""
         species = self.manifest.species[number]
         if number not in self._worn:
