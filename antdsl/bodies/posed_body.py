@@ -36,7 +36,7 @@ class PosedBody:
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]]) -> None:
         self.clips, self._whole = tuple(clips), definition
         self._table = clip_table(definition)
-        layer = _worn(definition)
+        layer = drawn_layer(definition)
         self._bindings = (*layer.static, *layer.deforming)
         names = {binding.shape for binding in self._bindings}
         shaded = {n: _with_normals(shape) if n in names else shape for n, shape in definition.shapes.items()}
@@ -91,7 +91,7 @@ class PosedBody:
         return points @ self._base.T, normals @ self._turn.T
 
 
-def _worn(definition: Definition) -> Layer:
+def drawn_layer(definition: Definition) -> Layer:
     """The layer that is drawn; none has no shapes."""
     layers = definition.layers
     worn = [layer for name, layer in layers.items() if name != COLLISION]

@@ -120,4 +120,4 @@ def difference(base: Shape, target: Shape, name: str, here: NDArray[np.intp], th
     mine, others = values_of(base, name), values_of(target, name)
     assert mine is not None and others is not None
     found = others[there].astype(np.float32) - mine[here].astype(np.float32)
-    return np.ascontiguousarray(found.reshape(len(here), -1).T)
+    return np.ascontiguousarray(found.reshape(len(here), int(np.prod(found.shape[1:]))).T)  # also where none is matched
