@@ -23,7 +23,7 @@ def export(
         "--as",
         metavar="WORD",
         show_default=False,
-        help="USD: instances, xforms, meshes; .npz: arrays, poses, volume; .ply, .obj: meshes, solids. [default: the first]",
+        help="USD: instances, xforms, meshes; .csv: keyframes, events; .npz: arrays, poses, volume, events; .ply: meshes, solids",
     ),
     ids: str = typer.Option(None, "--ids", metavar="3,8..12", help="Only these agents. [default: all]", show_default=False),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Which frames. [default: all]", show_default=False),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from antdsl.outputs.csv_export import export_csv
+from antdsl.outputs.events_export import export_csv_events, export_npz_events
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.geo_export import export_geo
 from antdsl.outputs.gltf_export import export_gltf
@@ -38,8 +39,8 @@ EXPORTS = (
     Export((".usdc", ".usda", ".usd"), {"instances": export_instances, "xforms": export_xforms, "meshes": export_usd_meshes}),
     Export((".glb", ".gltf"), {"skinned": export_gltf}),
     Export((".geo",), {"points": export_geo}, frozenset({"points"})),
-    Export((".csv",), {"keyframes": export_csv}),
-    Export((".npz",), {"arrays": export_arrays, "poses": export_poses, "volume": export_volumes}),
+    Export((".csv",), {"keyframes": export_csv, "events": export_csv_events}),
+    Export((".npz",), {"arrays": export_arrays, "poses": export_poses, "volume": export_volumes, "events": export_npz_events}),
     Export((".ply", ".obj"), {"meshes": export_meshes, "solids": export_solids}, frozenset({"meshes", "solids"})),
 )
 
