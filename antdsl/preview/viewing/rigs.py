@@ -49,6 +49,7 @@ def rig_packet(species: str, definition: Definition, plays: Plays, machines: tup
     base = definition.base()[:3].astype(float)
     return pack(
         f"rig:{species}", arrays, machines=list(machines), joints=len(table.order), texels=_texels(table),
+        length=float(definition.length), bending={},
         base=[round(float(x), 9) for x in base.reshape(-1)],
     )  # fmt: skip
 
@@ -110,5 +111,6 @@ def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
         "bone": mesh.bones.astype(np.uint16),
         "weight": mesh.weights,
         "joint": place[mesh.joint].astype(np.int32),
+        "part": np.zeros(len(mesh.joint), np.int32),
         "inverse": mesh.inverse,
     }

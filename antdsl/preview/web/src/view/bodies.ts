@@ -47,7 +47,7 @@ export class Bodies {
       ]);
       this.rigs.set(species, { made, levels });
     }
-    this.herds.playing(species, made?.low.rig.machines ?? [], made?.low.rig.loops ?? []);
+    this.herds.acting(species, made?.low.rig ?? { machines: [], loops: [], legs: 0 });
     this.drawn.get(species)?.forget();
     if (before) forgetRig(before.made);
     this.refresh();
@@ -147,7 +147,7 @@ class Drawn {
     const { figure, herd } = this;
     if (form !== figure.form || this.version !== herd.rows.version) this.build(form);
     figure.uniforms.least.value = herd.count > MANY ? 4 : 6; // px: so long a body is seen from however far
-    figure.show(herd.count, t, herd.plays, null);
+    figure.show(herd.count, t, herd, null);
     this.shadow.geometry.instanceCount = herd.count;
     this.shadow.visible = shadow && herd.count > 0;
   }

@@ -55,7 +55,7 @@ export class Close {
     });
     if (!hidden) this.marked();
     for (const attribute of this.attributes.values()) changed(attribute, this.chosen.length);
-    this.figure.show(this.chosen.length, t, herd.plays, this.chosen);
+    this.figure.show(this.chosen.length, t, herd, this.chosen);
   }
 
   dispose(): void {

@@ -2,8 +2,7 @@
 
 import * as THREE from "three";
 import { bodyMaterial, standing, type Uniforms } from "./bodyshaders";
-import type { Plays } from "./plays";
-import { Poser } from "./poser";
+import { type Acting, Poser } from "./poser";
 import type { Skin } from "./rig";
 import { bodyGeometry, pose, type Shape } from "./shapes";
 import type { Stage } from "./stage";
@@ -42,15 +41,15 @@ export class Figure {
     else pose(this.uniforms, form);
   }
 
-  /** Draw so many, `t` of the way to the frame, posed by what they play: the first rows, or the `chosen` ones. */
-  show(count: number, t: number, plays: Plays, chosen: readonly number[] | null): void {
+  /** Draw so many, `t` of the way to the frame, posed by what they do: the first rows, or the `chosen` ones. */
+  show(count: number, t: number, acting: Acting, chosen: readonly number[] | null): void {
     const { mesh, uniforms, poser } = this;
     mesh.geometry.instanceCount = count;
     mesh.visible = count > 0;
     uniforms.t.value = t;
     uniforms.focal.value = this.stage.focal;
     if (!poser || count === 0) return;
-    poser.pose(plays, count, t, chosen);
+    poser.pose(acting, count, t, chosen);
     [uniforms.firstRow.value, uniforms.secondRow.value, uniforms.thirdRow.value] = poser.textures;
     uniforms.perRow.value = poser.agentsInARow;
   }

@@ -1,6 +1,7 @@
 // The agents of one species as they are shown: where each was and is, row by row, for what draws between the two.
 
 import type { NumberArray, Packet, Species } from "../protocol";
+import { Feet } from "./feet";
 import { Plays } from "./plays";
 
 /** What is drawn of an agent: one row in each array. Places in mm, turns as signed bytes, gait in cycles of the walk. */
@@ -40,9 +41,18 @@ export class Rows {
   }
 }
 
+/** What a species can do with its body: the machines that play clips, which clips begin again when they are over, how many legs
+ * it stands on. */
+export interface Acts {
+  machines: string[];
+  loops: boolean[];
+  legs: number;
+}
+
 export class Herd {
   readonly rows = new Rows();
   readonly plays = new Plays();
+  readonly feet = new Feet();
   ids: NumberArray = new Int32Array(0);
   arrays: Packet["arrays"] = new Map();
   count = 0;
@@ -85,19 +95,21 @@ export class Herd {
       this.from[row] = before;
       this.stand(row, before, t, place, head, up, size ? (size[row] as number) : 1);
     }
-    this.play(t);
+    this.act(t);
   }
 
-  /** The machines of this species that play clips, and which clips begin again when they are over. */
-  playing(machines: string[], loops: boolean[]): void {
+  /** What it can do with its body is other than before. */
+  acting({ machines, loops, legs }: Acts): void {
     this.plays.begin(machines, loops);
+    this.feet.begin(legs);
     this.from.fill(-1);
-    this.play(1);
+    this.act(1);
   }
 
-  private play(t: number): void {
+  private act(t: number): void {
     const told = this.plays.machines.map((machine) => this.column(`plays/${machine}`));
     this.plays.take(told, this.count, this.from, t);
+    this.feet.take(this.column("feet"), this.column("stance"), this.count, this.from, t);
   }
 
   private stand(

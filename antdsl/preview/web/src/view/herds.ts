@@ -2,7 +2,7 @@
 
 import type { Packet, Scene } from "../protocol";
 import type { Store } from "../store";
-import { Herd } from "./herd";
+import { type Acts, Herd } from "./herd";
 import type { Stage } from "./stage";
 
 const LONGEST = 300; // ms that the way from one frame to the next takes at most
@@ -14,7 +14,7 @@ export class Herds {
   t = 1; // how far between the last two frames
   packet: Packet | null = null;
   private readonly strides = new Map<string, number>();
-  private readonly rigs = new Map<string, { machines: string[]; loops: boolean[] }>();
+  private readonly acts = new Map<string, Acts>();
   private arrived = 0;
   private lasts = 40; // ms between two frames, as they have come lately
   private readonly listeners: (() => void)[] = [];
@@ -54,10 +54,10 @@ export class Herds {
     for (const herd of this.byName.values()) if (herd.species.body === body) herd.stride = stride;
   }
 
-  /** What a species plays. */
-  playing(species: string, machines: string[], loops: boolean[]): void {
-    this.rigs.set(species, { machines, loops });
-    this.byName.get(species)?.playing(machines, loops);
+  /** What a species can do with its body. */
+  acting(species: string, acts: Acts): void {
+    this.acts.set(species, acts);
+    this.byName.get(species)?.acting(acts);
   }
 
   private people(scene: Scene): void {
@@ -65,8 +65,8 @@ export class Herds {
     for (const species of scene.species) {
       const herd = new Herd(species);
       herd.stride = this.strides.get(species.body) ?? 1;
-      const rig = this.rigs.get(species.name);
-      if (rig) herd.playing(rig.machines, rig.loops);
+      const acts = this.acts.get(species.name);
+      if (acts) herd.acting(acts);
       if (this.packet) herd.take(this.packet, 1, true);
       this.byName.set(species.name, herd);
     }

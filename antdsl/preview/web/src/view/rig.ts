@@ -17,9 +17,14 @@ export interface Rig {
   groups: number;
   machines: string[];
   loops: boolean[];
+  legs: number;
+  legAt: number; // in the table: of each leg hip, knee and foot as joints, and the axis of a straight knee
+  length: number; // of the body, in the definition's units
+  bending: { straight: number; folded: number; sunk: number; plane: number }; // as antdsl/bodies/agents/leg_ik.py has them
 }
 
-/** A mesh that follows a rig. `list`: of each bone its joint and the three rows of what takes a point of rest to it. */
+/** A mesh that follows a rig. `list`: of each bone its joint, the part of a leg that it is, and
+ * the three rows of what takes a point of rest to it. */
 export interface Skin {
   rig: Rig;
   bones: number;
@@ -51,6 +56,7 @@ export function rigOf(packet: Packet): Rigged | null {
   if (!parent) return null;
   const clip = packet.arrays.get("clip") as NumberArray;
   const group = packet.arrays.get("group") as NumberArray;
+  const leg = packet.arrays.get("leg") ?? new Float32Array(0);
   const joints = parent.length;
   const table = [...parent].flatMap((each) => [each, 0, 0, 0]);
   table.push(...clip);
@@ -61,11 +67,15 @@ export function rigOf(packet: Packet): Rigged | null {
     texels: Number(packet.header.texels),
     base: new THREE.Matrix3().fromArray(base.filter((_, k) => k % 4 < 3)).transpose(),
     samples: list(packet.arrays.get("sample") as NumberArray),
-    table: list([...table, ...weights]),
+    table: list([...table, ...weights, ...leg]),
     clips: joints,
     groups: joints + clip.length / 4,
     machines: packet.header.machines as string[],
     loops: [...clip].filter((_, k) => k % 4 === 2).map((each) => each > 0),
+    legs: leg.length / 8,
+    legAt: joints + clip.length / 4 + group.length,
+    length: Number(packet.header.length),
+    bending: packet.header.bending as Rig["bending"],
   };
   return { low: skinOf(rig, packet, "low"), fine: skinOf(rig, packet, "fine") };
 }
@@ -73,10 +83,11 @@ export function rigOf(packet: Packet): Rigged | null {
 function skinOf(rig: Rig, packet: Packet, level: string): Skin {
   const take = (name: string) => packet.arrays.get(`${level}/${name}`) as NumberArray;
   const joint = take("joint");
+  const part = take("part");
   const inverse = take("inverse");
   const bones: number[] = [];
   for (let bone = 0; bone < joint.length; bone++)
-    bones.push(joint[bone] as number, 0, 0, 0, ...inverse.subarray(12 * bone, 12 * bone + 12));
+    bones.push(joint[bone] as number, part[bone] as number, 0, 0, ...inverse.subarray(12 * bone, 12 * bone + 12));
   const geometry = new THREE.BufferGeometry();
   const put = (name: string, parts: number, normalised: boolean) =>
     geometry.setAttribute(name, new THREE.BufferAttribute(take(name).slice(), parts, normalised));
