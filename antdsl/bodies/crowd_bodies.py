@@ -12,7 +12,9 @@ from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.packed import digest
+from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
+from antdsl.bodies.library.table import library_body
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.plan.lowering.traversal import inside
@@ -27,8 +29,8 @@ _SHOWN = 12  # names in a message
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """By species, for those whose body is a file: its definition (one for all that name the same file), clips and room. `hashes`:
-    of the content of each file, by its path in the scene."""
+    """By species: `definitions` of those whose body is a file (one for all that name the same file) and the `rooms` that these
+    take; `clips` of all. `hashes`: of the content of each file, by its path in the scene."""
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
@@ -37,13 +39,20 @@ class CrowdBodies:
 
 
 def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
-    """The bodies from files that a scene's crowd names, and what does not fit: at their places in the scene, with a label where
-    the program asks for what is missing."""
+    """The bodies of a scene's crowd, from files and from the library, and what does not fit: at their places in the scene, with
+    a label where the program asks for what is missing."""
     report = Report()
     files: dict[str, Definition | None] = {}
+    named = _named(scene)
     worn: dict[str, Definition] = {}
-    for species, (text, place) in _named(scene).items():
+    played = {
+        name for name, species in program.species.items() if any(True for machine in species.machines for _ in _plays(machine))
+    }
+    library = {name: library_body(text) for name, (text, _) in named.items() if text in BODY_WORDS and name in played}
+    for species, (text, place) in named.items():
         if text in BODY_WORDS:
+            if species in library:
+                _check(program.species[species], library[species], text, place, report)
             continue
         if text not in files:
             files[text], findings = definition_at(text, scene.roots, place)
@@ -52,32 +61,17 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
         if found is not None and species in program.species:
             _check(program.species[species], found, text, place, report)
             worn[species] = found
-    _plays_without(scene, program, worn, report)
     whole = {text: found for text, found in files.items() if found is not None}
     made = CrowdBodies(
         worn,
-        {species: {name: clip_data(clip, body) for name, clip in body.clips.items()} for species, body in worn.items()},
+        {
+            species: {name: clip_data(clip, body) for name, clip in body.clips.items()}
+            for species, body in (worn | library).items()
+        },
         {species: room_of(body) for species, body in worn.items()},
         {text: digest(body) for text, body in whole.items()},
     )
     return made, report
-
-
-def _plays_without(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
-    """Warns of a species that plays clips and wears no body that could have some."""
-    told: set[str] = set()
-    for number, line in enumerate(scene.model.crowd):
-        species = program.species.get(line.species)
-        if species is None or line.species in worn or line.species in told or (line.body or "ant") not in BODY_WORDS:
-            continue
-        told.add(line.species)
-        first = next((played for machine in species.machines for played in _plays(machine)), None)
-        if first is not None:
-            report.warning(
-                "missing-key", f"`{line.species}` plays clips, and has no `body` with any",
-                scene.span("crowd", number, "species"),
-                f"add `body: {line.species}.glb`, or another file of a body", labels=(Label(first.span, "played here"),),
-            )  # fmt: skip
 
 
 def clip_data(clip: Clip, body: Definition) -> ClipData:
@@ -99,11 +93,13 @@ def room_of(body: Definition) -> RoomData:
 
 
 def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
-    """The body that each species' first line with one names."""
+    """The body that each species' first line with one names, else the one of the library that suits its name."""
     found: dict[str, tuple[str, Span]] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is not None:
             found.setdefault(line.species, (line.body, scene.span("crowd", number, "body")))
+    for number, line in enumerate(scene.model.crowd):
+        found.setdefault(line.species, (body_of(line.species), scene.span("crowd", number, "species")))
     return found
 
 

@@ -89,12 +89,12 @@ def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
     near = np.maximum(np.linalg.norm(position - view.eye, axis=1), 1e-9)
     pixels = scale / view.pixel_at(near)
     large = np.flatnonzero(seen & (pixels >= CLOSE))
-    most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.faces)))
+    most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces)))
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     far = np.setdiff1d(np.flatnonzero(seen), close)
     sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), MOST_ENLARGED * scale)
     if crowd.worn is not None:
-        parts = ((crowd.worn, close), (crowd.worn.coarse, far))
+        parts = ((crowd.worn.fine, close), (crowd.worn.coarse, far))
         return [_worn(crowd, own, rows, sizes) for own, rows in parts if len(rows) and len(own.faces)]
     made = [_posed(crowd, body(crowd.body, True), close, scale[close], np.zeros(len(close)))]
     # Of a body a few pixels long the dark legs would hide the state's colour.
