@@ -37,8 +37,7 @@ export class Close {
     this.figure.form = null;
   }
 
-  show(form: Form | undefined, t: number): void {
-    if (!form) return;
+  show(form: Form, t: number): void {
     if (form !== this.figure.form) this.build(form);
     const before = this.chosen;
     this.chosen = this.near(t);

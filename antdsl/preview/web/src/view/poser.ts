@@ -53,7 +53,13 @@ export class Poser {
   ) {
     const { rig } = skin;
     const all = { table: rig.table, joints: rig.joints, texels: rig.texels, base: rig.base, perRow: 1, count: 0, t: 1, legs: 0 };
-    const clips = { samples: rig.samples, clips: rig.clips, groups: rig.groups, machines: rig.machines.length, plays: null };
+    const clips = {
+      samples: rig.samples,
+      clips: rig.clips,
+      groups: rig.groups,
+      machines: rig.machines.length + Number(rig.idle !== null),
+      plays: null,
+    };
     const legs = { legAt: rig.legAt, unitLength: rig.length, ...rig.bending };
     this.joints = new Pass(renderer, JOINTS, 4, rig.joints, { ...all, ...clips });
     this.legs = rig.legs ? new Pass(renderer, LEGS, 3, rig.legs, { ...all, ...legs, legs: rig.legs }) : null;

@@ -17,6 +17,7 @@ export interface Rig {
   groups: number;
   machines: string[];
   loops: boolean[];
+  idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
   legs: number;
   legAt: number; // in the table: of each leg hip, knee and foot as joints, and the axis of a straight knee
   length: number; // of the body, in the definition's units
@@ -31,6 +32,7 @@ export interface Skin {
   list: THREE.DataTexture;
   rest: Float32Array; // places in the rest pose, in body lengths
   geometry: THREE.BufferGeometry;
+  trunk: Float32Array; // those of the rest pose that are no part of a leg
   half: [number, number]; // how far it reaches ahead and aside of its middle, in body lengths
 }
 
@@ -50,10 +52,9 @@ export function list(values: ArrayLike<number>): THREE.DataTexture {
   return made;
 }
 
-/** Of a packet `rig:SPECIES`; null of one that says there is none. */
-export function rigOf(packet: Packet): Rigged | null {
-  const parent = packet.arrays.get("parent");
-  if (!parent) return null;
+/** Of a packet `rig:SPECIES`. */
+export function rigOf(packet: Packet): Rigged {
+  const parent = packet.arrays.get("parent") as NumberArray;
   const clip = packet.arrays.get("clip") as NumberArray;
   const group = packet.arrays.get("group") as NumberArray;
   const leg = packet.arrays.get("leg") ?? new Float32Array(0);
@@ -72,6 +73,7 @@ export function rigOf(packet: Packet): Rigged | null {
     groups: joints + clip.length / 4,
     machines: packet.header.machines as string[],
     loops: [...clip].filter((_, k) => k % 4 === 2).map((each) => each > 0),
+    idle: (packet.header.idle as number[]).length ? (packet.header.idle as [number, number]) : null,
     legs: leg.length / 8,
     legAt: joints + clip.length / 4 + group.length,
     length: Number(packet.header.length),
@@ -86,8 +88,7 @@ function skinOf(rig: Rig, packet: Packet, level: string): Skin {
   const part = take("part");
   const inverse = take("inverse");
   const bones: number[] = [];
-  for (let bone = 0; bone < joint.length; bone++)
-    bones.push(joint[bone] as number, part[bone] as number, 0, 0, ...inverse.subarray(12 * bone, 12 * bone + 12));
+  for (const [k, each] of joint.entries()) bones.push(each, part[k] as number, 0, 0, ...inverse.subarray(12 * k, 12 * k + 12));
   const geometry = new THREE.BufferGeometry();
   const put = (name: string, parts: number, normalised: boolean) =>
     geometry.setAttribute(name, new THREE.BufferAttribute(take(name).slice(), parts, normalised));
@@ -104,8 +105,10 @@ function skinOf(rig: Rig, packet: Packet, level: string): Skin {
     point.fromArray(rest, k).applyMatrix3(rig.base).toArray(rest, k);
     box.expandByPoint(point);
   }
+  const bone = take("bone");
+  const trunk = rest.filter((_, k) => part[bone[4 * Math.floor(k / 3)] as number] === 0);
   const size = box.isEmpty() ? new THREE.Vector3(1, 1, 1) : box.getSize(point);
-  return { rig, bones: joint.length, list: list(bones), rest, geometry, half: [size.x / 2, size.z / 2] };
+  return { rig, bones: joint.length, list: list(bones), rest, trunk, geometry, half: [size.x / 2, size.z / 2] };
 }
 
 export function forgetRig({ low, fine }: Rigged): void {
