@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,10 @@ from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.foot_arrays import feet_of
 from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
-from antdsl.outputs.cutting import Cut
+from antdsl.outputs.cache.shown_arrays import driven, layers_of, worn_masks
+from antdsl.outputs.cutting import Cut, some_of
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
 from antdsl.outputs.paths import Walks, Window
@@ -62,7 +64,8 @@ class Gallery:
             Arrows(name, place, way, _ARROWS[number % len(_ARROWS)])
             for number, (name, (place, way)) in enumerate(drawn(self.static).items())
         )
-        self._worn: dict[int, PosedBody] = {}
+        self._worn: dict[tuple[int, int], PosedBody] = {}  # by species and the mask of the layers that are worn
+        self._definitions: dict[int, Definition] = {}
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
         self._places: dict[str, NDArray[np.float64]] = {}
@@ -169,8 +172,8 @@ class Gallery:
                 ids=ids[rows],
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )
-            crowd = self._dressed(crowd, number, frame, ids[rows], arrays)
-            made += [self._with_lines(part, species, number, frame) for part in _parted(crowd, agents)]
+            dressed = self._dressed(crowd, number, frame, arrays)
+            made += [self._with_lines(part, species, number, frame) for each in dressed for part in _parted(each, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
@@ -179,18 +182,34 @@ class Gallery:
                 ]
         return tuple(made), tuple(legend)
 
-    def _dressed(self, crowd: Crowd, number: int, frame: int, ids: NDArray[Any], arrays: Arrays) -> Crowd:
-        """The crowd in its body, posed by what the frame says that each plays over the clip of those who play none."""
-        plays = machines_of(self.manifest.species[number], arrays, len(crowd.position)) or ()
-        body = self._body(number)
-        return replace(crowd, worn=body, plays=(*body.idling(ids, frame * self.dt), *plays))
+    def _dressed(self, crowd: Crowd, number: int, frame: int, arrays: Arrays) -> list[Crowd]:
+        """The crowd in its body, posed by what the frame says that each plays and shows, over the clip of those who play none, on
+        the feet that the frame has: a crowd for each set of layers that some wear."""
+        species, count = self.manifest.species[number], len(crowd.position)
+        ids = np.asarray(crowd.ids, np.int64)
+        masks = worn_masks(species, arrays, count)
+        sets = [int(mask) for mask in np.unique(masks)] or [0]
+        body = self._body(number, sets[0])
+        whole = replace(
+            crowd,
+            plays=(*body.idling(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
+            feet=feet_of(crowd.species, arrays, count, 0 if body.legs is None else body.legs.count),
+            driven=driven(species, arrays, ids),
+        )
+        if len(sets) == 1:
+            return [replace(whole, worn=body)]
+        parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
+        return [replace(some_of(whole, rows), worn=self._body(number, mask)) for mask, rows in parts]
 
-    def _body(self, number: int) -> PosedBody:
-        """The body that a species has: its own, kept in the cache, or one of the library."""
+    def _body(self, number: int, mask: int = 0) -> PosedBody:
+        """The body that a species has, with the layers of a mask: its own, kept in the cache, or one of the library."""
         species = self.manifest.species[number]
-        if number not in self._worn:
-            self._worn[number] = PosedBody(self._definition(species), tuple((clip.name, clip.on) for clip in species.clips))
-        return self._worn[number]
+        if (number, mask) not in self._worn:
+            if number not in self._definitions:
+                self._definitions[number] = self._definition(species)
+            clips = tuple((clip.name, clip.on) for clip in species.clips)
+            self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
+        return self._worn[number, mask]
 
     def _definition(self, species: SpeciesEntry) -> Definition:
         if species.definition is None:
@@ -274,18 +293,8 @@ def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
     chosen = np.isin(crowd.ids, sorted(agents))
     parts = []
     for rows, named in ((chosen, True), (~chosen, False)):
-        parts.append(
-            replace(
-                crowd,
-                position=crowd.position[rows],
-                orient=crowd.orient[rows],
-                scale=crowd.scale[rows],
-                colour=crowd.colour[rows],
-                plays=tuple(each.rows(rows) for each in crowd.plays),
-                ids=crowd.ids[rows] if named else None,
-                velocity=crowd.velocity[rows] if named and crowd.velocity is not None else None,
-            )
-        )
+        some = some_of(crowd, rows)
+        parts.append(some if named else replace(some, ids=None, velocity=None))
     return parts
 
 

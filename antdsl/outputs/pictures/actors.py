@@ -104,7 +104,8 @@ def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
 
 def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> Mesh:
     """The bodies of some agents, each posed by what it plays, `size` (n,) long for all agents of the crowd."""
-    local, normal = body.posed([each.rows(rows) for each in crowd.plays], len(rows))
+    plays = [each.rows(rows) for each in crowd.plays]
+    local, normal = body.posed(plays, len(rows), crowd.feet_beside(rows), driven=crowd.driven.rows(rows))
     across = np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
     local = np.matmul(local * size[rows].astype(np.float32)[:, None, None], across)
     vertices = local.astype(np.float64) + np.asarray(crowd.position, np.float64)[rows, None, :]
