@@ -188,8 +188,13 @@ class Legs:
 
     def _with_trunk(self, world: Floats, feet: FeetOfBodies) -> None:
         """Moves all joints as `rise` and `tilt` say, in place."""
-        base = self._base
-        own = np.einsum("ar,abn,bs->rsn", base, _rotation(feet.tilt), base).astype(np.float32)
+        base, turn = self._base, _rotation(feet.tilt)
+        half = [
+            [(turn[a, 0] * base[0, s] + turn[a, 1] * base[1, s]) + turn[a, 2] * base[2, s] for s in range(3)] for a in range(3)
+        ]
+        own = np.array([
+            [(base[0, r] * half[0][s] + base[1, r] * half[1][s]) + base[2, r] * half[2][s] for s in range(3)] for r in range(3)
+        ], np.float32)  # fmt: skip
         _turn(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.rise)), np.float32))
         world[:, 3] += base[1][:, None, None] * (feet.rise * self._length)
 
