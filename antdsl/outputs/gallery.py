@@ -4,22 +4,26 @@ ground."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.leg_ik import PlacedFeet
 from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
-from antdsl.bodies.catalogue import BODIES, body_of
+from antdsl.bodies.catalogue import body_of
+from antdsl.bodies.library.table import BODIES, library_body
 from antdsl.bodies.placed import shape_of
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.foot_arrays import feet_of
 from antdsl.outputs.cache.manifest import CameraEntry, MeshEntry, SpeciesEntry
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
@@ -44,7 +48,7 @@ class NoPicture(Exception):
 
 
 class Gallery:
-    """Makes pictures of one cache. Frames asked for in order let the legs of agents move on between them. With a `window` they
+    """Makes pictures of one cache. Each frame is drawn from it alone. With a `window` they
     hold paths: where each agent is in the frames of so many seconds before and after. `blurred`: they say where agents are in the
     frame after, too. `full`: by field, the strength that is drawn strongest. Raises NoPicture for a cache without what
     pictures need, or without such a field."""
@@ -77,7 +81,6 @@ class Gallery:
             for number, (name, (place, way)) in enumerate(drawn(self.static).items())
         )
         self._worn: dict[int, PosedBody] = {}
-        self._walked: dict[str, tuple[int, NDArray[np.int64], NDArray[np.float64]]] = {}
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
         self._places: dict[str, NDArray[np.float64]] = {}
@@ -192,14 +195,12 @@ class Gallery:
                 orient=np.asarray(arrays["orient"], np.float64)[rows],
                 scale=np.asarray(arrays["pscale"], np.float64)[rows],
                 colour=np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35),
-                walked=self._walk(species.name, frame, ids[rows], arrays, rows),
-                body=species.body if species.body in BODIES else body_of(species.name),
                 ids=ids[rows],
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )
-            crowd = self._dressed(crowd, number, arrays)
+            crowd = self._dressed(crowd, number, frame, ids[rows], arrays)
             if self._blurred:
-                crowd = replace(crowd, after=self._after(crowd, number, frame))
+                crowd = replace(crowd, after=self._after(crowd, number, frame + 1))
             made += [self._with_lines(part, species, number, frame) for part in _parted(crowd, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
@@ -209,56 +210,57 @@ class Gallery:
                 ]
         return tuple(made), tuple(legend)
 
-    def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> Crowd:
-        """The crowd in a body of its own, where its species has one, posed by what the frame says that each plays."""
-        species = self.manifest.species[number]
-        plays = machines_of(species, arrays, len(crowd.position))
-        if species.definition is None or plays is None:
-            return crowd
-        return replace(crowd, worn=self._body(number), plays=plays)
+    def _dressed(self, crowd: Crowd, number: int, frame: int, ids: NDArray[Any], arrays: Arrays) -> Crowd:
+        """The crowd in its body, posed by what the frame says that each plays over the clip of those who play none, on the feet
+        that the frame has."""
+        count = len(crowd.position)
+        plays = machines_of(self.manifest.species[number], arrays, count) or ()
+        body = self._body(number)
+        feet = feet_of(crowd.species, arrays, count, 0 if body.legs is None else body.legs.count)
+        return replace(crowd, worn=body, plays=(*body.idling(ids, frame * self.dt), *plays), feet=feet)
 
     def _after(self, crowd: Crowd, number: int, frame: int) -> Crowd | None:
         """The same agents in the frame after, where the cache has it; one that is gone then stays as it is."""
-        if frame + 1 not in self.cache.frames():
+        if frame not in self.cache.frames():
             return None
-        arrays = self.cache.frame(frame + 1)
+        arrays = self.cache.frame(frame)
         which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(len(arrays["P"]), np.int16)
         rows = np.flatnonzero(which == number)
         ids = np.asarray(arrays["id"])[rows] if "id" in arrays else rows
+        later = self._dressed(
+            replace(
+                crowd,
+                position=np.asarray(arrays["P"], np.float64)[rows],
+                orient=np.asarray(arrays["orient"], np.float64)[rows],
+                scale=np.asarray(arrays["pscale"], np.float64)[rows],
+            ),
+            number,
+            frame,
+            ids,
+            arrays,
+        )
         own = np.asarray(crowd.ids)
         order = np.argsort(ids, kind="stable")
-        at = order[np.minimum(np.searchsorted(ids, own, sorter=order), max(len(ids) - 1, 0))] if len(ids) else own
-        there = ids[at] == own if len(ids) else np.zeros(len(own), np.bool_)
-        at = np.where(there, at, len(rows) + np.arange(len(own)))
-
-        def both(later: NDArray[Any], now: NDArray[Any]) -> NDArray[Any]:
-            return np.concatenate([later, now])[at]
-
-        plays = machines_of(self.manifest.species[number], arrays, len(rows)) or ()
-        walked = crowd.walked
-        if walked is not None and crowd.velocity is not None:
-            walked = walked + np.linalg.norm(crowd.velocity, axis=1) * self.dt
-        return replace(
-            crowd,
-            position=both(np.asarray(arrays["P"], np.float64)[rows], crowd.position),
-            orient=both(np.asarray(arrays["orient"], np.float64)[rows], crowd.orient),
-            walked=walked,
-            plays=tuple(
-                MachineClips(*(both(getattr(later, name), getattr(now, name)) for name in FIELDS))
-                for later, now in zip(plays, crowd.plays, strict=False)
-            ),
+        at = (
+            order[np.minimum(np.searchsorted(ids, own, sorter=order), len(ids) - 1)] if len(ids) else np.zeros(len(own), np.int64)
         )
+        there = ids[at] == own if len(ids) else np.zeros(len(own), np.bool_)
+        return _moved_on(crowd, later, np.where(there, at, len(ids) + np.arange(len(own))))
 
     def _body(self, number: int) -> PosedBody:
-        """The body of its own that a species has."""
+        """The body that a species has: its own, kept in the cache, or one of the library."""
         species = self.manifest.species[number]
         if number not in self._worn:
-            try:
-                found = definition_of(self.manifest, self.static, species.definition or 0)
-            except BodyError as why:
-                raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
-            self._worn[number] = PosedBody(found, tuple((clip.name, clip.on) for clip in species.clips))
+            self._worn[number] = PosedBody(self._definition(species), tuple((clip.name, clip.on) for clip in species.clips))
         return self._worn[number]
+
+    def _definition(self, species: SpeciesEntry) -> Definition:
+        if species.definition is None:
+            return library_body(species.body if species.body in BODIES else body_of(species.name))
+        try:
+            return definition_of(self.manifest, self.static, species.definition)
+        except BodyError as why:
+            raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
 
     def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """The crowd with its paths and the rays of its feelers, where they are to be seen."""
@@ -269,20 +271,6 @@ class Gallery:
         ahead, up = (turned(crowd.orient, np.tile(axis, (len(crowd.position), 1))) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
         lines = [rays(entry, crowd.position, ahead, up, crowd.scale) for entry in species.feelers]
         return replace(crowd, feelers=np.concatenate(lines))
-
-    def _walk(self, species: str, frame: int, ids: NDArray[Any], arrays: Arrays, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-        """How far each has walked, for its legs: from a start of its own, moved on by the speed of each frame drawn since."""
-        scale = np.asarray(arrays["pscale"], np.float64)[rows]
-        walked = (ids * 0.618034 % 1.0) * scale
-        before = self._walked.get(species)
-        if before is not None and "v" in arrays:
-            speed = np.linalg.norm(np.asarray(arrays["v"], np.float64)[rows], axis=1)
-            at = np.searchsorted(before[1], ids)
-            at = np.minimum(at, max(len(before[1]) - 1, 0))
-            known = before[1][at] == ids if len(before[1]) else np.zeros(len(ids), bool)
-            walked[known] = before[2][at[known]] + speed[known] * self.dt * (frame - before[0])
-        self._walked[species] = (frame, ids, walked)
-        return walked
 
     def _items(self, arrays: Arrays) -> tuple[Item, ...]:
         made = []
@@ -343,6 +331,27 @@ class Gallery:
         lengths = np.asarray(first["pscale"], np.float64)
         lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
         return float(np.median(lengths)) if len(lengths) else None
+
+
+def _moved_on(crowd: Crowd, later: Crowd, at: NDArray[np.int64]) -> Crowd:
+    """The crowd as it is later: `at` has the row of each among those then, followed by those now."""
+
+    def both(then: NDArray[Any], now: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([then, now])[at]
+
+    feet = crowd.feet
+    if feet is not None and later.feet is not None:
+        feet = PlacedFeet(*(both(getattr(later.feet, each.name), getattr(feet, each.name)) for each in fields(PlacedFeet)))
+    return replace(
+        crowd,
+        position=both(later.position, crowd.position),
+        orient=both(later.orient, crowd.orient),
+        plays=tuple(
+            MachineClips(*(both(getattr(then, name), getattr(now, name)) for name in FIELDS))
+            for then, now in zip(later.plays, crowd.plays, strict=True)
+        ),
+        feet=feet,
+    )
 
 
 def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:

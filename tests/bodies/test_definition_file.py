@@ -297,3 +297,60 @@ def test_all_clips_together_have_a_limit(folder: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(limits, "BODY_PARTS", 1)
     clips = [{**CLIP, "name": name} for name in "ab"]
     assert told(folder, rig=RIG, clips=clips)[0] == "too-large"
+
+
+# ---- legs and gaits
+
+LEGS: dict[str, Any] = {
+    "rig": {
+        "rig_version": 1,
+        "transforms": {"hip": ["knee", "tail"], "knee": ["shank"], "shank": ["foot"], "foot": [], "tail": []},
+    },
+    "legs": [{"name": "left", "upper": "hip", "lower": "knee", "foot": "foot"}],
+    "gaits": [
+        {"name": "run", "speed": 9, "stride": 6, "duty": 0.4, "lift": 1, "phases": [0.25]},
+        {"name": "walk", "speed": 2, "stride": 4, "duty": 0.7, "lift": 0.5, "phases": [0]},
+    ],
+    "length": 10,
+}  # fmt: skip
+
+
+def with_leg(**changed: Any) -> dict[str, Any]:
+    return LEGS | {"legs": [LEGS["legs"][0] | changed]}
+
+
+def with_gait(**changed: Any) -> dict[str, Any]:
+    return LEGS | {"gaits": [LEGS["gaits"][0] | changed]}
+
+
+def test_legs_and_gaits_from_slow_to_fast(folder: Path) -> None:
+    body = fine(folder, **LEGS)
+    assert [(leg.name, leg.upper, leg.lower, leg.foot) for leg in body.legs] == [("left", "hip", "knee", "foot")]
+    assert [(gait.name, gait.speed, gait.stride, gait.duty, gait.lift, gait.phases) for gait in body.gaits] == [
+        ("walk", 2.0, 4.0, 0.7, 0.5, (0.0,)), ("run", 9.0, 6.0, 0.4, 1.0, (0.25,)),
+    ]  # fmt: skip
+
+
+def test_what_is_told_of_legs_and_gaits(folder: Path) -> None:
+    assert told(folder, **with_leg(foot="fot")) == ("unknown-name", '"fot"', 'write `"foot"`')
+    assert told(folder, **with_leg(foot="tail"))[:2] == ("bad-rig", '"tail"')
+    assert told(folder, **with_leg(upper="knee", lower="hip"))[0] == "bad-rig"
+    assert told(folder, **with_leg(knee="knee"))[:2] == ("unknown-key", '"knee"')
+    assert told(folder, **(LEGS | {"legs": LEGS["legs"] * 2, "gaits": []}))[:2] == ("duplicate-name", '"left"')
+    assert told(folder, **with_gait(phases=[0, 0.5]))[0] == "wrong-value"
+    assert told(folder, **with_gait(duty=1.5))[:2] == ("out-of-range", "1.5")
+    assert told(folder, **with_gait(stride=0))[:2] == ("out-of-range", "0")
+    assert told(folder, **with_gait(phases=[2]))[:2] == ("out-of-range", "2")
+    assert told(folder, **(LEGS | {"gaits": [LEGS["gaits"][0], LEGS["gaits"][0] | {"name": "trot"}]}))[:2] == ("wrong-value", "9")
+    assert told(folder, **LEGS, idle="stand")[:2] == ("unknown-name", '"stand"')
+    found, said = read(folder, **(LEGS | {"gaits": []}))
+    assert found is not None and [each.code for each in said] == ["missing-key"]
+
+
+def test_a_clip_says_whether_feet_stand(folder: Path) -> None:
+    clips = [CLIP, CLIP | {"name": "groom", "feet": False}]
+    body = fine(folder, **WHOLE, rig=RIG, clips=clips, idle="wave", length=10)
+    assert body.clips["wave"].feet and not body.clips["groom"].feet and body.idle == "wave"
+    (folder / "wave.json").write_text(json.dumps(CLIP))
+    other = fine(folder, **WHOLE, rig=RIG, clips=[{"file": "wave.json", "feet": False}], length=10)
+    assert not other.clips["wave"].feet

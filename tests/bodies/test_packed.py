@@ -16,6 +16,7 @@ from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import bound
+from antdsl.bodies.agents.legs import Gait, Leg
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.packed import PARTS, Arrays, digest, packed, unpacked
 from antdsl.bodies.agents.problems import BodyError
@@ -47,6 +48,24 @@ def same(a: object, b: object) -> bool:
     if isinstance(a, tuple):
         return isinstance(b, tuple) and len(a) == len(b) and all(map(same, a, b))
     return type(a) is type(b) and a == b
+
+
+def test_legs_gaits_and_the_idle_clip_come_back(bodies: list[Definition]) -> None:
+    walker = bodies[2]
+    legs = (Leg("left", "thigh_l", "shin_l", "foot_l"), Leg("right", "thigh_r", "shin_r", "foot_r"))
+    gait = Gait("walk", 1.2, 1.4, 0.6, 0.1, (0.0, 0.5))
+    clips = dict(walker.clips) | {"wave": replace(walker.clips["wave"], feet=False)}
+    walker = replace(walker, legs=legs, gaits=(gait,), idle="idle", clips=clips)
+    back = unpacked(packed(walker))
+    assert same(walker, back) and back.legs == legs and back.gaits == (gait,) and digest(back) != digest(bodies[2])
+    wrong = (
+        {"legs": (replace(legs[0], foot="hips"), legs[1])}, {"legs": (legs[0], replace(legs[1], name="left"))},
+        {"gaits": (replace(gait, duty=2.0),)}, {"gaits": (replace(gait, phases=(0.0,)),)},
+        {"gaits": (replace(gait, stride=0.0),)}, {"idle": "stand"},
+    )  # fmt: skip
+    for parts in wrong:
+        with pytest.raises(BodyError):
+            unpacked(packed(replace(walker, **parts)))
 
 
 def test_a_definition_comes_back_as_it_was(bodies: list[Definition]) -> None:

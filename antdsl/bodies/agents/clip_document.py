@@ -19,7 +19,7 @@ from antdsl.bodies.agents.transforms import ORDERS, angles_of_rotation, one_sign
 Floats = NDArray[np.float64]
 PARTS = ("tx", "ty", "tz", "rx", "ry", "rz", "sx", "sy", "sz", "shear1", "shear2", "shear3")
 _STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
-_KNOWN = ("antdsl_clip", "name", "rate", "rotation_order", "angles", "loop", "stride", "marks", "channels")
+_KNOWN = ("antdsl_clip", "name", "rate", "rotation_order", "angles", "loop", "stride", "marks", "feet", "channels")
 
 
 def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None:
@@ -35,6 +35,7 @@ def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None
     given = _channels(values, entries["channels"])
     stride = values.number(entries.get("stride"), "a stride", 0.0) or 0.0
     loop = values.truth(entries.get("loop"), "whether the clip loops", True)
+    feet = values.truth(entries.get("feet"), "whether feet stand while it plays", True)
     if name is None or rate is None or not given:
         return None
     samples = max(len(array) for _, array in given.values())
@@ -62,7 +63,7 @@ def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None
         name, rate, joints,
         parts[..., 0:3].astype(np.float32), one_sign(rotation).astype(np.float32), parts[..., 6:9].astype(np.float32),
         parts[..., 9:12].astype(np.float32) if sheared else None,
-        numbers, np.ascontiguousarray(weights, np.float32), loop, stride, marks,
+        numbers, np.ascontiguousarray(weights, np.float32), loop, stride, marks, feet,
     )  # fmt: skip
 
 
@@ -179,7 +180,8 @@ def write_clip(clip: Clip) -> str:
     return json_text(
         {
             "antdsl_clip": 1, "name": clip.name, "rate": clip.rate, "rotation_order": "xyz", "angles": "degrees",
-            "loop": clip.loop, "stride": clip.stride, "marks": dict(clip.marks), "channels": channels,
+            "loop": clip.loop, "stride": clip.stride, "marks": dict(clip.marks), "feet": clip.feet,
+            "channels": channels,
         }
     )  # fmt: skip
 

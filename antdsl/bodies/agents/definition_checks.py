@@ -13,6 +13,7 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.definition_document import Parts, Place
 from antdsl.bodies.agents.documents import DEFORMERS, DOCUMENTED_DEFORMERS
 from antdsl.bodies.agents.layer import Binding
+from antdsl.bodies.agents.leg_document import check_legs
 from antdsl.bodies.agents.shape import Shape
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
@@ -38,6 +39,7 @@ def whole(parts: Parts, report: Report) -> Definition | None:
                 _unknown(report, place, "channel", channel, channels, warn=True)
     for shape in found.shapes.values():
         _shape(found, shape, parts.whole, report)
+    check_legs(found, parts.walking, report)
     if not report.ok:
         return None
     return _measured(found, parts, report)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from antdsl.bodies.agents.clip_document import read_clip, read_marks
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.documents import read_group, read_layer, read_rig
 from antdsl.bodies.agents.json_text import Node
+from antdsl.bodies.agents.leg_document import Places, read_gaits, read_legs
 from antdsl.bodies.agents.metadata import read_metadata
 from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.shape_references import read_includes, read_shapes
@@ -25,10 +26,10 @@ from antdsl.source import Span
 
 KNOWN = (
     "antdsl_body", "name", "from", "front", "up", "units", "length", "rig", "shapes", "shapelib_includes", "layers", "clips",
-    "groups", "metadata", "materials",
+    "groups", "metadata", "materials", "legs", "gaits", "idle",
 )  # fmt: skip
 _AXES = {sign + letter: np.eye(3)[axis] * (1 if sign == "+" else -1) for axis, letter in enumerate("xyz") for sign in "+-"}
-_OF_CLIP = ("file", "clip", "name", "loop", "stride", "marks", "rate", "prim")
+_OF_CLIP = ("file", "clip", "name", "loop", "stride", "marks", "feet", "rate", "prim")
 T = TypeVar("T")
 Axis = tuple[float, float, float]
 
@@ -56,11 +57,12 @@ class Place:
 
 @dataclass(slots=True)
 class Parts:
-    """A definition that was read, and where its layers and groups stand; `measured`: whether its length is still to be."""
+    """A definition that was read, and where its parts stand; `measured`: whether its length is still to be."""
 
     definition: Definition
     layers: dict[str, Place] = field(default_factory=dict)
     groups: dict[str, Place] = field(default_factory=dict)
+    walking: Places = field(default_factory=Places)
     whole: Span | None = None
     measured: bool = True
 
@@ -103,9 +105,21 @@ def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Pa
     parts.measured = length is None
     parts.definition = replace(
         base, shapes=shapes, materials=materials, layers={**base.layers, **layers}, groups={**base.groups, **groups},
-        clips=clips, metadata=metadata, length=length or base.length,
+        clips=clips, metadata=metadata, length=length or base.length, **_walking(values, entries, parts.walking),
     )  # fmt: skip
     return parts
+
+
+def _walking(values: Values, entries: Mapping[str, Node], places: Places) -> dict[str, Any]:
+    """The legs, gaits and idle clip that a file names."""
+    found: dict[str, Any] = {}
+    for key, read in (("legs", read_legs), ("gaits", read_gaits)):
+        if key in entries:
+            found[key] = read(values, entries[key], places)
+    if "idle" in entries:
+        found["idle"] = values.text(entries["idle"], "the name of a clip") or ""
+        places.spans["idle",] = values.span(entries["idle"])
+    return found
 
 
 # Keys by which a part in a file of its own is known, with what it is and how a definition names it.
@@ -273,6 +287,7 @@ def _referred_clips(
                 loop=values.truth(entries.get("loop"), "whether the clip loops", clip.loop),
                 stride=clip.stride if stride is None else stride,
                 marks=read_marks(values, entries["marks"], clip.duration) if "marks" in entries else clip.marks,
+                feet=values.truth(entries.get("feet"), "whether feet stand while it plays", clip.feet),
             )
         )
     return made

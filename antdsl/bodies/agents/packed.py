@@ -21,6 +21,7 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.definition_checks import whole
 from antdsl.bodies.agents.definition_document import Parts
 from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
+from antdsl.bodies.agents.legs import Gait, Leg
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Channel, Rig
 from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
@@ -60,7 +61,8 @@ def packed(body: Definition) -> Arrays:
         arrays = (each.translation, each.rotation, each.scale, each.shear, each.values)
         return {
             "name": each.name, "rate": each.rate, "joints": each.joints, "channels": each.channels, "loop": each.loop,
-            "stride": each.stride, "marks": dict(each.marks), "arrays": [put(array) for array in arrays],
+            "stride": each.stride, "marks": dict(each.marks), "feet": each.feet,
+            "arrays": [put(array) for array in arrays],
         }  # fmt: skip
 
     def binding(each: Binding) -> list[Any]:
@@ -76,6 +78,8 @@ def packed(body: Definition) -> Arrays:
                    for each in body.layers.values()],
         "clips": [clip(each) for each in body.clips.values()],
         "groups": [[each.name, each.members, each.channels] for each in body.groups.values()],
+        "legs": [[each.name, each.upper, each.lower, each.foot] for each in body.legs], "idle": body.idle,
+        "gaits": [[each.name, each.speed, each.stride, each.duty, each.lift, each.phases] for each in body.gaits],
     }  # fmt: skip
     text = json.dumps(document, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
     made: Arrays = {"text": np.frombuffer(text.encode("ascii"), np.uint8)}
@@ -167,7 +171,7 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         marks = {_text(name): _number(moment) for name, moment in each["marks"].items()}
         return Clip(
             _text(each["name"]), rate, joints, moved[0], moved[1], moved[2], moved[3], channels,
-            get(places[4], None, None), bool(each["loop"]), stride, marks,
+            get(places[4], None, None), bool(each["loop"]), stride, marks, bool(each["feet"]),
         )  # fmt: skip
 
     def layer(each: Any) -> Layer:
@@ -189,7 +193,13 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         {each.name: each for each in map(clip, said["clips"])}, {each.name: each for each in groups}, {},
         {_text(name): _three(colour) for name, colour in said["materials"].items()},
         _three(said["front"]), _three(said["up"]), _number(said["length"]), _number(said["unit"]),
+        tuple(Leg(*map(_text, each)) for each in said["legs"]), tuple(_gait(*each) for each in said["gaits"]),
+        _text(said["idle"]),
     )  # fmt: skip
+
+
+def _gait(name: Any, speed: Any, stride: Any, duty: Any, lift: Any, phases: Any) -> Gait:
+    return Gait(_text(name), _number(speed), _number(stride), _number(duty), _number(lift), _numbers(phases))
 
 
 def _bounds(body: Definition) -> None:
@@ -200,6 +210,8 @@ def _bounds(body: Definition) -> None:
         len(rig.channels) <= limits.CHANNELS,
         bool((rig.parents >= -1).all() and (rig.parents < np.arange(count)).all() and np.isfinite(rig.rest).all()),
         body.length > 0,
+        len(body.legs) <= limits.LEGS and len({leg.name for leg in body.legs}) == len(body.legs),
+        len(body.gaits) <= limits.GAITS and all(_walks(gait) for gait in body.gaits),
     ]
     for shape in body.shapes.values():
         fits += [_within(shape.faces, len(shape.points)), bool(np.isfinite(shape.points).all())]
@@ -214,6 +226,11 @@ def _bounds(body: Definition) -> None:
         fits += [not clip.channels or len(clip.values) == clip.samples, not clip.joints or len(clip.translation) == clip.samples]
     if not all(fits):
         raise ValueError
+
+
+def _walks(gait: Gait) -> bool:
+    low, high = limits.DUTY
+    return gait.speed >= 0 and gait.stride >= limits.LEAST_STRIDE and low <= gait.duty <= high and gait.lift >= 0
 
 
 def _within(numbers: NDArray[Any], count: int) -> bool:

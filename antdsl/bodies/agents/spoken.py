@@ -35,7 +35,7 @@ def spoken_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def spoken(body: Definition) -> Definition:
-    """The definition with its clips, their marks and its transform groups by spoken names."""
+    """The definition with its clips (the idle one too), their marks and its transform groups by spoken names."""
     clips, groups = spoken_names(body.clips), spoken_names(body.groups)
     marked = {name: spoken_names(clip.marks) for name, clip in body.clips.items()}
     if all(name == own for each in (clips, groups, *marked.values()) for name, own in each.items()):
@@ -46,5 +46,6 @@ def spoken(body: Definition) -> Definition:
             clips[name]: replace(clip, name=clips[name], marks={marked[name][mark]: at for mark, at in clip.marks.items()})
             for name, clip in body.clips.items()
         },
+        idle=clips.get(body.idle, body.idle),
         groups={groups[name]: replace(group, name=groups[name]) for name, group in body.groups.items()},
     )

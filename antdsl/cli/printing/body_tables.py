@@ -11,6 +11,7 @@ import numpy as np
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.layer import Layer
+from antdsl.bodies.agents.legs import Gait
 from antdsl.bodies.agents.metadata import plain_metadata
 from antdsl.bodies.agents.shape import Shape
 from antdsl.diagnostics import Report
@@ -36,6 +37,14 @@ def body_lines(body: Definition) -> Iterator[str]:
         yield safe_line(f"layer        {layer.name}: {_bound(layer)}")
     for clip in body.clips.values():
         yield safe_line(f"clip         {clip.name}: {', '.join(_played(body, clip))}")
+    if body.idle:
+        yield safe_line(f"idle         {body.idle}")
+    for leg in body.legs:
+        yield safe_line(f"leg          {leg.name}: {leg.upper}, {leg.lower}, {leg.foot}")
+    for gait in body.gaits:
+        phases = " ".join(f"{each:.3g}" for each in gait.phases)
+        words = f"at {gait.speed:.4g} {unit}/s, stride {gait.stride:.4g} {unit}, down {gait.duty:.3g} of a cycle"
+        yield safe_line(f"gait         {gait.name}: {words}, lift {gait.lift:.4g} {unit}, phases {phases}")
     for group in body.groups.values():
         members = [name if weight == 1 else f"{name} {weight:g}" for name, weight in group.members]
         yield safe_line(f"group        {group.name}: {_some([*members, *group.channels])}")
@@ -88,6 +97,7 @@ def _played(body: Definition, clip: Clip) -> list[str]:
         words.append(f"{len(clip.channels)} channels")
     words.append("loops" if clip.loop else "plays once")
     words.append(f"stride {clip.stride:.4g} {unit_of(body)}" if clip.stride else "stays in place")
+    words += [] if clip.feet else ["feet free"]
     words += [f"{name} at {moment:.3g} s" for name, moment in clip.marks.items()]
     return [*words, "does not close"] if clip.loop and not _closes(body, clip) else words
 
@@ -126,6 +136,9 @@ def body_document(body: Definition | None, report: Report) -> str:
             "shapes": {name: _shape(shape) for name, shape in body.shapes.items()},
             "layers": {name: _layer(layer) for name, layer in body.layers.items()},
             "clips": {name: _clip(clip) for name, clip in body.clips.items()},
+            "idle": body.idle,
+            "legs": {leg.name: {"upper": leg.upper, "lower": leg.lower, "foot": leg.foot} for leg in body.legs},
+            "gaits": {gait.name: _gait(gait) for gait in body.gaits},
             "groups": {
                 name: {"members": dict(group.members), "channels": list(group.channels)} for name, group in body.groups.items()
             },
@@ -164,4 +177,10 @@ def _clip(clip: Clip) -> dict[str, Any]:
         "loop": clip.loop,
         "stride": clip.stride,
         "marks": dict(clip.marks),
+        "feet": clip.feet,
     }
+
+
+def _gait(gait: Gait) -> dict[str, Any]:
+    values = {"speed": gait.speed, "stride": gait.stride, "duty": gait.duty, "lift": gait.lift}
+    return values | {"phases": list(gait.phases)}

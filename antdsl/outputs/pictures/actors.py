@@ -165,12 +165,12 @@ def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part
     near = np.maximum(view.distance(position), 1e-9)
     pixels = scale / view.pixel_at(near)
     large = np.flatnonzero(seen & (pixels >= CLOSE))
-    most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.faces)))
+    most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces)))
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     far = np.setdiff1d(np.flatnonzero(seen), close)
     sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), enlarged * scale)
     if crowd.worn is not None:
-        parts = ((crowd.worn, close), (crowd.worn.coarse, far))
+        parts = ((crowd.worn.fine, close), (crowd.worn.coarse, far))
         return [_worn(crowd, own, rows, sizes) for own, rows in parts if len(rows) and len(own.faces)]
     made = [_posed(crowd, body(crowd.body, True), close, scale[close], np.zeros(len(close)))]
     # Of a body a few pixels long the dark legs would hide the state's colour.
@@ -180,11 +180,11 @@ def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part
 
 def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> Part:
     """The bodies of some agents, each posed by what it plays, `size` (n,) long for all agents of the crowd."""
-    local, normal = body.posed([each.rows(rows) for each in crowd.plays], len(rows))
+    local, normal = body.posed([each.rows(rows) for each in crowd.plays], len(rows), crowd.feet_beside(rows))
     turn, long = _turn(crowd, rows), size[rows].astype(np.float32)[:, None, None]
     then = None
     if crowd.after is not None:
-        later, _ = body.posed([each.rows(rows) for each in crowd.after.plays], len(rows))
+        later, _ = body.posed([each.rows(rows) for each in crowd.after.plays], len(rows), crowd.after.feet_beside(rows))
         then = np.matmul(later * long, _turn(crowd.after, rows)), np.asarray(crowd.after.position, np.float64)[rows]
     bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint[None, :, None]

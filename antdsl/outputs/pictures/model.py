@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.agents.leg_ik import FeetOfBodies, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.posed_body import PosedBody
 
@@ -45,9 +46,10 @@ class Crowd:
     `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1, `walked` (n,) distance in world units,
     which drives the legs.
 
-    `worn` is a body posed by the clips that agents play, and `plays` what each machine of theirs plays; without it `body` says
-    what is drawn. `after`: the same agents, row by row, in the frame after, for motion blur. `ids`, `velocity` (n, 3), `feelers`
-    (k, 2, 3: starts and ends) and `paths` are needed only where they are to be shown."""
+    `worn` is a body posed by the clips that agents play, `plays` what each machine of theirs plays, and `feet` where they
+    stand, if that is known; without it `body` says what is drawn. `after`: the same agents, row by row, in the frame after, for
+    motion blur. `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to be
+    shown."""
 
     species: str
     position: Array
@@ -62,6 +64,7 @@ class Crowd:
     paths: Paths | None = None
     worn: PosedBody | None = None
     plays: tuple[MachineClips, ...] = ()
+    feet: PlacedFeet | None = None
     after: "Crowd | None" = None
 
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
@@ -82,8 +85,15 @@ class Crowd:
             feelers=None,
             paths=None if self.paths is None else replace(self.paths, places=self.paths.places[chosen]),
             plays=tuple(each.rows(chosen) for each in self.plays),
+            feet=None if self.feet is None else self.feet.rows(chosen),
             after=None if self.after is None else self.after.rows(chosen),
         )
+
+    def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> FeetOfBodies | None:
+        """The feet of some agents beside their bodies, as `PosedBody.posed` takes them; None where none are known."""
+        if self.feet is None:
+            return None
+        return self.feet.rows(rows).beside(*(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

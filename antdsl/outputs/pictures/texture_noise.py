@@ -4,7 +4,6 @@ stone."""
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.shading_rows import Floats
 

@@ -23,6 +23,7 @@ from antdsl.preview.viewing.lines import Curves, Flows
 from antdsl.preview.viewing.meshes import Meshes
 from antdsl.preview.viewing.names import Names
 from antdsl.preview.viewing.paths import Paths
+from antdsl.preview.viewing.rigs import Rigs
 from antdsl.preview.viewing.scene import Box, scene
 from antdsl.preview.viewing.seen import Seen, View, Wanted
 from antdsl.preview.viewing.solids import Solids
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 # One of each is made; the ground comes first, what takes long to make last.
-VIEWS: tuple[Callable[[], View], ...] = (Meshes, Solids, Bodies, Agents, Paths, Curves, Fields, Flows, ItemBodies)
+VIEWS: tuple[Callable[[], View], ...] = (Meshes, Solids, Bodies, Rigs, Agents, Paths, Curves, Fields, Flows, ItemBodies)
 _FRAME_EVERY = 1 / 60  # seconds
 _TOLD_EVERY = 0.1  # the same of status and curves while it plays
 _RATE_OVER = 1.0  # seconds of steps that the rate is measured over

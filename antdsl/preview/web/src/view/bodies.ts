@@ -3,11 +3,13 @@
 
 import * as THREE from "three";
 import type { NumberArray, Packet } from "../protocol";
-import { bodyMaterial, shadowMaterial, square, standing, type Uniforms } from "./bodyshaders";
+import { shadowMaterial, square } from "./bodyshaders";
 import { Close } from "./close";
+import { Figure, type Form } from "./figure";
 import type { Herd } from "./herd";
 import type { Herds } from "./herds";
-import { bodyGeometry, changed, pose, rowAttributes, type Shape } from "./shapes";
+import { forgetRig, type Rigged, rigOf } from "./rig";
+import { changed, rowAttributes, type Shape } from "./shapes";
 import { speck } from "./speck";
 import type { Stage } from "./stage";
 
@@ -18,7 +20,8 @@ const MANY = 2000;
 type Level = "fine" | "low" | "speck";
 
 export class Bodies {
-  private readonly shapes = new Map<string, Map<Level, Shape>>();
+  private readonly shapes = new Map<string, Map<Level, Form>>(); // by the names of plain bodies
+  private readonly rigs = new Map<string, { made: Rigged; levels: Map<Level, Form> }>(); // by species
   private readonly drawn = new Map<string, Drawn>();
 
   constructor(
@@ -30,11 +33,37 @@ export class Bodies {
     stage.add(() => this.place());
   }
 
+  /** `rig:SPECIES`: a body that is posed by what agents play; without arrays, that there is none any more. */
+  takeRig(packet: Packet): void {
+    const species = packet.slot.slice(packet.slot.indexOf(":") + 1);
+    const made = rigOf(packet);
+    const before = this.rigs.get(species);
+    this.rigs.delete(species);
+    if (made) {
+      const levels = new Map<Level, Form>([
+        ["low", made.low],
+        ["fine", made.fine],
+        ["speck", speck({ poses: made.low.rest, tint: new Float32Array(made.low.rest.length / 3).fill(1) })],
+      ]);
+      this.rigs.set(species, { made, levels });
+    }
+    this.herds.playing(species, made?.low.rig.machines ?? [], made?.low.rig.loops ?? []);
+    this.drawn.get(species)?.forget();
+    if (before) forgetRig(before.made);
+    this.refresh();
+    this.stage.wake();
+  }
+
+  /** What one agent is drawn by, with its place among those that are: for tests. */
+  posed(species: string, row: number): { figure: Figure; place: number } | null {
+    return this.drawn.get(species)?.posed(row) ?? null;
+  }
+
   /** `body:NAME`, or `body:NAME:fine` for close-ups. */
   take(packet: Packet): void {
     const [, name = "", fine] = packet.slot.split(":");
     const shape = shapeOf(packet);
-    const levels = this.shapes.get(name) ?? new Map<Level, Shape>();
+    const levels = this.shapes.get(name) ?? new Map<Level, Form>();
     levels.set(fine ? "fine" : "low", shape);
     if (!fine) levels.set("speck", speck(shape));
     this.shapes.set(name, levels);
@@ -64,11 +93,11 @@ export class Bodies {
     const kind = this.stage.software || this.stage.slow ? "software" : "hardware";
     const crowd = this.herds.count;
     for (const each of this.drawn.values()) {
-      const levels = this.shapes.get(each.herd.species.body);
+      const levels = this.rigs.get(each.herd.species.name)?.levels ?? this.shapes.get(each.herd.species.body);
       if (!levels) continue;
       const level: Level = crowd > CROWD[kind] ? "speck" : "low";
-      const shape = levels.get(level);
-      if (shape) each.show(shape, this.herds.t, level !== "speck");
+      const form = levels.get(level);
+      if (form) each.show(form, this.herds.t, level !== "speck");
       each.close.show(levels.get("fine"), this.herds.t);
     }
     return false;
@@ -77,11 +106,9 @@ export class Bodies {
 
 /** One species as it is drawn. */
 class Drawn {
-  private readonly uniforms: Uniforms;
   readonly close: Close;
-  private readonly body: THREE.Mesh;
-  private readonly shadow: THREE.Mesh;
-  private shape: Shape | null = null;
+  private readonly figure: Figure;
+  private readonly shadow: THREE.Mesh<THREE.InstancedBufferGeometry>;
   private version = -1;
   private instanced = new Map<string, THREE.InstancedBufferAttribute>();
 
@@ -89,28 +116,22 @@ class Drawn {
     private readonly stage: Stage,
     readonly herd: Herd,
   ) {
-    this.uniforms = standing(stage);
-    this.body = new THREE.Mesh(new THREE.InstancedBufferGeometry(), bodyMaterial(this.uniforms));
-    this.shadow = new THREE.Mesh(new THREE.InstancedBufferGeometry(), shadowMaterial(this.uniforms));
+    this.figure = new Figure(stage);
+    this.shadow = new THREE.Mesh(new THREE.InstancedBufferGeometry(), shadowMaterial(this.figure.uniforms));
     this.shadow.renderOrder = 1;
-    this.body.renderOrder = 2;
     this.close = new Close(stage, herd, () => this.recolour());
-    for (const mesh of [this.body, this.shadow]) {
-      mesh.frustumCulled = false;
-      mesh.visible = false;
-      stage.scene.add(mesh);
-    }
+    this.shadow.frustumCulled = false;
+    this.shadow.visible = false;
+    stage.scene.add(this.shadow);
   }
 
   forget(): void {
-    this.shape = null;
+    this.figure.form = null;
     this.close.forget();
   }
 
   refresh(): void {
-    const count = this.herd.count;
-    for (const [, attribute] of this.instanced) changed(attribute, count);
-    for (const mesh of [this.body, this.shadow]) (mesh.geometry as THREE.InstancedBufferGeometry).instanceCount = count;
+    for (const [, attribute] of this.instanced) changed(attribute, this.herd.count);
   }
 
   recolour(): void {
@@ -118,40 +139,35 @@ class Drawn {
     if (tone) changed(tone, this.herd.count);
   }
 
-  show(shape: Shape, t: number, shadow: boolean): void {
-    if (shape !== this.shape || this.version !== this.herd.rows.version) this.build(shape);
-    this.uniforms.t.value = t;
-    this.uniforms.focal.value = this.stage.focal;
-    this.uniforms.least.value = this.herd.count > MANY ? 4 : 6; // px: so long a body is seen from however far
-    this.body.visible = this.herd.count > 0;
-    this.shadow.visible = shadow && this.herd.count > 0;
+  posed(row: number): { figure: Figure; place: number } {
+    return this.close.posed(row) ?? { figure: this.figure, place: row };
+  }
+
+  show(form: Form, t: number, shadow: boolean): void {
+    const { figure, herd } = this;
+    if (form !== figure.form || this.version !== herd.rows.version) this.build(form);
+    figure.uniforms.least.value = herd.count > MANY ? 4 : 6; // px: so long a body is seen from however far
+    figure.show(herd.count, t, herd.plays, null);
+    this.shadow.geometry.instanceCount = herd.count;
+    this.shadow.visible = shadow && herd.count > 0;
   }
 
   dispose(): void {
     this.close.dispose();
-    for (const mesh of [this.body, this.shadow]) {
-      this.stage.scene.remove(mesh);
-      mesh.geometry.dispose();
-      (mesh.material as THREE.Material).dispose();
-    }
-    (this.uniforms.poses.value as THREE.Texture | null)?.dispose();
+    this.figure.dispose();
+    this.stage.scene.remove(this.shadow);
+    this.shadow.geometry.dispose();
+    (this.shadow.material as THREE.Material).dispose();
   }
 
-  private build(shape: Shape): void {
+  private build(form: Form): void {
     this.instanced = rowAttributes(this.herd.rows);
-    const body = bodyGeometry(shape);
+    this.figure.take(form, this.instanced);
     const shadow = square();
-    for (const [mesh, geometry] of [
-      [this.body, body],
-      [this.shadow, shadow],
-    ] as const) {
-      for (const [name, attribute] of this.instanced) geometry.setAttribute(name, attribute);
-      geometry.instanceCount = this.herd.count;
-      mesh.geometry.dispose();
-      mesh.geometry = geometry;
-    }
-    if (shape !== this.shape) pose(this.uniforms, shape);
-    this.shape = shape;
+    for (const [name, attribute] of this.instanced) shadow.setAttribute(name, attribute);
+    this.shadow.geometry.dispose();
+    this.shadow.geometry = shadow;
+    if ("rig" in form) this.figure.uniforms.shade.value.set(Math.max(1.5 * form.half[0], 0.1), Math.max(1.5 * form.half[1], 0.1));
     this.version = this.herd.rows.version;
     this.refresh();
   }

@@ -32,27 +32,64 @@ void stand() {
   bodyLength = max(gait.z, least * depth / focal);
 }`;
 
-const BODY_VERTEX = /* glsl */ `
+/** Poses of the walk of a plain body: every vertex at each moment. */
+const WALK = /* glsl */ `
 attribute float tint;
 uniform highp sampler2D poses;
 uniform float moments;
-varying vec3 vNormal;
-varying vec3 vTone;
-varying vec3 vToward;
-varying float vTint;
-${STAND}
-void main() {
-  stand();
-  if (tone.a < 0.5) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; } // drawn in full by another call
+vec4 painted() { return vec4(limb, clamp(tint * 1.1, 0.0, 1.0)); }
+void posed(out vec3 place, out vec3 across) {
   float at = fract(mix(gait.x, gait.y, t)) * moments;
   float first = min(floor(at), moments - 1.0);
   float next = mod(first + 1.0, moments);
-  vec3 a = texelFetch(poses, ivec2(gl_VertexID, int(first)), 0).xyz;
-  vec3 b = texelFetch(poses, ivec2(gl_VertexID, int(next)), 0).xyz;
-  vec3 world = here + turned * (mix(a, b, at - first) * bodyLength);
-  vNormal = turned * normal;
+  place = mix(texelFetch(poses, ivec2(gl_VertexID, int(first)), 0).xyz, texelFetch(poses, ivec2(gl_VertexID, int(next)), 0).xyz, at - first);
+  across = normal;
+}`;
+
+/** Linear skinning: the mean of the matrices of up to four bones. Normals go by its cofactors, which scales do not bend. */
+const SKIN = /* glsl */ `
+attribute vec4 colour;
+attribute vec4 bone;
+attribute vec4 weight;
+uniform highp sampler2D firstRow;
+uniform highp sampler2D secondRow;
+uniform highp sampler2D thirdRow;
+uniform int bones;
+uniform int perRow;
+vec4 painted() { return vec4(colour.rgb * colour.rgb, colour.a); }
+void posed(out vec3 place, out vec3 across) {
+  int left = (gl_InstanceID % perRow) * bones;
+  int row = gl_InstanceID / perRow;
+  vec4 a = vec4(0.0), b = vec4(0.0), c = vec4(0.0);
+  for (int k = 0; k < 4; k++) {
+    if (weight[k] <= 0.0) continue;
+    ivec2 here = ivec2(left + int(bone[k] + 0.5), row);
+    a += weight[k] * texelFetch(firstRow, here, 0);
+    b += weight[k] * texelFetch(secondRow, here, 0);
+    c += weight[k] * texelFetch(thirdRow, here, 0);
+  }
+  vec4 whole = vec4(position, 1.0);
+  place = vec3(dot(a, whole), dot(b, whole), dot(c, whole));
+  across = normalize(vec3(dot(cross(b.xyz, c.xyz), normal), dot(cross(c.xyz, a.xyz), normal), dot(cross(a.xyz, b.xyz), normal)) + 1e-20);
+}`;
+
+const BODY_VERTEX = /* glsl */ `
+uniform vec3 limb;
+varying vec3 vNormal;
+varying vec3 vTone;
+varying vec3 vToward;
+varying vec4 vPaint;
+${STAND}
+POSE
+void main() {
+  stand();
+  if (tone.a < 0.5) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; } // drawn in full by another call
+  vec3 place, across;
+  posed(place, across);
+  vec3 world = here + turned * (place * bodyLength);
+  vNormal = turned * across;
   vTone = tone.rgb;
-  vTint = tint;
+  vPaint = painted();
   vToward = cameraPosition - world;
   gl_Position = projectionMatrix * modelViewMatrix * vec4(world, 1.0);
 }`;
@@ -60,31 +97,31 @@ void main() {
 const BODY_FRAGMENT = /* glsl */ `
 uniform vec3 sun;
 uniform vec3 worldUp;
-uniform vec3 limb;
 varying vec3 vNormal;
 varying vec3 vTone;
 varying vec3 vToward;
-varying float vTint;
+varying vec4 vPaint;
 void main() {
   vec3 n = normalize(vNormal);
   vec3 toward = normalize(vToward);
   if (dot(n, toward) < 0.0) n = -n;
-  vec3 colour = mix(limb, pow(vTone, vec3(2.2)), clamp(vTint * 1.1, 0.0, 1.0));
+  vec3 colour = mix(vPaint.rgb, pow(vTone, vec3(2.2)), vPaint.a);
   float above = 0.5 + 0.5 * dot(n, worldUp);
   float lit = max(dot(n, sun), 0.0);
   vec3 shade = colour * (0.34 + 0.38 * above + 0.52 * lit);
   float gloss = pow(max(dot(reflect(-sun, n), toward), 0.0), 24.0);
-  gl_FragColor = vec4(shade + 0.16 * gloss * vTint, 1.0);
+  gl_FragColor = vec4(shade + 0.16 * gloss * vPaint.a, 1.0);
   #include <colorspace_fragment>
 }`;
 
 const SHADOW_VERTEX = /* glsl */ `
+uniform vec2 shade;
 varying vec2 vAt;
 ${STAND}
 void main() {
   stand();
   vAt = position.xy;
-  vec3 laid = vec3(position.x * 0.72, 0.03, position.y * 0.46) * bodyLength;
+  vec3 laid = vec3(position.x * shade.x, 0.03, position.y * shade.y) * bodyLength;
   vec4 seen = modelViewMatrix * vec4(here + turned * laid, 1.0);
   seen.xyz *= 1.0 - min(0.3 * bodyLength / length(seen.xyz), 0.2); // nearer, so that uneven ground does not cut it
   gl_Position = projectionMatrix * seen;
@@ -130,7 +167,23 @@ void main() {
 }`;
 
 /** What the shaders of bodies, shadows and rings are told beside the rows. */
-export type Uniforms = Record<"t" | "focal" | "least" | "poses" | "moments" | "sun" | "worldUp" | "limb", THREE.IUniform>;
+export type Uniforms = Record<
+  | "t"
+  | "focal"
+  | "least"
+  | "poses"
+  | "moments"
+  | "sun"
+  | "worldUp"
+  | "limb"
+  | "firstRow"
+  | "secondRow"
+  | "thirdRow"
+  | "bones"
+  | "perRow"
+  | "shade",
+  THREE.IUniform
+>;
 
 export function standing(stage: Stage): Uniforms {
   return {
@@ -142,11 +195,19 @@ export function standing(stage: Stage): Uniforms {
     sun: { value: stage.sun },
     worldUp: { value: stage.up },
     limb: { value: stage.palette.limb },
+    firstRow: { value: null },
+    secondRow: { value: null },
+    thirdRow: { value: null },
+    bones: { value: 1 },
+    perRow: { value: 1 },
+    shade: { value: new THREE.Vector2(0.72, 0.46) }, // half axes of the shadow, in body lengths
   };
 }
 
-export function bodyMaterial(uniforms: Uniforms): THREE.ShaderMaterial {
-  return new THREE.ShaderMaterial({ vertexShader: BODY_VERTEX, fragmentShader: BODY_FRAGMENT, uniforms, side: THREE.DoubleSide });
+/** `skinned`: for meshes that follow bones, else for plain bodies. */
+export function bodyMaterial(uniforms: Uniforms, skinned: boolean): THREE.ShaderMaterial {
+  const vertexShader = BODY_VERTEX.replace("POSE\n", `${skinned ? SKIN : WALK}\n`);
+  return new THREE.ShaderMaterial({ vertexShader, fragmentShader: BODY_FRAGMENT, uniforms, side: THREE.DoubleSide });
 }
 
 export function shadowMaterial(uniforms: Uniforms): THREE.ShaderMaterial {

@@ -1,9 +1,9 @@
 // The few agents that are seen large, drawn in full; their rows are left out where the crowd is drawn.
 
 import * as THREE from "three";
-import { bodyMaterial, standing, type Uniforms } from "./bodyshaders";
+import { Figure, type Form } from "./figure";
 import { type Herd, Rows } from "./herd";
-import { bodyGeometry, changed, pose, rowAttributes, type Shape } from "./shapes";
+import { changed, rowAttributes } from "./shapes";
 import type { Stage } from "./stage";
 
 const LARGE = 24; // px that a body is long on the screen
@@ -12,10 +12,8 @@ const POINT = new THREE.Vector3();
 
 export class Close {
   private readonly rows = new Rows();
-  private readonly uniforms: Uniforms;
-  private readonly mesh: THREE.Mesh<THREE.InstancedBufferGeometry>;
+  private readonly figure: Figure;
   private attributes = new Map<string, THREE.InstancedBufferAttribute>();
-  private shape: Shape | null = null;
   private chosen: number[] = []; // rows, in order
   private readonly found: number[] = [];
   private far = new Float32Array(0); // of each row, where it was measured
@@ -25,22 +23,23 @@ export class Close {
     private readonly herd: Herd,
     private readonly marked: () => void, // rows came to be left out, or no longer
   ) {
-    this.uniforms = standing(stage);
-    this.mesh = new THREE.Mesh(new THREE.InstancedBufferGeometry(), bodyMaterial(this.uniforms));
-    this.mesh.frustumCulled = false;
-    this.mesh.visible = false;
-    this.mesh.renderOrder = 2;
-    stage.scene.add(this.mesh);
+    this.figure = new Figure(stage);
     this.rows.reserve(MOST[stage.software ? "software" : "hardware"]);
   }
 
-  forget(): void {
-    this.shape = null;
+  /** What is drawn of an agent, if it is drawn in full: for tests. */
+  posed(row: number): { figure: Figure; place: number } | null {
+    const place = this.chosen.indexOf(row);
+    return place < 0 ? null : { figure: this.figure, place };
   }
 
-  show(shape: Shape | undefined, t: number): void {
-    if (!shape) return;
-    if (shape !== this.shape) this.build(shape);
+  forget(): void {
+    this.figure.form = null;
+  }
+
+  show(form: Form | undefined, t: number): void {
+    if (!form) return;
+    if (form !== this.figure.form) this.build(form);
     const before = this.chosen;
     this.chosen = this.near(t);
     const { rows, herd } = this;
@@ -56,17 +55,11 @@ export class Close {
     });
     if (!hidden) this.marked();
     for (const attribute of this.attributes.values()) changed(attribute, this.chosen.length);
-    this.mesh.geometry.instanceCount = this.chosen.length;
-    this.mesh.visible = this.chosen.length > 0;
-    this.uniforms.t.value = t;
-    this.uniforms.focal.value = this.stage.focal;
+    this.figure.show(this.chosen.length, t, herd.plays, this.chosen);
   }
 
   dispose(): void {
-    this.stage.scene.remove(this.mesh);
-    this.mesh.geometry.dispose();
-    (this.mesh.material as THREE.Material).dispose();
-    (this.uniforms.poses.value as THREE.Texture | null)?.dispose();
+    this.figure.dispose();
   }
 
   /** The rows that are seen large, the nearest ones where they are many. */
@@ -86,13 +79,8 @@ export class Close {
     return found.slice().sort((a, b) => a - b);
   }
 
-  private build(shape: Shape): void {
+  private build(form: Form): void {
     this.attributes = rowAttributes(this.rows);
-    const geometry = bodyGeometry(shape);
-    for (const [name, attribute] of this.attributes) geometry.setAttribute(name, attribute);
-    this.mesh.geometry.dispose();
-    this.mesh.geometry = geometry;
-    pose(this.uniforms, shape);
-    this.shape = shape;
+    this.figure.take(form, this.attributes);
   }
 }

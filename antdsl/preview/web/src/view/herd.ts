@@ -1,6 +1,7 @@
 // The agents of one species as they are shown: where each was and is, row by row, for what draws between the two.
 
 import type { NumberArray, Packet, Species } from "../protocol";
+import { Plays } from "./plays";
 
 /** What is drawn of an agent: one row in each array. Places in mm, turns as signed bytes, gait in cycles of the walk. */
 export class Rows {
@@ -41,11 +42,13 @@ export class Rows {
 
 export class Herd {
   readonly rows = new Rows();
+  readonly plays = new Plays();
   ids: NumberArray = new Int32Array(0);
   arrays: Packet["arrays"] = new Map();
   count = 0;
   stride = 1; // body lengths walked in a cycle
   private readonly was = new Rows(); // the rows before, while they are matched
+  private from = new Int32Array(0); // the row before of each row, -1 of who is new
 
   constructor(readonly species: Species) {}
 
@@ -67,6 +70,7 @@ export class Herd {
       for (const key of ["headA", "headB", "upA", "upB"] as const) was[key].set(rows[key].subarray(0, 4 * known));
     }
     rows.reserve(count);
+    if (this.from.length < count) this.from = new Int32Array(rows.capacity);
     this.arrays = packet.arrays;
     this.ids = ids;
     this.count = count;
@@ -78,8 +82,22 @@ export class Herd {
       const id = ids[row] as number;
       while (other < known && (old[other] as number) < id) other++;
       const before = other < known && old[other] === id ? other : -1;
+      this.from[row] = before;
       this.stand(row, before, t, place, head, up, size ? (size[row] as number) : 1);
     }
+    this.play(t);
+  }
+
+  /** The machines of this species that play clips, and which clips begin again when they are over. */
+  playing(machines: string[], loops: boolean[]): void {
+    this.plays.begin(machines, loops);
+    this.from.fill(-1);
+    this.play(1);
+  }
+
+  private play(t: number): void {
+    const told = this.plays.machines.map((machine) => this.column(`plays/${machine}`));
+    this.plays.take(told, this.count, this.from, t);
   }
 
   private stand(

@@ -14,6 +14,7 @@ export class Herds {
   t = 1; // how far between the last two frames
   packet: Packet | null = null;
   private readonly strides = new Map<string, number>();
+  private readonly rigs = new Map<string, { machines: string[]; loops: boolean[] }>();
   private arrived = 0;
   private lasts = 40; // ms between two frames, as they have come lately
   private readonly listeners: (() => void)[] = [];
@@ -53,11 +54,19 @@ export class Herds {
     for (const herd of this.byName.values()) if (herd.species.body === body) herd.stride = stride;
   }
 
+  /** What a species plays. */
+  playing(species: string, machines: string[], loops: boolean[]): void {
+    this.rigs.set(species, { machines, loops });
+    this.byName.get(species)?.playing(machines, loops);
+  }
+
   private people(scene: Scene): void {
     this.byName.clear();
     for (const species of scene.species) {
       const herd = new Herd(species);
       herd.stride = this.strides.get(species.body) ?? 1;
+      const rig = this.rigs.get(species.name);
+      if (rig) herd.playing(rig.machines, rig.loops);
       if (this.packet) herd.take(this.packet, 1, true);
       this.byName.set(species.name, herd);
     }

@@ -12,10 +12,10 @@ const CORNERS = [
 ] as const;
 const FACES = [0, 4, 2, 0, 3, 4, 1, 2, 4, 1, 4, 3, 0, 2, 5, 0, 5, 3, 1, 5, 2, 1, 3, 5];
 
-export function speck(of: Shape): Shape {
+export function speck(of: Pick<Shape, "poses" | "tint">): Shape {
   const low = new Array<number>(3).fill(Number.POSITIVE_INFINITY);
   const high = new Array<number>(3).fill(Number.NEGATIVE_INFINITY);
-  for (let k = 0; k < of.normal.length; k++) {
+  for (let k = 0; k < 3 * of.tint.length; k++) {
     const axis = k % 3;
     if ((of.tint[Math.floor(k / 3)] as number) < 0.4) continue; // legs and the like make it no wider
     low[axis] = Math.min(low[axis] as number, of.poses[k] as number);

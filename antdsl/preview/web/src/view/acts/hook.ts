@@ -16,6 +16,7 @@ export interface Hook {
   ids(species: string): number[];
   position(species: string, id: number): [number, number, number] | null;
   item(names: string, name: string): number | null; // mm that it is drawn large
+  bones(species: string, id: number): number[][]; // as it was drawn last: the three rows of each bone's matrix
   camera(): number[]; // where it is and what it looks at, in mm
 }
 
@@ -57,6 +58,10 @@ export function hook(sight: Sight): void {
     ids: (species) => Array.from(herds.byName.get(species)?.ids ?? []),
     item: (names, name) => drawnItems.get(`${names}.${name}`) ?? null,
     camera: () => [...sight.eye.place.at.toArray(), ...sight.eye.place.target.toArray()],
+    bones(species, id) {
+      const drawn = sight.bodies.posed(species, herds.byName.get(species)?.row(id) ?? -1);
+      return drawn?.figure.poser?.all(drawn.place) ?? [];
+    },
     position(species, id) {
       const herd = herds.byName.get(species);
       const row = herd?.row(id) ?? -1;

@@ -1,7 +1,10 @@
-// `body:NAME`: what agents look like. Where they are comes with frames.
+// `body:NAME` and `rig:SPECIES`: what agents look like. Where they are, and what they play, comes with frames.
 
 import type { Scenery, Sight } from "../sight";
 
-export function agents(sight: Sight): Scenery {
-  return { slots: ["body"], take: (packet) => sight.bodies.take(packet) };
+export function agents({ bodies }: Sight): Scenery {
+  return {
+    slots: ["body", "rig"],
+    take: (packet) => (packet.slot.startsWith("rig:") ? bodies.takeRig(packet) : bodies.take(packet)),
+  };
 }

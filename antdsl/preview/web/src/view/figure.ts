@@ -1,0 +1,73 @@
+// Many bodies of one shape, drawn in one call: a plain one that walks by itself, or one that follows the bones of a rig.
+
+import * as THREE from "three";
+import { bodyMaterial, standing, type Uniforms } from "./bodyshaders";
+import type { Plays } from "./plays";
+import { Poser } from "./poser";
+import type { Skin } from "./rig";
+import { bodyGeometry, pose, type Shape } from "./shapes";
+import type { Stage } from "./stage";
+
+export type Form = Shape | Skin;
+
+export class Figure {
+  readonly uniforms: Uniforms;
+  readonly mesh: THREE.Mesh<THREE.InstancedBufferGeometry, THREE.Material>;
+  form: Form | null = null;
+  poser: Poser | null = null;
+
+  constructor(private readonly stage: Stage) {
+    this.uniforms = standing(stage);
+    this.mesh = new THREE.Mesh(new THREE.InstancedBufferGeometry(), bodyMaterial(this.uniforms, false));
+    this.mesh.frustumCulled = false;
+    this.mesh.visible = false;
+    this.mesh.renderOrder = 2;
+    stage.scene.add(this.mesh);
+  }
+
+  /** Take a form, with the rows that stand for agents. */
+  take(form: Form, rows: Map<string, THREE.InstancedBufferAttribute>): void {
+    const skinned = "rig" in form;
+    const geometry = skinned ? instanced(form.geometry) : bodyGeometry(form);
+    for (const [name, attribute] of rows) geometry.setAttribute(name, attribute);
+    this.mesh.geometry.dispose();
+    this.mesh.geometry = geometry;
+    if (form === this.form) return;
+    this.form = form;
+    this.poser?.dispose();
+    this.poser = skinned ? new Poser(this.stage.renderer, form) : null;
+    this.mesh.material.dispose();
+    this.mesh.material = bodyMaterial(this.uniforms, skinned);
+    if (skinned) this.uniforms.bones.value = form.bones;
+    else pose(this.uniforms, form);
+  }
+
+  /** Draw so many, `t` of the way to the frame, posed by what they play: the first rows, or the `chosen` ones. */
+  show(count: number, t: number, plays: Plays, chosen: readonly number[] | null): void {
+    const { mesh, uniforms, poser } = this;
+    mesh.geometry.instanceCount = count;
+    mesh.visible = count > 0;
+    uniforms.t.value = t;
+    uniforms.focal.value = this.stage.focal;
+    if (!poser || count === 0) return;
+    poser.pose(plays, count, t, chosen);
+    [uniforms.firstRow.value, uniforms.secondRow.value, uniforms.thirdRow.value] = poser.textures;
+    uniforms.perRow.value = poser.agentsInARow;
+  }
+
+  dispose(): void {
+    this.stage.scene.remove(this.mesh);
+    this.mesh.geometry.dispose();
+    this.mesh.material.dispose();
+    this.poser?.dispose();
+    (this.uniforms.poses.value as THREE.Texture | null)?.dispose();
+  }
+}
+
+/** The same attributes, to be drawn many times. */
+function instanced(from: THREE.BufferGeometry): THREE.InstancedBufferGeometry {
+  const made = new THREE.InstancedBufferGeometry();
+  for (const [name, attribute] of Object.entries(from.attributes)) made.setAttribute(name, attribute);
+  made.setIndex(from.index);
+  return made;
+}

@@ -1,0 +1,107 @@
+// The body of a species as it is posed: the clips that are played, sample by sample, and meshes whose vertices follow bones.
+
+import * as THREE from "three";
+import type { NumberArray, Packet } from "../protocol";
+
+export const WIDE = 1024; // texels in a row of a texture that holds a list
+
+/** Clips and joints, as textures that hold lists of four numbers. `table`: first the parent of each joint; from `clips` on each
+ * clip's first sample, how many, whether it loops and its transform group; from `groups` on the weights of joints. */
+export interface Rig {
+  joints: number;
+  texels: number; // of a joint in a sample: translation, rotation, scale and shear where there are any
+  base: THREE.Matrix3; // from the definition's space to body lengths, ahead +x, up +y
+  samples: THREE.DataTexture;
+  table: THREE.DataTexture;
+  clips: number;
+  groups: number;
+  machines: string[];
+  loops: boolean[];
+}
+
+/** A mesh that follows a rig. `list`: of each bone its joint and the three rows of what takes a point of rest to it. */
+export interface Skin {
+  rig: Rig;
+  bones: number;
+  list: THREE.DataTexture;
+  rest: Float32Array; // places in the rest pose, in body lengths
+  geometry: THREE.BufferGeometry;
+  half: [number, number]; // how far it reaches ahead and aside of its middle, in body lengths
+}
+
+export interface Rigged {
+  low: Skin;
+  fine: Skin;
+}
+
+/** A list of texels as a texture that is read by number. */
+export function list(values: ArrayLike<number>): THREE.DataTexture {
+  const count = Math.max(Math.ceil(values.length / 4), 1);
+  const rows = Math.ceil(count / WIDE);
+  const texels = new Float32Array(4 * WIDE * rows);
+  texels.set(values);
+  const made = new THREE.DataTexture(texels, WIDE, rows, THREE.RGBAFormat, THREE.FloatType);
+  made.needsUpdate = true;
+  return made;
+}
+
+/** Of a packet `rig:SPECIES`; null of one that says there is none. */
+export function rigOf(packet: Packet): Rigged | null {
+  const parent = packet.arrays.get("parent");
+  if (!parent) return null;
+  const clip = packet.arrays.get("clip") as NumberArray;
+  const group = packet.arrays.get("group") as NumberArray;
+  const joints = parent.length;
+  const table = [...parent].flatMap((each) => [each, 0, 0, 0]);
+  table.push(...clip);
+  const weights = [...group].flatMap((each) => [each, 0, 0, 0]);
+  const base = packet.header.base as number[];
+  const rig: Rig = {
+    joints,
+    texels: Number(packet.header.texels),
+    base: new THREE.Matrix3().fromArray(base.filter((_, k) => k % 4 < 3)).transpose(),
+    samples: list(packet.arrays.get("sample") as NumberArray),
+    table: list([...table, ...weights]),
+    clips: joints,
+    groups: joints + clip.length / 4,
+    machines: packet.header.machines as string[],
+    loops: [...clip].filter((_, k) => k % 4 === 2).map((each) => each > 0),
+  };
+  return { low: skinOf(rig, packet, "low"), fine: skinOf(rig, packet, "fine") };
+}
+
+function skinOf(rig: Rig, packet: Packet, level: string): Skin {
+  const take = (name: string) => packet.arrays.get(`${level}/${name}`) as NumberArray;
+  const joint = take("joint");
+  const inverse = take("inverse");
+  const bones: number[] = [];
+  for (let bone = 0; bone < joint.length; bone++)
+    bones.push(joint[bone] as number, 0, 0, 0, ...inverse.subarray(12 * bone, 12 * bone + 12));
+  const geometry = new THREE.BufferGeometry();
+  const put = (name: string, parts: number, normalised: boolean) =>
+    geometry.setAttribute(name, new THREE.BufferAttribute(take(name).slice(), parts, normalised));
+  put("position", 3, false);
+  put("normal", 3, true);
+  put("colour", 4, true);
+  put("bone", 4, false);
+  put("weight", 4, false);
+  geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(take("face")), 1));
+  const rest = Float32Array.from(take("position"));
+  const point = new THREE.Vector3();
+  const box = new THREE.Box3();
+  for (let k = 0; k < rest.length; k += 3) {
+    point.fromArray(rest, k).applyMatrix3(rig.base).toArray(rest, k);
+    box.expandByPoint(point);
+  }
+  const size = box.isEmpty() ? new THREE.Vector3(1, 1, 1) : box.getSize(point);
+  return { rig, bones: joint.length, list: list(bones), rest, geometry, half: [size.x / 2, size.z / 2] };
+}
+
+export function forgetRig({ low, fine }: Rigged): void {
+  for (const skin of [low, fine]) {
+    skin.list.dispose();
+    skin.geometry.dispose();
+  }
+  low.rig.samples.dispose();
+  low.rig.table.dispose();
+}

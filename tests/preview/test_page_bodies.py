@@ -1,0 +1,207 @@
+"""The page poses bodies as pictures do: the same clips, blended in the same way, to a thousandth of a body."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from browsing import chromium
+from numpy.typing import NDArray
+from page_messages import WALK, scene, status, texts
+from page_stage import Stage, stage
+from PIL import Image
+
+from antdsl.bodies.agents.blending import posed
+from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.clip_table import clip_table
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
+from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.rig import Rig
+from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.preview.binary_packets import pack
+from antdsl.preview.viewing.plays import packed
+from antdsl.preview.viewing.rigs import rig_packet
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+PLAYS = (("sway", ""), ("nod", ""), ("reach", "arms"), ("gone", ""))
+CAMERA = {"at": [50, 40, 120], "look_at": [50, 0, 50], "focal": 35}
+CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+SIDES = np.array(
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ],
+    np.int32,
+)
+
+
+def clip(name: str, samples: int, seed: int, joints: tuple[str, ...], loop: bool) -> Clip:
+    random = np.random.default_rng(seed)
+    turns = random.normal((0, 0, 0, 2), size=(samples, len(joints), 4))
+    turns /= np.linalg.norm(turns, axis=2, keepdims=True)
+    moves, scales, shears = (random.normal(mean, 0.2, (samples, len(joints), 3)).astype(np.float32) for mean in (0.5, 1, 0))
+    made = [moves, turns.astype(np.float32), scales, shears]
+    if loop:
+        made = [np.concatenate([part[:-1], part[:1]]) for part in made]
+    return Clip(name, 24.0, joints, made[0], made[1], made[2], made[3], loop=loop)
+
+
+def crane(size: float = 1.0) -> Definition:
+    """A body of eight joints that stand in no order of depth, each with a box, in a space that is not that of agents."""
+    random = np.random.default_rng(5)
+    names = tuple(f"j{k}" for k in range(8))
+    parents = np.array([-1, 0, 1, 0, 3, 4, 2, 5], np.int32)
+    rest = np.tile(np.eye(4), (8, 1, 1))
+    rest[:, :3, 3] = random.normal(size=(8, 3))
+    box = Shape("box", CUBE * np.float32(0.2 * size), SIDES)
+    clips = (clip("sway", 9, 1, names, True), clip("nod", 6, 2, names[2:], False), clip("reach", 5, 3, names, True))
+    return Definition(
+        "crane", Rig(names, parents, rest), {"box": box}, {"body": Layer("body", tuple(Binding(name, "box") for name in names))},
+        {each.name: each for each in clips}, {"arms": TransformGroup("arms", (("j4", 1.0), ("j5", 0.5), ("j7", 0.25)))},
+        front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), length=2.5,
+    )  # fmt: skip
+
+
+def machines(count: int, seed: int = 7) -> tuple[MachineClips, MachineClips]:
+    """Agents of which each has other clips, in the middle of changes; some play nothing."""
+    random = np.random.default_rng(seed)
+    found = []
+    for _ in range(2):
+        clips = random.integers(-1, len(PLAYS), (2, count)).astype(np.int16)
+        turns = random.uniform(-2, 3, (2, count)).astype(np.float32)
+        weights = random.uniform(size=(2, count)).astype(np.float32)
+        fade = random.choice([0.0, 0.3, 0.8], count).astype(np.float32)
+        found.append(MachineClips(clips[0], turns[0], weights[0], clips[1], turns[1], weights[1], fade))
+    return found[0], found[1]
+
+
+def frame(plays: tuple[MachineClips, ...], number: int = 20) -> bytes:
+    count = len(plays[0].clip)
+    loops = np.array([True, False, True, False, False])
+    side = np.arange(count, dtype=np.float32)
+    arrays: dict[str, NDArray[Any]] = {
+        "ant/id": np.arange(10, 10 + count, dtype=np.int32),
+        "ant/position": np.stack([20 + 6 * (side % 9), 0 * side, 20 + 6 * (side // 9)], axis=1),
+        "ant/heading": np.tile(np.array([127, 0, 0], np.int8), (count, 1)),
+        "ant/up": np.tile(np.array([0, 127, 0], np.int8), (count, 1)),
+        "ant/size": np.full(count, 4, np.float32),
+        "ant/speed": np.zeros(count, np.float32), "ant/born": np.zeros(count, np.int32),
+        "ant/state/main": np.zeros(count, np.uint8),
+    }  # fmt: skip
+    arrays |= {f"ant/plays/{name}": packed(each, loops) for name, each in zip(("main", "arms"), plays, strict=True)}
+    return pack("frame", arrays, frame=number, light=False, felt=[])
+
+
+def rig(body: Definition) -> bytes:
+    return rig_packet("ant", body, PLAYS, ("main", "arms"))
+
+
+def wanted(body: Definition, plays: tuple[MachineClips, ...], level: PosedBody) -> NDArray[np.float64]:
+    """The matrices [n, B, 3, 4] of the bones of a mesh, by what antdsl itself makes of what is played."""
+    table = clip_table(body)
+    world = posed(table, body.groups, machines_playing(table, PLAYS, plays, len(plays[0].clip))).world
+    square = np.tile(np.eye(4), (len(world), len(level.mesh.joint), 1, 1))
+    square[:, :, :3] = world[:, level.mesh.joint]
+    inverse = np.tile(np.eye(4), (len(level.mesh.joint), 1, 1))
+    inverse[:, :3] = level.mesh.inverse
+    return np.asarray((body.base()[None, None] @ square @ inverse[None])[:, :, :3])
+
+
+def bones(page: Stage, agent: int) -> NDArray[np.float64]:
+    page.drawn()
+    return np.array(page.page.evaluate("(id) => window.antdsl.bones('ant', id)", agent)).reshape(-1, 3, 4)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Stage]:
+    with stage(browser) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("near", [False, True])
+def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
+    body, plays = crane(), machines(60)
+    page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays))
+    if near:
+        page.page.locator("#view > canvas").press("n")
+        page.page.locator("#view > canvas").press("g")
+    page.page.wait_for_timeout(300)
+    level = PosedBody(body, PLAYS)
+    expected = wanted(body, plays, level)
+    assert len(level.coarse.mesh.joint) == len(level.mesh.joint) == 8
+    for row in (0,) if near else range(60):
+        assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
+
+
+def test_between_two_frames_clips_go_on_and_blend(page: Stage) -> None:
+    """What is shown on the way lies between the two frames, and goes through no rest pose."""
+    body = crane()
+    still = [np.zeros(3, np.float32), np.ones(3, np.float32)]
+
+    def at(clip: int, before: int, turn: float, fade: float) -> tuple[MachineClips, MachineClips]:
+        turns, fades = np.full(3, turn, np.float32), np.full(3, fade, np.float32)
+        last = np.full(3, 0.95, np.float32)
+        one = MachineClips(np.full(3, clip, np.int16), turns, still[1], np.full(3, before, np.int16), last, still[1], fades)
+        none = MachineClips(np.full(3, -1, np.int16), still[0], still[0], np.full(3, -1, np.int16), still[0], still[0], still[0])
+        return one, none
+
+    page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(at(0, -1, 0.9, 0.0)))
+    page.page.wait_for_timeout(500)
+    level = PosedBody(body, PLAYS)
+    first = bones(page, 10)
+    assert np.abs(first - wanted(body, at(0, -1, 0.9, 0.0), level)[0]).max() < 1e-3
+    page.tell(frame(at(2, 0, 0.05, 0.5), 21))
+    page.page.wait_for_timeout(800)
+    assert np.abs(bones(page, 10) - wanted(body, at(2, 0, 0.05, 0.5), level)[0]).max() < 1e-3
+
+
+def seen(page: Stage) -> NDArray[np.int64]:
+    page.page.wait_for_timeout(400)
+    picture = page.page.locator("#view > canvas").screenshot()
+    return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(np.int64)
+
+
+def test_a_body_that_is_another_one_is_drawn_at_once_and_takes_the_colours_of_states_and_materials(page: Stage) -> None:
+    body, plays = crane(), machines(30)
+    page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays))
+    amber = np.array([255 * part for part in WALK])
+
+    def coloured() -> int:
+        picture = seen(page)
+        unit = picture / np.maximum(np.linalg.norm(picture, axis=2, keepdims=True), 1)
+        bright = picture.max(axis=2) > 60
+        return int((bright & (unit @ (amber / np.linalg.norm(amber)) > 0.99)).sum())
+
+    small = coloured()
+    assert small > 100
+    page.tell(rig(crane(2.0)))
+    large = coloured()
+    assert large > 2 * small
+    page.tell(rig(replace(crane(2.0), materials={"slate": (0.0, 0.02, 0.3)}, shapes={
+        "box": replace(crane(2.0).shapes["box"], materials=("slate",), material=np.zeros(12, np.int32)),
+    })))  # fmt: skip
+    assert coloured() < 0.2 * large
