@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.leg_ik import PlacedFeet
 from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
 from antdsl.bodies.agents.problems import BodyError
@@ -25,6 +26,7 @@ from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.foot_arrays import feet_of
 from antdsl.outputs.cache.manifest import CameraEntry, MeshEntry, SpeciesEntry
+from antdsl.outputs.cache.shown_arrays import driven, layers_of, worn_masks
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
@@ -80,7 +82,8 @@ class Gallery:
             Arrows(name, place, way, _ARROWS[number % len(_ARROWS)])
             for number, (name, (place, way)) in enumerate(drawn(self.static).items())
         )
-        self._worn: dict[int, PosedBody] = {}
+        self._worn: dict[tuple[int, int], PosedBody] = {}  # by species and the mask of the layers that are worn
+        self._definitions: dict[int, Definition] = {}
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
         self._places: dict[str, NDArray[np.float64]] = {}
@@ -198,10 +201,11 @@ class Gallery:
                 ids=ids[rows],
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )
-            crowd = self._dressed(crowd, number, frame, ids[rows], arrays)
+            whole, masks = self._dressed(crowd, number, frame, arrays)
             if self._blurred:
-                crowd = replace(crowd, after=self._after(crowd, number, frame + 1))
-            made += [self._with_lines(part, species, number, frame) for part in _parted(crowd, agents)]
+                whole = replace(whole, after=self._after(whole, number, frame + 1))
+            dressed = self._worn_by(whole, number, masks)
+            made += [self._with_lines(part, species, number, frame) for each in dressed for part in _parted(each, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
@@ -210,14 +214,27 @@ class Gallery:
                 ]
         return tuple(made), tuple(legend)
 
-    def _dressed(self, crowd: Crowd, number: int, frame: int, ids: NDArray[Any], arrays: Arrays) -> Crowd:
-        """The crowd in its body, posed by what the frame says that each plays over the clip of those who play none, on the feet
-        that the frame has."""
-        count = len(crowd.position)
-        plays = machines_of(self.manifest.species[number], arrays, count) or ()
-        body = self._body(number)
-        feet = feet_of(crowd.species, arrays, count, 0 if body.legs is None else body.legs.count)
-        return replace(crowd, worn=body, plays=(*body.idling(ids, frame * self.dt), *plays), feet=feet)
+    def _dressed(self, crowd: Crowd, number: int, frame: int, arrays: Arrays) -> tuple[Crowd, NDArray[np.uint64]]:
+        """The crowd posed by what the frame says that each plays and shows, over the clip of those who play none, on the feet
+        that the frame has; and the set of layers that each wears, as a mask."""
+        species, count = self.manifest.species[number], len(crowd.position)
+        ids = np.asarray(crowd.ids, np.int64)
+        masks = worn_masks(species, arrays, count)
+        body = self._body(number, int(masks.min()) if count else 0)
+        whole = replace(
+            crowd,
+            plays=(*body.idling(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
+            feet=feet_of(crowd.species, arrays, count, 0 if body.legs is None else body.legs.count),
+            driven=driven(species, arrays, ids),
+        )
+        return whole, masks
+
+    def _worn_by(self, whole: Crowd, number: int, masks: NDArray[np.uint64]) -> list[Crowd]:
+        """A crowd for each set of layers that some wear, in its body."""
+        sets = [int(mask) for mask in np.unique(masks)] or [0]
+        if len(sets) == 1:
+            return [replace(whole, worn=self._body(number, sets[0]))]
+        return [replace(whole.rows(masks == np.uint64(mask)), worn=self._body(number, mask)) for mask in sets]
 
     def _after(self, crowd: Crowd, number: int, frame: int) -> Crowd | None:
         """The same agents in the frame after, where the cache has it; one that is gone then stays as it is."""
@@ -226,33 +243,20 @@ class Gallery:
         arrays = self.cache.frame(frame)
         which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(len(arrays["P"]), np.int16)
         rows = np.flatnonzero(which == number)
-        ids = np.asarray(arrays["id"])[rows] if "id" in arrays else rows
-        later = self._dressed(
-            replace(
-                crowd,
-                position=np.asarray(arrays["P"], np.float64)[rows],
-                orient=np.asarray(arrays["orient"], np.float64)[rows],
-                scale=np.asarray(arrays["pscale"], np.float64)[rows],
-            ),
-            number,
-            frame,
-            ids,
-            arrays,
-        )
-        own = np.asarray(crowd.ids)
-        order = np.argsort(ids, kind="stable")
-        at = (
-            order[np.minimum(np.searchsorted(ids, own, sorter=order), len(ids) - 1)] if len(ids) else np.zeros(len(own), np.int64)
-        )
-        there = ids[at] == own if len(ids) else np.zeros(len(own), np.bool_)
-        return _moved_on(crowd, later, np.where(there, at, len(ids) + np.arange(len(own))))
+        ids = np.asarray(arrays["id"] if "id" in arrays else np.arange(len(which)))[rows]
+        place, turn, size = (np.asarray(arrays[name], np.float64)[rows] for name in WANTED)
+        then = replace(crowd, position=place, orient=turn, scale=size, ids=ids)
+        return _moved_on(crowd, self._dressed(then, number, frame, arrays)[0])
 
-    def _body(self, number: int) -> PosedBody:
-        """The body that a species has: its own, kept in the cache, or one of the library."""
+    def _body(self, number: int, mask: int = 0) -> PosedBody:
+        """The body that a species has, with the layers of a mask: its own, kept in the cache, or one of the library."""
         species = self.manifest.species[number]
-        if number not in self._worn:
-            self._worn[number] = PosedBody(self._definition(species), tuple((clip.name, clip.on) for clip in species.clips))
-        return self._worn[number]
+        if (number, mask) not in self._worn:
+            if number not in self._definitions:
+                self._definitions[number] = self._definition(species)
+            clips = tuple((clip.name, clip.on) for clip in species.clips)
+            self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
+        return self._worn[number, mask]
 
     def _definition(self, species: SpeciesEntry) -> Definition:
         if species.definition is None:
@@ -333,15 +337,23 @@ class Gallery:
         return float(np.median(lengths)) if len(lengths) else None
 
 
-def _moved_on(crowd: Crowd, later: Crowd, at: NDArray[np.int64]) -> Crowd:
-    """The crowd as it is later: `at` has the row of each among those then, followed by those now."""
+def _moved_on(crowd: Crowd, later: Crowd) -> Crowd:
+    """The crowd's agents as they are later, row by row; those who are not there then as they are now."""
+    own, ids = np.asarray(crowd.ids), np.asarray(later.ids)
+    order = np.argsort(ids, kind="stable")
+    found = order[np.minimum(np.searchsorted(ids, own, sorter=order), len(ids) - 1)] if len(ids) else np.zeros(len(own), np.int64)
+    there = ids[found] == own if len(ids) else np.zeros(len(own), np.bool_)
+    at = np.where(there, found, len(ids) + np.arange(len(own)))
 
-    def both(then: NDArray[Any], now: NDArray[Any]) -> NDArray[Any]:
+    def both(then: Any, now: Any) -> Any:
         return np.concatenate([then, now])[at]
+
+    def each(then: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: both(then[name], now[name]) for name in now if name in then}
 
     feet = crowd.feet
     if feet is not None and later.feet is not None:
-        feet = PlacedFeet(*(both(getattr(later.feet, each.name), getattr(feet, each.name)) for each in fields(PlacedFeet)))
+        feet = PlacedFeet(*(both(getattr(later.feet, part.name), getattr(feet, part.name)) for part in fields(PlacedFeet)))
     return replace(
         crowd,
         position=both(later.position, crowd.position),
@@ -351,6 +363,9 @@ def _moved_on(crowd: Crowd, later: Crowd, at: NDArray[np.int64]) -> Crowd:
             for then, now in zip(later.plays, crowd.plays, strict=True)
         ),
         feet=feet,
+        driven=Driven(
+            each(later.driven.channels, crowd.driven.channels), each(later.driven.looks, crowd.driven.looks), crowd.driven.ids
+        ),
     )
 
 

@@ -27,6 +27,7 @@ from antdsl.outputs.cache.manifest import (
     SpeciesEntry,
     StateEntry,
 )
+from antdsl.outputs.cache.shown_arrays import layers_worn, shown
 from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.plan.pair_registers import pair_values
@@ -68,6 +69,7 @@ class FrameMaker:
             arrays[attribute] = np.concatenate(parts)
         for name in rows:
             arrays |= clips_playing(world.populations[name], rows[name])
+            arrays |= shown(world.populations[name], rows[name], world.setting)
             arrays |= self._pairs(world.populations[name], rows[name])
             arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
@@ -234,7 +236,7 @@ def describe(
         checkpoint=checkpoint,
         attributes=attributes,
         species=tuple(
-            _species(world.populations[name], bodies.get(name), worn.get(name), feelers.get(name, ()))
+            _species(world.populations[name], setting, bodies.get(name), worn.get(name), feelers.get(name, ()))
             for name in sorted(world.populations)
         ),
         bodies=definitions,
@@ -275,7 +277,9 @@ def _looks(given: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[L
     return tuple(given if isinstance(given, str) else given.get(name) for name in names)
 
 
-def _species(population: Population, body: str | None, definition: int | None, feelers: tuple[FeelersEntry, ...]) -> SpeciesEntry:
+def _species(
+    population: Population, setting: Setting, body: str | None, definition: int | None, feelers: tuple[FeelersEntry, ...]
+) -> SpeciesEntry:
     machines = tuple(
         MachineEntry(
             name=machine.name,
@@ -292,6 +296,9 @@ def _species(population: Population, body: str | None, definition: int | None, f
         definition=definition,
         clips=tuple(ClipEntry(name=clip.name, on=clip.on) for clip in population.plan.clips),
         playing=tuple(playing(population)),
+        wears=layers_worn(population, setting),
+        channels=population.plan.channels,
+        looks=population.plan.looks,
         feelers=feelers,
         machines=machines,
     )

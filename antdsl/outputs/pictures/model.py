@@ -6,9 +6,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.posed_body import PosedBody
+from antdsl.bodies.posed_body import NOTHING, PosedBody
 
 Array = NDArray[np.float64]
 # A ground that is no floor is drawn as a figure of clay; a hill is bare soil.
@@ -46,10 +47,10 @@ class Crowd:
     `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1, `walked` (n,) distance in world units,
     which drives the legs.
 
-    `worn` is a body posed by the clips that agents play, `plays` what each machine of theirs plays, and `feet` where they
-    stand, if that is known; without it `body` says what is drawn. `after`: the same agents, row by row, in the frame after, for
-    motion blur. `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to be
-    shown."""
+    `worn` is a body posed by the clips that agents play, `plays` what each machine of theirs plays, `driven` what else their
+    states show, and `feet` where they stand, if that is known; a species whose agents wear different layers is several crowds.
+    Without it `body` says what is drawn. `after`: the same agents, row by row, in the frame after, for motion blur. `ids`,
+    `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to be shown."""
 
     species: str
     position: Array
@@ -65,6 +66,7 @@ class Crowd:
     worn: PosedBody | None = None
     plays: tuple[MachineClips, ...] = ()
     feet: PlacedFeet | None = None
+    driven: Driven = NOTHING
     after: "Crowd | None" = None
 
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
@@ -86,6 +88,7 @@ class Crowd:
             paths=None if self.paths is None else replace(self.paths, places=self.paths.places[chosen]),
             plays=tuple(each.rows(chosen) for each in self.plays),
             feet=None if self.feet is None else self.feet.rows(chosen),
+            driven=self.driven.rows(chosen),
             after=None if self.after is None else self.after.rows(chosen),
         )
 
