@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from antdsl.bodies.agents.clip_table import clip_table
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import FRONT, UP, Definition
 from antdsl.bodies.agents.definition_written import definition_files
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.gltf_written import write_gltf
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.metadata import Typed
+from antdsl.bodies.agents.other_axes import in_axes
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.library.table import library_body
 from antdsl.bodies.posed_body import PosedBody, own_layer
@@ -177,7 +178,7 @@ def test_what_gltf_does_not_have_is_told_and_the_rest_is_the_same(body: Definiti
 
 @pytest.mark.parametrize("word", ["ant", "ant_queen"])
 def test_bodies_of_the_library_are_written(word: str, tmp_path: Path) -> None:
-    body = library_body(word)
+    body = in_axes(library_body(word), FRONT, UP, 1.0)  # units that files can name
     own = read_back(tmp_path, definition_files(body, word), f"{word}.json")
     for name in ("layers", "groups", "legs", "gaits", "idle", "front", "up", "length", "unit"):
         same(getattr(body, name), getattr(own, name))
