@@ -42,10 +42,6 @@ class FeetOfBodies:
         tilt[:, 3] += 1 - stands
         return replace(self, rise=self.rise * stands, tilt=tilt)
 
-    def level(self) -> FeetOfBodies:
-        """The same without a rise: what turns directions."""
-        return replace(self, rise=np.zeros_like(self.rise))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedFeet:
@@ -132,13 +128,14 @@ class Legs:
         return stands.astype(np.float32)
 
     def bent(self, poses: Poses, feet: FeetOfBodies, stands: Floats) -> Poses:
-        """Poses whose feet are where they are to be, as much as `stands` [n] says; trunks are not moved by `rise` and `tilt`:
-        `on_trunk` does that to all points in the end."""
+        """Poses whose feet are where they are to be, as much as `stands` [n] says, on trunks that are moved by `rise` and `tilt`;
+        `local` is None."""
         world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
         goals = self._goals(feet)
         self._sink(world, goals, feet.down, stands)
         for each, goal in zip(self._chains, goals, strict=True):
             self._bend(world, each, goal, stands)
+        self._with_trunk(world, feet)
         return replace(poses, world=world.transpose(3, 2, 0, 1), local=None)
 
     def _goals(self, feet: FeetOfBodies) -> list[Floats]:
@@ -203,11 +200,12 @@ class Legs:
             rest = _cross(self._front[:, None], hip - foot)  # a knee that bends to the front
         return rest
 
-    def on_trunk(self, points: Floats, feet: FeetOfBodies) -> Floats:
-        """Points or, of feet that are `level`, directions float32[n, v, 3] in body lengths of bodies whose trunks are moved."""
-        found: Floats = np.matmul(points, np.ascontiguousarray(_rotation(feet.tilt).transpose(2, 1, 0), np.float32))
-        found[:, :, 1] += feet.rise[:, None]
-        return found
+    def _with_trunk(self, world: Floats, feet: FeetOfBodies) -> None:
+        """Moves all joints as `rise` and `tilt` say, in place."""
+        base = self._base
+        own = np.einsum("ar,abn,bs->rsn", base, _rotation(feet.tilt), base).astype(np.float32)
+        _turn(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.rise)), np.float32))
+        world[:, 3] += base[1][:, None, None] * (feet.rise * self._length)
 
 
 def _rotation(quaternions: NDArray[np.floating]) -> Numbers:
