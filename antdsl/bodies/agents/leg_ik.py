@@ -22,6 +22,7 @@ STRAIGHT = 0.9995  # of both bones together: a leg is never quite straight, or i
 _FOLDED = 1.02  # times the difference of both bones
 _SUNK = 0.25  # of a leg: how far a trunk comes down in a pose so that feet that stand are in reach
 _PLANE = 1e-3  # of both bones' product: a knee whose sine is less says nothing of its plane
+BENDING = {"straight": STRAIGHT, "folded": _FOLDED, "sunk": _SUNK, "plane": _PLANE}  # for those who bend legs elsewhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +99,15 @@ class Legs:
     def count(self) -> int:
         """How many there are."""
         return len(self._chains)
+
+    @property
+    def chains(self) -> Sequence[Chain]:
+        """The joints of each."""
+        return self._chains
+
+    def straight_axes(self) -> Floats:
+        """The axes float32[L, 3], in the definition's space, about which knees bend that are straight in a pose."""
+        return np.concatenate([self._straight_axis(each) for each in self._chains], axis=1).T
 
     def kept(self, clips: Sequence[tuple[str, str]], machines: Sequence[MachineClips], count: int) -> Floats:
         """How much the feet of `count` agents stand, float32[n] from 0 to 1: less as clips play that leave feet free, by the
@@ -178,13 +188,17 @@ class Legs:
     def _knee_axis(self, world: Floats, leg: Chain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
         """The unit axis [3, n] about which the knee opens; that of the standing pose where a leg is straight."""
         axis = _cross(thigh, shank)
+        rest = self._straight_axis(leg)
+        straight = _length(axis) <= np.float32(_PLANE) * size
+        axis = np.where(straight, rest - thigh * (_dot(rest, thigh) / _dot(thigh, thigh)), axis)
+        return _unit(axis)
+
+    def _straight_axis(self, leg: Chain) -> Floats:
         hip, knee, foot = (self._rest[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
         rest = _cross(hip - knee, foot - knee)
         if _length(rest)[0] <= _PLANE * _length(hip - knee)[0] * _length(foot - knee)[0]:
             rest = _cross(self._front[:, None], hip - foot)  # a knee that bends to the front
-        straight = _length(axis) <= np.float32(_PLANE) * size
-        axis = np.where(straight, rest - thigh * (_dot(rest, thigh) / _dot(thigh, thigh)), axis)
-        return _unit(axis)
+        return rest
 
     def _with_trunk(self, world: Floats, feet: FeetOfBodies) -> None:
         """Moves all joints as `rise` and `tilt` say, in place."""
