@@ -28,8 +28,8 @@ _SHOWN = 12  # names in a message
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """By species, for those whose body is a file: its definition (one for all that name the same file), clips, room and, with gaits, legs. `hashes`:
-    of the content of each file, by its path in the scene."""
+    """By species, for those whose body is a file: its definition (one for all that name the same file), clips, room and, with
+    gaits, legs. `hashes`: of the content of each file, by its path in the scene."""
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)

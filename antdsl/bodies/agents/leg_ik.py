@@ -1,8 +1,8 @@
 """Legs bent so that feet are where they stand: two-bone inverse kinematics of many agents, one leg after the other.
 
-The knee is opened or closed by the law of cosines in the plane that it has in the pose; then the whole leg is turned about the hip
-by the shortest way to the goal. So the knee stays on its side. Joints between keep what they have; the foot and all below it keeps
-its turn, so that its angle to the ground is the clip's. A goal that is out of reach is gone towards."""
+The knee is opened or closed by the law of cosines in the plane that it has in the pose; then the whole leg is turned about the
+hip by the shortest way to the goal. So the knee stays on its side. Joints between keep what they have; the foot and all below it
+keep their turn, so that the angle to the ground is the clip's. A goal that is out of reach is gone towards."""
 
 from __future__ import annotations
 
@@ -61,9 +61,7 @@ class PlacedFeet:
         """The same of some agents."""
         return PlacedFeet(self.P[chosen], self.down[chosen], self.phase[chosen], self.rise[chosen], self.tilt[chosen])
 
-    def beside(
-        self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]
-    ) -> FeetOfBodies:
+    def beside(self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]) -> FeetOfBodies:
         """Beside bodies that stand at `position` [n, 3], turned by `orient` [n, 4], `scale` [n] long. Numbers that are not finite
         count as 0."""
         with np.errstate(all="ignore"):

@@ -110,7 +110,7 @@ class Floor:
                 slope = seen.volume.gradient(points[:, near].T).astype(np.float64)
                 landed = seen.volume.project(points[:, near].T, _unit_rows(slope), float(reach.max()))
                 place, face = landed.points, np.zeros(near.size, np.int32)
-                distance = np.where(landed.found, vec.length(tuple((landed.points - points[:, near].T).T)), np.inf)  # type: ignore[arg-type]
+                distance = np.where(landed.found, _length((landed.points - points[:, near].T).T), np.inf)
             nearer = distance < least[near]
             rows = near[nearer]
             least[rows] = distance[nearer]
@@ -158,20 +158,20 @@ def seek(
     way = (wanted - hip) * _BEYOND
     found = floor.cast(world, hip, way)
     fits = _in_reach(found, hip, up, leg, sole)
-    off = vec.length(tuple(found.place - wanted))  # type: ignore[arg-type]
+    off = _length(found.place - wanted)
     rows = np.flatnonzero(~(fits & (off <= _NEAR * leg)))
     if rows.size:
-        found.put(rows, _searched(world, floor, *(v[:, rows] for v in (hip, wanted, up)), leg[rows], sole[rows],
-                                  found.take(rows), fits[rows], off[rows]))  # fmt: skip
+        eyes, goals, ups = (v[:, rows] for v in (hip, wanted, up))
+        found.put(rows, _searched(world, floor, eyes, goals, ups, leg[rows], sole[rows], found.take(rows), fits[rows]))
     return found
 
 
 def _searched(
     world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64],
-    first: Found, fits: NDArray[np.bool_], off: NDArray[np.float64],
+    first: Found, fits: NDArray[np.bool_],
 ) -> Found:  # fmt: skip
     """As `seek`, for places that the straight way from the hip does not lead to: from above them, then the nearest."""
-    height = np.maximum(vec.dot(hip - wanted, up), 0.2 * leg)  # type: ignore[arg-type]
+    height = np.maximum(vec.dot(hip - wanted, up), 0.2 * leg)
     above = wanted + up * height
     level = floor.cast(world, hip, above - hip)
     down = floor.cast(world, above, -up * (2.0 * height + leg))
@@ -180,7 +180,7 @@ def _searched(
     for hits, good in ((first, fits), (level, None), (down, free)):
         ok = _in_reach(hits, hip, up, leg, sole)
         ok &= np.isfinite(hits.part) if good is None else good
-        away = np.where(ok, vec.length(tuple(hits.place - wanted)), np.inf)  # type: ignore[arg-type]
+        away = np.where(ok, _length(hits.place - wanted), np.inf)
         better = away < nearest
         best.put(better, hits.take(better))
         nearest = np.minimum(nearest, away)
@@ -188,7 +188,7 @@ def _searched(
     if rows.size:
         close = floor.nearest(world, wanted[:, rows], np.minimum(leg[rows], nearest[rows]))
         seen = floor.cast(world, hip[:, rows], (close.place - hip[:, rows]) * (1.0 - _SHY))
-        sight = ~np.isfinite(seen.part) | (vec.length(tuple(seen.place - close.place)) < 1e-3 * leg[rows])  # type: ignore[arg-type]
+        sight = ~np.isfinite(seen.part) | (_length(seen.place - close.place) < 1e-3 * leg[rows])
         ok = _in_reach(close, hip[:, rows], up[:, rows], leg[rows], sole[rows]) & sight
         best.put(rows[ok], close.take(ok))
     return best
@@ -217,7 +217,7 @@ def _on_plane(world: World, origin: Places, way: Places, found: Found) -> None:
 
 def _on_solid(k: int, seen: SolidFeelers, near: Rows, origin: Places, way: Places, found: Found) -> None:
     a, w = origin[:, near], way[:, near]
-    length = vec.length(tuple(w))  # type: ignore[arg-type]
+    length = _length(w)
     unit = w / np.maximum(length, 1e-300)
     hits = seen.feelers(*a, *unit, length)  # type: ignore[call-arg]
     part = hits.t.astype(np.float64) / np.maximum(length, 1e-300)
@@ -230,6 +230,10 @@ def _on_solid(k: int, seen: SolidFeelers, near: Rows, origin: Places, way: Place
     made = Found.none(met.size)
     made.part, made.place, made.on = part[met], landed.points[good].T, np.full(met.size, k, np.int16)
     found.put(near[met], made)
+
+
+def _length(v: Places) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2]))
 
 
 def _unit_rows(v: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -22,6 +22,7 @@ from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import LegsData
 
 Floats = NDArray[np.float32]
+Places = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 _F = np.float32
 
@@ -44,10 +45,9 @@ class Frames:
     size: NDArray[np.float64]
 
     @staticmethod
-    def of(position: NDArray[np.float64], heading: NDArray[np.float64], up: NDArray[np.float64], size: NDArray[np.float64]) -> Frames:
+    def of(position: Places, heading: Places, up: Places, size: NDArray[np.float64]) -> Frames:
         """With the heading as it is, and up across it."""
-        forward: vec.Vector = tuple(heading)  # type: ignore[assignment]
-        above: vec.Vector = tuple(up)  # type: ignore[assignment]
+        forward, above = _vector(heading), _vector(up)
         ahead = vec.unit(forward, vec.across(above))
         straight = vec.unit(vec.flat(above, ahead), vec.across(ahead))
         return Frames(position, np.stack(ahead), np.stack(straight), vec.stacked_cross(ahead, straight), size)
@@ -70,6 +70,11 @@ class Frames:
         axes = (self.ahead, self.up, self.aside)
         x, y, z = (vec.dot(away, axis.astype(np.float32)[:, :, None]) * by for axis in axes)
         return x, y, z
+
+
+def _vector(columns: Places) -> vec.Vector:
+    x, y, z = columns
+    return x, y, z
 
 
 class Walkers:
@@ -152,7 +157,7 @@ class _Step:
         self.world, self.floor, self.feet, self.walkers, self.body, self.covered = world, floor, feet, walkers, body, covered
         self.dt = _F(world.dt)
         square = covered[0] * covered[0] + covered[1] * covered[1]
-        self.went = trunk._sum(np.sqrt(square)) / _F(max(1, feet.legs))
+        self.went = trunk.summed(np.sqrt(square)) / _F(max(1, feet.legs))
         self.stepping: Stepping = walkers.gaits.at(self.went / self.dt, self.went)
         self.beside = body.of_places(feet.place)
 
@@ -182,11 +187,15 @@ class _Step:
         ahead = np.minimum(ahead, _F(MOST_CYCLES)).astype(np.float32)
         before = feet.phase[:, None] + stepping.phases
         before = before - np.floor(before)
-        share = before + ahead[:, None]
         duty = stepping.duty[:, None]
-        self._lift(share, before, duty, off, slow)
+        # Who sets out from a stand does so with the foot whose turn is next, at once: none waits until it is left behind.
+        stood = feet.down.all(axis=1) & (off <= self.walkers.off).all(axis=1) & ~slow
+        gap = duty - before
+        gap = np.where(gap > 0, gap, gap + 1).min(axis=1)
+        on = np.where(stood & (gap > ahead), gap + _F(1e-3), ahead).astype(np.float32)
+        self._lift(before + on[:, None], before, duty, off, slow)
         self._swing(ahead, duty)
-        phase = feet.phase + ahead
+        phase = feet.phase + on
         feet.phase = phase - np.floor(phase)
         self._trunk()
         self._show()
@@ -200,7 +209,10 @@ class _Step:
         """Who stands and has stood long enough, is left behind or has lost its ground swings from now on."""
         feet = self.feet
         crosses = ((before < duty) & (share >= duty)) | (share >= 1 + duty)
-        late = (before >= duty) & (off > self.walkers.gaits.reach)  # whose turn was missed as the gait changed
+        # Whose turn was missed, as the gait changed or something else moved the foot: behind where it rests, in time to swing.
+        x, z = self.beside[0] - self.walkers.rest[0], self.beside[2] - self.walkers.rest[1]
+        behind = x * self.covered[0] + z * self.covered[1] < 0
+        late = (before >= duty) & (before < duty + _F(0.6) * (1 - duty)) & behind & (off > _F(0.3) * self.walkers.gaits.reach)
         due = (crosses | late) & (~slow[:, None] | (off > _F(0.5) * self.walkers.off))
         left = off > _LEFT * self.walkers.gaits.reach
         lifts = feet.down & (due | self._too_far(_F(1)) | left | self._undermined())
@@ -213,7 +225,7 @@ class _Step:
     def _hips(self) -> tuple[Floats, Floats, Floats]:
         """Hips [n, L] in body lengths, with the trunk's height and tilt."""
         x, y, z = trunk.leant(self.walkers.legs.hip, self.feet.slope)
-        return x, y + (self.feet.rise / self.body.size.astype(np.float32))[:, None], z
+        return x, np.asarray(y + (self.feet.rise / self.body.size.astype(np.float32))[:, None], np.float32), z
 
     def _undermined(self) -> Flags:
         """Feet whose ground was dug away."""
@@ -240,9 +252,7 @@ class _Step:
         half = [np.minimum(stance, _F(1e4)) * part * _F(0.5) for part in self.covered]
         long = np.sqrt(half[0] * half[0] + half[1] * half[1])
         by = np.minimum(_F(1), gaits.reach / np.maximum(long, _F(1e-9)))
-        x, z = (
-            rest + part * left + most * by for rest, part, most in zip(self.walkers.rest, self.covered, half, strict=True)
-        )
+        x, z = (rest + part * left + most * by for rest, part, most in zip(self.walkers.rest, self.covered, half, strict=True))
         lands = flying & (done >= 1)
         gap = np.square(self.beside[0] - x) + np.square(self.beside[2] - z)
         again = lands & ((gap > np.square(_AGAIN * self.walkers.leg)) | (feet.on == NOTHING) | self._too_far(_F(REACHED)))
@@ -302,7 +312,7 @@ class _Step:
         start, end, up = feet.start[:, who, leg], feet.place[:, who, leg], body.up[:, who]
         eased = done * done * (3 - 2 * done)
         way = end - start
-        far = vec.length(tuple(way)) / (np.maximum(self.stepping.stride[who], 1e-6) * body.size[who])  # type: ignore[arg-type]
+        far = vec.length(_vector(way)) / (np.maximum(self.stepping.stride[who], 1e-6) * body.size[who])
         lift = self.stepping.lift[who] * body.size[who] * np.minimum(1.0, far / float(_SMALL))
         place = start + way * eased + up * (lift * (4 * done * (1 - done)))
         hips = self._hips()
@@ -312,8 +322,6 @@ class _Step:
         # The foot joint is `sole` above the place, so the hip is brought down by as much to measure from.
         hip = body.place[:, who] + ((a * body.ahead[:, who] + (b - sole) * up) + c * body.aside[:, who]) * size
         away = place - hip
-        long = vec.length(tuple(away))  # type: ignore[arg-type]
+        long = vec.length(_vector(away))
         most = self.walkers.legs.length[leg] * size * REACHED
         feet.shown[:, who, leg] = hip + away * np.minimum(1.0, most / np.maximum(long, 1e-12))
-
-
