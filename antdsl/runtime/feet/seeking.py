@@ -86,7 +86,9 @@ class Floor:
             if not near.size:
                 continue
             if isinstance(seen, RayScene):
-                self._on_mesh(world, k, seen, near, origin, way, found)
+                near = _close(seen, near, origin, way)
+                if near.size:
+                    self._on_mesh(world, k, seen, near, origin, way, found)
             elif isinstance(seen, SolidFeelers):
                 _on_solid(k, seen, near, origin, way, found)
         return found
@@ -135,7 +137,7 @@ class Floor:
 
     def _on_mesh(self, world: World, k: int, seen: RayScene, near: Rows, origin: Places, way: Places, found: Found) -> None:
         a, w = origin[:, near], way[:, near]
-        which, part, _, face = seen.cast_within(np.ascontiguousarray(a.T), np.ascontiguousarray(w.T), world.options.threads)
+        which, part, face = _met(seen, np.ascontiguousarray(a.T), np.ascontiguousarray(w.T), world.options.threads)
         nearer = part < found.part[near[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
         found.put(near[which], self._hits(world, k, part, a[:, which] + w[:, which] * part, face))
@@ -151,12 +153,16 @@ class Floor:
 
 
 def seek(
-    world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64]
-) -> Found:
+    world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64],
+    thorough: bool = True,
+) -> Found:  # fmt: skip
     """Ground for feet that want to stand at places, seen from hips, all float64[3, k]. `leg` float64[k]: how far a foot joint may
-    be from its hip (mm); `sole` float64[k]: how far it is above the ground that it stands on."""
+    be from its hip (mm); `sole` float64[k]: how far it is above the ground that it stands on. Without `thorough`
+    only what is on the straight way, wherever that is: for a foot that lifts, and looks again when it lands."""
     way = (wanted - hip) * _BEYOND
     found = floor.cast(world, hip, way)
+    if not thorough:
+        return found
     fits = _in_reach(found, hip, up, leg, sole)
     off = _length(found.place - wanted)
     rows = np.flatnonzero(~(fits & (off <= _NEAR * leg)))
@@ -192,6 +198,23 @@ def _searched(
         ok = _in_reach(close, hip[:, rows], up[:, rows], leg[rows], sole[rows]) & sight
         best.put(rows[ok], close.take(ok))
     return best
+
+
+def _close(seen: RayScene, rows: Rows, origin: Places, way: Places) -> Rows:
+    """Those of some rays that a mesh may be near: by the ball about each one's middle."""
+    a, half = origin[:, rows], way[:, rows] * 0.5
+    near = seen.clearance(*(a + half)) <= _length(half) * (1 + 1e-4) + 1e-4
+    return rows[near]
+
+
+def _met(
+    seen: RayScene, origin: NDArray[np.float64], way: NDArray[np.float64], threads: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
+    """Which rays [k, 3] hit a mesh within their way, after what part, and which face. Near a surface most do: then they are cast
+    without asking first whether they do."""
+    hits = seen.cast(origin, way, threads)
+    which = np.flatnonzero(hits.t <= 1.0)
+    return which, hits.t[which], hits.face[which]
 
 
 def _in_reach(hits: Found, hip: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64]) -> NDArray[np.bool_]:
