@@ -61,7 +61,7 @@ class Cut:
         return replace(
             whole,
             solids=tuple(self._mesh(solid) for solid in whole.solids),
-            crowds=tuple(_some(crowd, ~self.gone(crowd.position)) for crowd in whole.crowds),
+            crowds=tuple(some_of(crowd, ~self.gone(crowd.position)) for crowd in whole.crowds),
             items=tuple(item for item in whole.items if not self.gone(np.array([item.position]))[0]),
             trails=tuple(replace(t, strength=np.where(self.gone(t.position), 0.0, t.strength)) for t in whole.trails),
         )
@@ -72,7 +72,7 @@ class Cut:
         return solid if kept.all() else replace(solid, faces=solid.faces[kept])
 
 
-def _some(crowd: Crowd, rows: NDArray[np.bool_]) -> Crowd:
+def some_of(crowd: Crowd, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Crowd:
     """Some agents of a crowd."""
 
     def of(array: Any) -> Any:
@@ -80,7 +80,8 @@ def _some(crowd: Crowd, rows: NDArray[np.bool_]) -> Crowd:
 
     return replace(
         crowd, position=of(crowd.position), orient=of(crowd.orient), scale=of(crowd.scale), colour=of(crowd.colour),
-        walked=of(crowd.walked), ids=of(crowd.ids), velocity=of(crowd.velocity), feelers=None,
-        plays=tuple(each.rows(rows) for each in crowd.plays),
+        ids=of(crowd.ids), velocity=of(crowd.velocity), feelers=None,
+        plays=tuple(each.rows(rows) for each in crowd.plays), driven=crowd.driven.rows(rows),
+        feet=None if crowd.feet is None else crowd.feet.rows(rows),
         paths=None if crowd.paths is None else replace(crowd.paths, places=of(crowd.paths.places)),
     )  # fmt: skip

@@ -156,7 +156,8 @@ class WalkData:
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
     """`count` agents of one species; `group` is the number of this line of the scene, from 0. Those with a `walk` sense and
-    decide nothing. `body` names what they look like; empty: what suits the species' name."""
+    decide nothing. `body` names what they look like; empty: what suits the species' name. `wears`: for each part that they
+    show of their body, the layers of which each has one by chance, "" for none."""
 
     species: str
     count: int
@@ -164,6 +165,7 @@ class CrowdData:
     group: int = 0
     walk: WalkData | None = None
     body: str = ""
+    wears: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

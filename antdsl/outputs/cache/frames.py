@@ -26,6 +26,7 @@ from antdsl.outputs.cache.manifest import (
     SpeciesEntry,
     StateEntry,
 )
+from antdsl.outputs.cache.shown_arrays import layers_worn, shown
 from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.plan.pair_registers import pair_values
@@ -67,6 +68,7 @@ class FrameMaker:
             arrays[attribute] = np.concatenate(parts)
         for name in rows:
             arrays |= clips_playing(world.populations[name], rows[name])
+            arrays |= shown(world.populations[name], rows[name], world.setting)
             arrays |= self._pairs(world.populations[name], rows[name])
             arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
@@ -231,7 +233,7 @@ def describe(
         checkpoint=checkpoint,
         attributes=attributes,
         species=tuple(
-            _species(world.populations[name], bodies.get(name), worn.get(name), feelers.get(name, ()))
+            _species(world.populations[name], setting, bodies.get(name), worn.get(name), feelers.get(name, ()))
             for name in sorted(world.populations)
         ),
         bodies=definitions,
@@ -262,7 +264,9 @@ def _surface(setting: Setting, name: str) -> MeshEntry:
     return MeshEntry(name=name, kind="surface", moves=name in setting.moves.meshes, deviation=deviation)
 
 
-def _species(population: Population, body: str | None, definition: int | None, feelers: tuple[FeelersEntry, ...]) -> SpeciesEntry:
+def _species(
+    population: Population, setting: Setting, body: str | None, definition: int | None, feelers: tuple[FeelersEntry, ...]
+) -> SpeciesEntry:
     machines = tuple(
         MachineEntry(
             name=machine.name,
@@ -279,6 +283,9 @@ def _species(population: Population, body: str | None, definition: int | None, f
         definition=definition,
         clips=tuple(ClipEntry(name=clip.name, on=clip.on) for clip in population.plan.clips),
         playing=tuple(playing(population)),
+        wears=layers_worn(population, setting),
+        channels=population.plan.channels,
+        looks=population.plan.looks,
         feelers=feelers,
         machines=machines,
     )

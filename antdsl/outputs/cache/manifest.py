@@ -67,13 +67,17 @@ class ClipEntry(Part):
 
 class SpeciesEntry(Part):
     """`body`: what pictures draw for it; None goes by its name. `definition`: its place among the manifest's bodies. `clips`:
-    what its states play, which frames count; `playing`: the machines that do."""
+    what its states play, which frames count; `playing`: the machines that do. `wears`: the layers of its body that agents may
+    show beside its own, of which frames have masks, bit by bit; `channels` and `looks`: of the body, that states set or turn."""
 
     name: Word
     body: Word | None = None
     definition: Annotated[int, Field(ge=0, lt=limits.BODY_PARTS)] | None = None
     clips: tuple[ClipEntry, ...] = ()
     playing: tuple[Word, ...] = ()
+    wears: Annotated[tuple[Word, ...], Field(max_length=limits.LAYERS_WORN)] = ()
+    channels: tuple[Word, ...] = ()
+    looks: tuple[Word, ...] = ()
     feelers: tuple[FeelersEntry, ...] = ()
     machines: tuple[MachineEntry, ...]
 
