@@ -1,8 +1,8 @@
 """Legs bent so that feet are where they stand: two-bone inverse kinematics of many agents, one leg after the other.
 
-The knee is opened or closed by the law of cosines in the plane that it has in the pose; then the whole leg is turned about the hip
-by the shortest way to the goal. So the knee stays on its side. Joints between keep what they have; the foot and all below it keeps
-its turn, so that its angle to the ground is the clip's. A goal that is out of reach is gone towards."""
+The knee is opened or closed by the law of cosines in the plane that it has in the pose; then the whole leg is turned about the
+hip by the shortest way to the goal. So the knee stays on its side. Joints between keep what they have; the foot and all below it
+keep their turn, so that the angle to the ground is the clip's. A goal that is out of reach is gone towards."""
 
 from __future__ import annotations
 
