@@ -96,13 +96,14 @@ class Give:
 @value
 class Play:
     """`clip` is played as long as the state lasts, on the joints of the transform group `on` ("": all), `speed` times as fast as
-    it goes and with the share `weight` (None: 1)."""
+    it goes and with the share `weight` (None: 1). Where `again` holds as an agent comes into the state, it begins anew."""
 
     clip: str
     on: str
     speed: Expr | None
     weight: Expr | None
     span: Span
+    again: Expr | None = None
 
 
 @value

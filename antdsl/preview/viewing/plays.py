@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
-from antdsl.outputs.cache.clip_arrays import clips_playing, playing
+from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.outputs.cache.clip_arrays import clips_playing, machine_clips, playing
 from antdsl.runtime import Population
 
 NONE = 65535  # the number of no clip
@@ -21,7 +21,8 @@ def plays(population: Population, rows: NDArray[np.intp], loops: Sequence[bool])
     arrays, found = clips_playing(population, rows), {}
     again = np.array([*loops, False])
     for machine in playing(population):
-        told = MachineClips(*(arrays[f"clips.{population.name}.{machine}.{name}"] for name in FIELDS))
+        told = machine_clips(population.name, machine, arrays, len(rows))
+        assert told is not None
         found[f"{population.name}/plays/{machine}"] = packed(told, again)
     return found
 

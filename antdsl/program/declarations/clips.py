@@ -8,10 +8,15 @@ from antdsl.program.declarations.amounts import Block
 from antdsl.program.kinds import Kind
 from antdsl.program.names.scope import NUMBER, Scope
 from antdsl.program.types.arguments import Slot, arranged, type_all
-from antdsl.program.types.operators import wanted
+from antdsl.program.types.operators import condition, wanted
 from antdsl.syntax import nodes
 
-_SLOTS = (Slot("speed", required=False), Slot("weight", required=False), Slot("on", required=False))
+_SLOTS = (
+    Slot("speed", required=False),
+    Slot("weight", required=False),
+    Slot("on", required=False),
+    Slot("again", required=False),
+)
 
 
 def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
@@ -42,7 +47,11 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
             f"write `play {clip}(on: arms)`",
         )  # fmt: skip
         return None
-    return model.Play(clip, on.name.text if isinstance(on, nodes.NameRef) else "", numbers["speed"], numbers["weight"], line.span)
+    again = condition(scope, given["again"], "`again` of `play`") if "again" in given else None
+    if again is not None and again.type.kind is Kind.BAD:
+        return None
+    group = on.name.text if isinstance(on, nodes.NameRef) else ""
+    return model.Play(clip, group, numbers["speed"], numbers["weight"], line.span, again)
 
 
 def one_clip(scope: Scope, node: nodes.State) -> None:
