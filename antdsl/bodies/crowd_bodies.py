@@ -163,7 +163,8 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
             else:
                 want("transform group", shown.group, body.groups, Label(shown.span, "turned here"))
         for line in _plays(machine):
-            want("clip", line.clip, body.clips, Label(line.span, "played here"))
+            for clip in (line.clip, *line.ways):
+                want("clip", clip, body.clips, Label(line.span, "played here"))
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
         for test in _tests(machine):
             want("mark", test.mark, marks, Label(test.span, "asked for here"))

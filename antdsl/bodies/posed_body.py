@@ -18,7 +18,7 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.driving import Driven, with_channels, with_looks
 from antdsl.bodies.agents.layer import Binding, Layer
-from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
@@ -36,7 +36,7 @@ class PosedBody:
     is one so called, else the first that is not called `collision`, and of `layers` beside it; those that it does not have are
     passed over."""
 
-    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]], layers: Sequence[str] = ()) -> None:
+    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | Played], layers: Sequence[str] = ()) -> None:
         self.clips, self.layers, self._whole = tuple(clips), tuple(layers), definition
         self._table = clip_table(definition)
         self._bindings = _bindings(definition, layers)
@@ -78,7 +78,7 @@ class PosedBody:
     ) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say and show what is
         `driven`, in body lengths."""
-        playing = machines_playing(self._table, self.clips, machines, count)
+        playing = machines_playing(self._table, self.clips, machines, count, driven.lean)
         poses = posed(self._table, self._definition.groups, playing, threads=threads)
         poses = with_channels(self._table, poses, driven.channels)
         poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
@@ -20,7 +21,7 @@ from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
+from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, SpeciesEntry
 from antdsl.outputs.cache.shown_arrays import driven, layers_of, worn_masks
 from antdsl.outputs.cutting import Cut, some_of
 from antdsl.outputs.feelers import rays
@@ -207,7 +208,7 @@ class Gallery:
                     self._definitions[number] = definition_of(self.manifest, self.static, species.definition or 0)
                 except BodyError as why:
                     raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
-            clips = tuple((clip.name, clip.on) for clip in species.clips)
+            clips = tuple(Played(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
             self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
         return self._worn[number, mask]
 

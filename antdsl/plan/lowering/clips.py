@@ -41,8 +41,12 @@ def clips_of(species: model.Species) -> tuple[ir.ClipPlan, ...]:
     found: dict[ir.ClipPlan, None] = {}
     for machine in species.machines:
         for line in _lines(machine):
-            found.setdefault(ir.ClipPlan(line.clip, line.on))
+            found.setdefault(_planned(line))
     return tuple(found)
+
+
+def _planned(line: model.Play) -> ir.ClipPlan:
+    return ir.ClipPlan(line.clip, line.on, line.add, *line.ways)
 
 
 def plays(machine: model.Machine) -> bool:
@@ -197,7 +201,7 @@ def _pace(w: Writer, clip: Node) -> Node:
 
 def _number(w: Writer, line: model.Play) -> Node:
     """The number of the clip of a line."""
-    return w.b.row(clips_of(w.species).index(ir.ClipPlan(line.clip, line.on)))
+    return w.b.row(clips_of(w.species).index(_planned(line)))
 
 
 def _loops(w: Writer, clip: Node) -> Node:
