@@ -127,7 +127,7 @@ def open_scene(
     if not report.ok:
         return None, report
     setting = with_changed_params(setting, scene, program, choices.changes)
-    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms)
+    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs)
     inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}

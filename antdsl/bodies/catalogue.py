@@ -1,4 +1,4 @@
-"""The bodies by name, each made once, and which one suits a species."""
+"""Which body suits a species by its name, and the room that bodies of the library take."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,8 +23,11 @@ class Capsule:
 BODIES: dict[str, Callable[[bool], Body]] = {"ant": ant, "person": person, "arrow": arrow, "ball": ball}
 
 # As long and wide as the meshes: of an ant from gaster to head; of who stands, shoulder to shoulder all round.
+_ANT = Capsule(0.92, 0.23, 0.165, -0.04)
 CAPSULES: dict[str, Capsule] = {
-    "ant": Capsule(0.92, 0.23, 0.165, -0.04),
+    "ant": _ANT,
+    "ant_queen": _ANT,
+    "ant_soldier": _ANT,
     "person": Capsule(0.84, 0.84, 1.1),
     "arrow": Capsule(1.0, 0.6, 0.15),
     "ball": Capsule(1.0, 1.0, 0.5),
@@ -43,6 +46,8 @@ _WORDS: tuple[tuple[str, str], ...] = (
     ("rabbit", "ball"),
     ("hunter", "ball"),
     ("prey", "ball"),
+    ("queen", "ant_queen"),
+    ("soldier", "ant_soldier"),
 )
 
 

@@ -5,15 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
 from antdsl.bodies.agents.spoken import spoken_names
+from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
+from antdsl.bodies.library.table import library_body
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.limits import LAYERS_WORN
@@ -21,7 +25,7 @@ from antdsl.plan.lowering.traversal import inside
 from antdsl.program.model import Channel, ClipTest, Expr, Look, Machine, Play, Program, Species, Wear
 from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.load import Scene
-from antdsl.scene.setting import ClipData, RoomData
+from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span
 
 _SHOWN = 12  # names in a message
@@ -29,23 +33,54 @@ _SHOWN = 12  # names in a message
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """By species, for those whose body is a file: its definition (one for all that name the same file), clips and room. `hashes`:
-    of the content of each file, by its path in the scene."""
+    """By species: `definitions` of those whose body is a file (one for all that name the same file) and the `rooms` that these
+    take; `clips` of all; `legs` of those that have some, with gaits. `hashes`: of the content of each file, by its path in the
+    scene."""
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
+    legs: Mapping[str, LegsData] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
 
 
+class Walkers(Mapping[str, LegsData]):
+    """The legs of species whose body has some, with gaits; `bodies`: by species, a definition or the name of one of the library.
+    Worked out where they are asked for: most commands never do."""
+
+    def __init__(self, bodies: Mapping[str, Definition | str]) -> None:
+        self._bodies = bodies
+
+    @cached_property
+    def _legs(self) -> dict[str, LegsData]:
+        found = {name: library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
+        return {name: legs_of(body) for name, body in found.items() if body.legs and body.gaits}
+
+    def __getitem__(self, species: str) -> LegsData:
+        return self._legs[species]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._legs)
+
+    def __len__(self) -> int:
+        return len(self._legs)
+
+
 def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
-    """The bodies from files that a scene's crowd names, and what does not fit: at their places in the scene, with a label where
-    the program asks for what is missing."""
+    """The bodies of a scene's crowd, from files and from the library, and what does not fit: at their places in the scene, with
+    a label where the program asks for what is missing."""
     report = Report()
     files: dict[str, Definition | None] = {}
+    named = _named(scene)
     worn: dict[str, Definition] = {}
-    for species, (text, place) in _named(scene).items():
+    words = _library(scene, program)
+    shown = {line.species for line in scene.model.crowd if line.wear}
+    shown |= {n for n, s in program.species.items() if any(True for m in s.machines for _ in (*_plays(m), *_shows(m)))}
+    library = {name: library_body(text) for name, text in words.items() if name in shown}
+    for species, (text, place) in named.items():
         if text in BODY_WORDS:
+            if species in library:
+                _check(program.species[species], library[species], text, place, report)
             continue
         if text not in files:
             files[text], findings = definition_at(text, scene.roots, place)
@@ -54,33 +89,19 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
         if found is not None and species in program.species:
             _check(program.species[species], found, text, place, report)
             worn[species] = found
-    _plays_without(scene, program, worn, report)
-    _wears(scene, program, worn, report)
+    _wears(scene, program, worn | library, report)
     whole = {text: found for text, found in files.items() if found is not None}
     made = CrowdBodies(
         worn,
-        {species: {name: clip_data(clip, body) for name, clip in body.clips.items()} for species, body in worn.items()},
+        {
+            species: {name: clip_data(clip, body) for name, clip in body.clips.items()}
+            for species, body in (worn | library).items()
+        },
         {species: room_of(body) for species, body in worn.items()},
+        Walkers({**worn, **words}),
         {text: digest(body) for text, body in whole.items()},
     )
     return made, report
-
-
-def _plays_without(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
-    """Warns of a species that plays clips and wears no body that could have some."""
-    told: set[str] = set()
-    for number, line in enumerate(scene.model.crowd):
-        species = program.species.get(line.species)
-        if species is None or line.species in worn or line.species in told or (line.body or "ant") not in BODY_WORDS:
-            continue
-        told.add(line.species)
-        first = next((played for machine in species.machines for played in _plays(machine)), None)
-        if first is not None:
-            report.warning(
-                "missing-key", f"`{line.species}` plays clips, and has no `body` with any",
-                scene.span("crowd", number, "species"),
-                f"add `body: {line.species}.glb`, or another file of a body", labels=(Label(first.span, "played here"),),
-            )  # fmt: skip
 
 
 def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
@@ -95,11 +116,6 @@ def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], repor
         named |= set(dressed)
         body = worn.get(line.species)
         place = scene.span("crowd", number, "wear")
-        if line.wear and body is None:
-            report.warning(
-                "missing-key", f"`{line.species}` wears layers, and has no `body` with any", place,
-                f"add `body: {line.species}.glb`, or another file of a body",
-            )  # fmt: skip
         for name in dressed:
             if body is not None and name not in body.layers:
                 near, known = nearest_name(name, list(body.layers)), ", ".join(f"`{each}`" for each in list(body.layers)[:_SHOWN])
@@ -129,12 +145,21 @@ def room_of(body: Definition) -> RoomData:
     return RoomData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))
 
 
+def _library(scene: Scene, program: Program) -> dict[str, str]:
+    """The body of the library that each species has whose body is no file."""
+    named = _named(scene)
+    words = {name: named[name][0] if name in named else body_of(name) for name in program.species}
+    return {name: text for name, text in words.items() if text in BODY_WORDS}
+
+
 def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
-    """The body that each species' first line with one names."""
+    """The body that each species' first line with one names, else the one of the library that suits its name."""
     found: dict[str, tuple[str, Span]] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is not None:
             found.setdefault(line.species, (line.body, scene.span("crowd", number, "body")))
+    for number, line in enumerate(scene.model.crowd):
+        found.setdefault(line.species, (body_of(line.species), scene.span("crowd", number, "species")))
     return found
 
 

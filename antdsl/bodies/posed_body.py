@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,30 +19,33 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.driving import Driven, with_channels, with_looks
 from antdsl.bodies.agents.layer import Binding, Layer
+from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs
 from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
 
-BODY, COLLISION = "body", "collision"  # layers
+BODY, CLOSE, COLLISION = "body", "close", "collision"  # layers
 NOTHING = Driven()
+_GOLDEN = (5**0.5 - 1) / 2  # multiples of it are spread evenly over a turn
 STATE = "state"  # the material that has the colour of the agent's state
 
 
 class PosedBody:
-    """Length 1 along +x (where it heads), up +y, as a `Body`, but posed by what each agent plays.
+    """Length 1 along +x (where it heads), up +y, posed by what each agent plays.
 
     `faces` int32[m, 3]; `own` float32[v, 3], linear colours of materials; `tint` float32[v]: 1 takes the agent's colour, as
     does what has no material or one called `state`, 0 its material's. Drawn are the shapes of its own layer, `body` where there
     is one so called, else the first that is not called `collision`, and of `layers` beside it; those that it does not have are
-    passed over."""
+    passed over. `fine` is for agents that are large in a picture, `coarse` for those that are small."""
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | Played], layers: Sequence[str] = ()) -> None:
-        self.clips, self.layers, self._whole = tuple(clips), tuple(layers), definition
+        self.clips, self.layers, self._whole, self.name = tuple(clips), tuple(layers), definition, definition.name
+        self._played = (*self.clips, (definition.idle, ""))
         self._table = clip_table(definition)
         self._bindings = _bindings(definition, layers)
         names = {binding.shape for binding in self._bindings}
-        shaded = {n: _with_normals(shape) if n in names else shape for n, shape in definition.shapes.items()}
+        shaded = {n: _with_normals(shape) if n in names else shape for n, shape in _needed(definition, names).items()}
         self._definition = replace(definition, shapes=shaded)
         base = definition.base()[:3, :3]
         self._base = base.astype(np.float32)
@@ -60,33 +64,74 @@ class PosedBody:
     @cached_property
     def reach(self) -> float:
         """How far the box of the rest pose reaches from the origin, in body lengths."""
-        low, high = rest_box(self._whole)
+        drawn = Layer(BODY, tuple(b for b in self._bindings if not b.deformer), tuple(b for b in self._bindings if b.deformer))
+        low, high = rest_box(replace(self._definition, layers={BODY: drawn}))
         return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high)))) / self._whole.length
 
     @cached_property
+    def fine(self) -> PosedBody:
+        """The same for agents that are large in a picture: what the layer `close` has, where there is one."""
+        close = self._whole.layers.get(CLOSE)
+        if close is None:
+            return self
+        layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE}
+        return PosedBody(replace(self._whole, layers=layers | {BODY: replace(close, name=BODY)}), self.clips, self.layers)
+
+    @cached_property
     def coarse(self) -> PosedBody:
-        """The same with fewer triangles, for agents that are small in a picture."""
-        return PosedBody(coarse(self._whole), self.clips, self.layers)
+        """The same with fewer triangles, for agents that are small in a picture; with a layer `close` the layer `body` has few
+        enough."""
+        return self if CLOSE in self._whole.layers else PosedBody(coarse(self._whole), self.clips, self.layers)
+
+    def idling(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
+        """What agents with these ids play where no machine says otherwise: the definition's clip for that, each from a start of
+        its own, `seconds` from frame 0; none where there is no such clip."""
+        clip = self._whole.clips.get(self._whole.idle)
+        if clip is None or clip.duration <= 0:
+            return ()
+        turns = (np.asarray(ids, np.float64) * _GOLDEN + seconds / clip.duration) % 1.0
+        ones, none = np.ones(len(turns), np.float32), np.zeros(len(turns), np.float32)
+        number = np.full(len(turns), len(self.clips), np.int16)
+        return (MachineClips(number, turns.astype(np.float32), ones, np.full(len(turns), -1, np.int16), none, none, none),)
 
     @cached_property
     def mesh(self) -> SkinnedMesh:
         """The same vertices with the bones that they follow, for graphics hardware to pose."""
         return skinned_mesh(self._definition, self._bindings, self._taken)
 
+    @cached_property
+    def legs(self) -> Legs | None:
+        """What its feet stand on; None for a body without legs."""
+        return Legs(self._whole) if self._whole.legs else None
+
     def posed(
-        self, machines: Sequence[MachineClips], count: int, threads: int = 1, *, driven: Driven = NOTHING
+        self,
+        machines: Sequence[MachineClips],
+        count: int,
+        feet: FeetOfBodies | None = None,
+        threads: int = 1,
+        *,
+        driven: Driven = NOTHING,
     ) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say and show what is
-        `driven`, in body lengths."""
-        playing = machines_playing(self._table, self.clips, machines, count, driven.lean)
+        `driven`, in body lengths; with `feet` legs are bent to where these are, and trunks moved with them."""
+        playing = machines_playing(self._table, self._played, machines, count, driven.lean)
         poses = posed(self._table, self._definition.groups, playing, threads=threads)
         poses = with_channels(self._table, poses, driven.channels)
         poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])
+        legs = self.legs if feet is not None else None
+        if legs is not None and feet is not None:
+            stands = legs.kept(self._played, machines, count)
+            feet = feet.less(stands)
+            poses = legs.bent(poses, feet, stands)
         found = [bound(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((count, 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self._taken]
         normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)[:, self._taken]
-        return points @ self._base.T, normals @ self._turn.T
+        points, normals = points @ self._base.T, normals @ self._turn.T
+        if legs is None or feet is None:
+            return points, normals
+        return legs.on_trunk(points, feet), legs.on_trunk(normals, feet.level())
 
 
 def own_layer(definition: Definition) -> Layer:
@@ -94,6 +139,18 @@ def own_layer(definition: Definition) -> Layer:
     layers = definition.layers
     worn = [layer for name, layer in layers.items() if name != COLLISION]
     return layers.get(BODY) or next(iter(worn), Layer(BODY))
+
+
+def _needed(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
+    """Shapes by name, and those that they are blended with."""
+    found: dict[str, Shape] = {}
+    left = list(names)
+    while left:
+        name = left.pop()
+        if name not in found and name in definition.shapes:
+            found[name] = shape = definition.shapes[name]
+            left += [*(shape.blend.shapes if shape.blend else ()), *(shape.between.shapes if shape.between else ())]
+    return found
 
 
 def _bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:

@@ -80,7 +80,8 @@ def some_of(crowd: Crowd, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Crowd:
 
     return replace(
         crowd, position=of(crowd.position), orient=of(crowd.orient), scale=of(crowd.scale), colour=of(crowd.colour),
-        walked=of(crowd.walked), ids=of(crowd.ids), velocity=of(crowd.velocity), feelers=None,
+        ids=of(crowd.ids), velocity=of(crowd.velocity), feelers=None,
         plays=tuple(each.rows(rows) for each in crowd.plays), driven=crowd.driven.rows(rows),
+        feet=None if crowd.feet is None else crowd.feet.rows(rows),
         paths=None if crowd.paths is None else replace(crowd.paths, places=of(crowd.paths.places)),
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,15 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
-from antdsl.bodies.catalogue import BODIES, body_of
+from antdsl.bodies.catalogue import body_of
+from antdsl.bodies.library.table import BODIES, library_body
 from antdsl.bodies.placed import shape_of
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.foot_arrays import feet_of
 from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, SpeciesEntry
 from antdsl.outputs.cache.shown_arrays import driven, layers_of, worn_masks
 from antdsl.outputs.cutting import Cut, some_of
@@ -45,7 +47,7 @@ class NoPicture(Exception):
 
 
 class Gallery:
-    """Makes pictures of one cache. Frames asked for in order let the legs of agents move on between them. With a `window` they
+    """Makes pictures of one cache. Each frame is drawn from it alone. With a `window` pictures
     hold paths: where each agent is in the frames of so many seconds before and after."""
 
     def __init__(self, cache: Cache, cut: Cut | None = None, window: Window | None = None) -> None:
@@ -65,7 +67,6 @@ class Gallery:
         )
         self._worn: dict[tuple[int, int], PosedBody] = {}  # by species and the mask of the layers that are worn
         self._definitions: dict[int, Definition] = {}
-        self._walked: dict[str, tuple[int, NDArray[np.int64], NDArray[np.float64]]] = {}
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
         self._places: dict[str, NDArray[np.float64]] = {}
@@ -169,12 +170,10 @@ class Gallery:
                 orient=np.asarray(arrays["orient"], np.float64)[rows],
                 scale=np.asarray(arrays["pscale"], np.float64)[rows],
                 colour=np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35),
-                walked=self._walk(species.name, frame, ids[rows], arrays, rows),
-                body=species.body if species.body in BODIES else body_of(species.name),
                 ids=ids[rows],
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )
-            dressed = self._dressed(crowd, number, arrays)
+            dressed = self._dressed(crowd, number, frame, arrays)
             made += [self._with_lines(part, species, number, frame) for each in dressed for part in _parted(each, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
@@ -184,33 +183,42 @@ class Gallery:
                 ]
         return tuple(made), tuple(legend)
 
-    def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:
-        """The crowd in a body of its own, where its species has one, posed by what the frame says that each plays and shows: a
-        crowd for each set of layers that some wear."""
+    def _dressed(self, crowd: Crowd, number: int, frame: int, arrays: Arrays) -> list[Crowd]:
+        """The crowd in its body, posed by what the frame says that each plays and shows, over the clip of those who play none, on
+        the feet that the frame has: a crowd for each set of layers that some wear."""
         species, count = self.manifest.species[number], len(crowd.position)
-        plays = machines_of(species, arrays, count)
-        if species.definition is None or plays is None or crowd.ids is None:
-            return [crowd]
-        whole = replace(crowd, plays=plays, driven=driven(species, arrays, np.asarray(crowd.ids, np.int64)))
+        ids = np.asarray(crowd.ids, np.int64)
         masks = worn_masks(species, arrays, count)
         sets = [int(mask) for mask in np.unique(masks)] or [0]
+        body = self._body(number, sets[0])
+        whole = replace(
+            crowd,
+            plays=(*body.idling(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
+            feet=feet_of(crowd.species, arrays, count, 0 if body.legs is None else body.legs.count),
+            driven=driven(species, arrays, ids),
+        )
         if len(sets) == 1:
-            return [replace(whole, worn=self._body(number, sets[0]))]
+            return [replace(whole, worn=body)]
         parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
         return [replace(some_of(whole, rows), worn=self._body(number, mask)) for mask, rows in parts]
 
     def _body(self, number: int, mask: int = 0) -> PosedBody:
-        """The body of its own that a species has, with the layers of a mask."""
+        """The body that a species has, with the layers of a mask: its own, kept in the cache, or one of the library."""
         species = self.manifest.species[number]
         if (number, mask) not in self._worn:
             if number not in self._definitions:
-                try:
-                    self._definitions[number] = definition_of(self.manifest, self.static, species.definition or 0)
-                except BodyError as why:
-                    raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
+                self._definitions[number] = self._definition(species)
             clips = tuple(Played(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
             self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
         return self._worn[number, mask]
+
+    def _definition(self, species: SpeciesEntry) -> Definition:
+        if species.definition is None:
+            return library_body(species.body if species.body in BODIES else body_of(species.name))
+        try:
+            return definition_of(self.manifest, self.static, species.definition)
+        except BodyError as why:
+            raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
 
     def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """The crowd with its paths and the rays of its feelers, where they are to be seen."""
@@ -221,20 +229,6 @@ class Gallery:
         ahead, up = (turned(crowd.orient, np.tile(axis, (len(crowd.position), 1))) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
         lines = [rays(entry, crowd.position, ahead, up, crowd.scale) for entry in species.feelers]
         return replace(crowd, feelers=np.concatenate(lines))
-
-    def _walk(self, species: str, frame: int, ids: NDArray[Any], arrays: Arrays, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-        """How far each has walked, for its legs: from a start of its own, moved on by the speed of each frame drawn since."""
-        scale = np.asarray(arrays["pscale"], np.float64)[rows]
-        walked = (ids * 0.618034 % 1.0) * scale
-        before = self._walked.get(species)
-        if before is not None and "v" in arrays:
-            speed = np.linalg.norm(np.asarray(arrays["v"], np.float64)[rows], axis=1)
-            at = np.searchsorted(before[1], ids)
-            at = np.minimum(at, max(len(before[1]) - 1, 0))
-            known = before[1][at] == ids if len(before[1]) else np.zeros(len(ids), bool)
-            walked[known] = before[2][at[known]] + speed[known] * self.dt * (frame - before[0])
-        self._walked[species] = (frame, ids, walked)
-        return walked
 
     def _items(self, arrays: Arrays) -> tuple[Item, ...]:
         made = []

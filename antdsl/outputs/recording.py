@@ -20,7 +20,7 @@ from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
-from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash, step
+from antdsl.runtime import CheckpointError, Options, World, bind, feet_hash, restore, state_hash, step
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.model import Camera, millimetres
 from antdsl.scene.setting import CameraData
@@ -144,7 +144,9 @@ def _restored(recording: Recording, cache: Cache, frame: int, line: Line) -> str
         return str(problem)
     except CheckpointError as problem:
         return f"`{path}` is damaged: {problem}"
-    return None if state_hash(world) == line.hash else f"`{path}` does not hold the state of frame {frame}"
+    if state_hash(world) != line.hash:
+        return f"`{path}` does not hold the state of frame {frame}"
+    return None if line.feet in ("", feet_hash(world.feet)) else f"`{path}` does not hold the feet of frame {frame}"
 
 
 def record(recording: Recording, watch: Callable[[str, int], None] = lambda what, frame: None) -> Iterator[Recording]:

@@ -11,6 +11,7 @@ from antdsl.runtime.binding.reuse import Built
 from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, show, solid_state, state
 from antdsl.runtime.digging import dig_again, handed_over
 from antdsl.runtime.faults import Fault, FaultStop, LimitStop
+from antdsl.runtime.feet.state import feet_hash
 from antdsl.runtime.hashing import state_hash
 from antdsl.runtime.snapshots import snapshot
 from antdsl.runtime.stepping import step
@@ -37,6 +38,7 @@ __all__ = [
     "bind",
     "checkpoint",
     "dig_again",
+    "feet_hash",
     "handed_over",
     "restore",
     "set_flow",

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from antdsl.fields.pheromone import PheromoneField
     from antdsl.ground.solid import Volume
     from antdsl.runtime.faults import FaultLog
+    from antdsl.runtime.feet.seeking import Floor
+    from antdsl.runtime.feet.state import Feet
+    from antdsl.runtime.feet.walking import Walkers
     from antdsl.runtime.lod import Detail
     from antdsl.runtime.motion_measures import Motion
     from antdsl.senses.neighbours import CellGrid
@@ -49,7 +52,7 @@ class Options:
 
     `shuffle_rows` puts the agents into rows in a random order; `chunk` is the number of rows worked on at once.
     `wait_for_code`: with the native backend, the first step waits for machine code, instead of running in NumPy until it is
-    there."""
+    there. `feet`: where bodies have legs and gaits, it is worked out where their feet are."""
 
     backend: Literal["numpy", "native", "reference"] = "native"
     chunk: int = 16_384
@@ -57,6 +60,7 @@ class Options:
     shuffle_rows: int | None = None
     on_fault: Literal["stop", "quarantine"] = "stop"
     wait_for_code: bool = False
+    feet: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -209,6 +213,9 @@ class World:
     detail: Detail | None = None
     crowded: list[Crowded] = field(default_factory=list)  # lines of the crowd that found no room for all
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
+    feet: dict[str, Feet] = field(default_factory=dict)  # by species; of whom it is worked out
+    walkers: dict[str, Walkers] = field(default_factory=dict)  # how they walk
+    floor: Floor | None = None  # what they walk on
     stepping: bool = False  # between the first and the last phase of a step
 
     @property

@@ -190,6 +190,30 @@ class RoomData:
     ahead: float
 
 
+@dataclass(frozen=True, slots=True)
+class GaitData:
+    """A gait in body lengths and seconds, as `bodies.agents.legs.Gait`: `phases` has one number for each leg."""
+
+    speed: float
+    stride: float
+    duty: float
+    lift: float
+    phases: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LegsData:
+    """The L legs of a body as it stands, in its lengths: x along the heading, y up from the ground, z to the side (x × y).
+
+    `foot` float64[L,3]: the foot joints; `hip` float64[L,3]: where legs begin; `length` float64[L]: how far a leg reaches from
+    hip to foot joint when it is straight. `gaits` go from slow to fast; there is at least one."""
+
+    foot: NDArray[np.float64]
+    hip: NDArray[np.float64]
+    length: NDArray[np.float64]
+    gaits: tuple[GaitData, ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldStart:
     """A field's value at the first frame: everywhere, or only within `radius` mm of `around`."""
@@ -229,7 +253,7 @@ class Setting:
     `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
     ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
     the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
-    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up."""
+    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up; `legs`: what those that have gaits stand on."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -256,6 +280,7 @@ class Setting:
     deviations: Mapping[str, float] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
+    legs: Mapping[str, LegsData] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:

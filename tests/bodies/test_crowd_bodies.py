@@ -1,4 +1,4 @@
-"""Bodies of a crowd from files: what a run gets of them, and what is told where they do not fit what states play."""
+"""Bodies of a crowd, from files and from the library: what a run gets of them, and where they do not fit what states play."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ import pytest
 
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.agents.spoken import spoken_names
+from antdsl.bodies.catalogue import CAPSULES
 from antdsl.bodies.crowd_bodies import clip_data, room_of
+from antdsl.bodies.library.table import BODIES, library_body
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot, check_path, open_scene
 from antdsl.runtime import bind, step
+from antdsl.scene.crowd_model import BODY_WORDS
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "walker"
 PROGRAM = """ant 1
@@ -95,12 +98,24 @@ def test_another_file_is_another_input(folder: Path) -> None:
     assert changed.setting.clips["walker"]["walk"].stride == pytest.approx(1.3 / 1.75)
 
 
-def test_a_word_is_no_file_and_gives_no_clips_which_is_told(folder: Path) -> None:
-    shot, report = open_scene(written(folder, crowd=2 * CROWD.replace("walker.json", "person")))
-    assert shot is not None and not shot.bodies and not shot.setting.clips and not shot.setting.rooms
-    (warning,) = report.sorted()
-    assert (warning.code, warning.span.text if warning.span else "") == ("missing-key", "walker")
-    assert warning.help == "add `body: walker.glb`, or another file of a body"
+def test_a_word_is_a_body_of_the_library_whose_clips_are_played(folder: Path) -> None:
+    scene = written(folder, crowd=2 * CROWD.replace("walker.json", "ant"))
+    (error,) = open_scene(scene)[1].errors
+    assert (error.code, error.span.text if error.span else "") == ("unknown-name", "ant")
+    assert error.message == "`ant` has no clip `wave`, no transform group `arms`" and "`antennate`, `carry`" in str(error.help)
+    program = PROGRAM.replace("play wave(on: arms)", "play look(on: feelers)")
+    shot = opened(written(folder, program, crowd=2 * CROWD.replace("walker.json", "ant")))
+    assert not shot.bodies and not shot.setting.rooms and "ant" not in shot.inputs
+    assert shot.setting.clips["walker"]["walk"].stride == library_body("ant").clips["walk"].stride
+
+
+def test_without_a_body_it_is_the_one_that_suits_the_name(folder: Path) -> None:
+    (error,) = open_scene(written(folder, crowd=2 * CROWD.replace(", body: walker.json", "")))[1].errors
+    assert (error.span.text if error.span else "") == "walker" and "`ant` has no clip `wave`" in error.message
+
+
+def test_the_words_of_a_scene_are_those_of_the_library() -> None:
+    assert sorted(BODY_WORDS) == sorted(BODIES) == sorted(CAPSULES)
 
 
 def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

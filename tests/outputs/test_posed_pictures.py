@@ -176,4 +176,4 @@ def test_a_cache_from_before_bodies_were_kept_is_drawn_as_it_was(cache: Cache, t
         del manifest["species"][0][key]
     path.write_text(json.dumps(manifest), encoding="utf-8")
     crowd = crowd_at(open_cache(tmp_path / "out"), 1)
-    assert crowd.worn is None and crowd.body == "ant"
+    assert crowd.worn is not None and crowd.worn.name == "ant"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.outputs.cache.clip_arrays import clips_playing, playing
+from antdsl.outputs.cache.foot_arrays import placed_feet
 from antdsl.outputs.cache.manifest import (
     BodyEntry,
     CameraEntry,
@@ -70,6 +71,7 @@ class FrameMaker:
             arrays |= clips_playing(world.populations[name], rows[name])
             arrays |= shown(world.populations[name], rows[name], world.setting)
             arrays |= self._pairs(world.populations[name], rows[name])
+            arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
             values = np.asarray(field.values)
             cells = np.flatnonzero(values)

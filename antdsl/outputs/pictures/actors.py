@@ -89,12 +89,12 @@ def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
     near = np.maximum(np.linalg.norm(position - view.eye, axis=1), 1e-9)
     pixels = scale / view.pixel_at(near)
     large = np.flatnonzero(seen & (pixels >= CLOSE))
-    most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.faces)))
+    most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces)))
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     far = np.setdiff1d(np.flatnonzero(seen), close)
     sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), MOST_ENLARGED * scale)
     if crowd.worn is not None:
-        parts = ((crowd.worn, close), (crowd.worn.coarse, far))
+        parts = ((crowd.worn.fine, close), (crowd.worn.coarse, far))
         return [_worn(crowd, own, rows, sizes) for own, rows in parts if len(rows) and len(own.faces)]
     made = [_posed(crowd, body(crowd.body, True), close, scale[close], np.zeros(len(close)))]
     # Of a body a few pixels long the dark legs would hide the state's colour.
@@ -104,7 +104,8 @@ def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
 
 def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> Mesh:
     """The bodies of some agents, each posed by what it plays, `size` (n,) long for all agents of the crowd."""
-    local, normal = body.posed([each.rows(rows) for each in crowd.plays], len(rows), driven=crowd.driven.rows(rows))
+    plays = [each.rows(rows) for each in crowd.plays]
+    local, normal = body.posed(plays, len(rows), crowd.feet_beside(rows), driven=crowd.driven.rows(rows))
     across = np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
     local = np.matmul(local * size[rows].astype(np.float32)[:, None, None], across)
     vertices = local.astype(np.float64) + np.asarray(crowd.position, np.float64)[rows, None, :]

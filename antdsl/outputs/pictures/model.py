@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.driving import Driven
+from antdsl.bodies.agents.leg_ik import FeetOfBodies, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.posed_body import NOTHING, PosedBody
 
@@ -43,8 +44,9 @@ class Crowd:
     `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1, `walked` (n,) distance in world units,
     which drives the legs.
 
-    `worn` is a body posed by the clips that agents play, `plays` what each machine of theirs plays, and `driven` what else their
-    states show; a species whose agents wear different layers is several crowds. Without it `body` says
+    `worn` is a body posed by the clips that agents play, `plays` what each machine of theirs plays, `driven` what else their
+    states show, and `feet` where they stand, if that is known; a species whose agents wear different layers is several crowds.
+    Without it `body` says
     what is drawn. `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to
     be shown."""
 
@@ -61,7 +63,14 @@ class Crowd:
     paths: Paths | None = None
     worn: PosedBody | None = None
     plays: tuple[MachineClips, ...] = ()
+    feet: PlacedFeet | None = None
     driven: Driven = NOTHING
+
+    def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> FeetOfBodies | None:
+        """The feet of some agents beside their bodies, as `PosedBody.posed` takes them; None where none are known."""
+        if self.feet is None:
+            return None
+        return self.feet.rows(rows).beside(*(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, checkpoint_path, fr
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, Line, line_of, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import sync_file, sync_folder, to_bytes, write_whole
-from antdsl.runtime import World, dig_again, show, solid_state, state_hash
+from antdsl.runtime import World, dig_again, feet_hash, show, solid_state, state_hash
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -52,7 +52,7 @@ class Scribe:
         data = to_bytes(made)
         write_whole(path, data, sync=False)
         self._unsynced.append(path)
-        self._line(self.still.frame, line_of(self.still.frame, found["hash"], data))
+        self._line(self.still.frame, line_of(self.still.frame, found["hash"], data, feet_hash(self.still.feet)))
         _spend(found, "write", began)
 
     def _line(self, frame: int, line: Line) -> None:
