@@ -18,6 +18,7 @@ from antdsl.outputs.cache.hashes import Line
 from antdsl.outputs.cache.manifest import CameraEntry, way_to
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.feelers import feelers_of
+from antdsl.outputs.looks_of_scene import looks_of
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, feet_hash, restore, state_hash, step
@@ -179,6 +180,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
             name: feelers_of(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
         },
         camera=_camera(shot),
+        looks=looks_of(model),
     )
     with CacheWriter(recording.folder, manifest, recording.written) as writer:
         static = {**recording.static, **kept.arrays}

@@ -28,7 +28,8 @@ class _Kept:
         if cut is not None:
             opened = cut.opened(self.volume, offset, scale)
             vertices, faces = joined([(v, f) for _, v, f in opened.surface(changed_only=False)])
-            return Solid(name, (vertices + offset) * scale, faces, "hill")
+            places = (vertices + offset) * scale
+            return Solid(name, places, faces, "hill", cut.painted(places, 0.3 * self.volume.bricks.voxel * scale))
         changed = {brick: (vertices, faces) for brick, vertices, faces in self.volume.surface()}
         if changed or self.drawn is None:
             self.pieces |= changed

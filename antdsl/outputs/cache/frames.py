@@ -21,6 +21,7 @@ from antdsl.outputs.cache.manifest import (
     FeelersEntry,
     FieldEntry,
     ItemsEntry,
+    Look,
     MachineEntry,
     Manifest,
     MeshEntry,
@@ -215,8 +216,10 @@ def describe(
     worn: Mapping[str, int],
     feelers: Mapping[str, tuple[FeelersEntry, ...]],
     camera: CameraEntry | Literal["fit"] | None,
+    looks: Mapping[str, Look | Mapping[str, Look]],
 ) -> Manifest:
-    """The manifest of a run that begins with this world."""
+    """The manifest of a run that begins with this world. `looks`: of what the scene gives one, by name; of items that differ by
+    the name of each."""
     scale = 1.0 / setting.unit_mm
     return Manifest(
         antdsl=version,
@@ -239,9 +242,9 @@ def describe(
         ),
         bodies=definitions,
         meshes=(
-            *(_surface(setting, name) for name in setting.surfaces),
-            *(MeshEntry(name=name, kind="obstacle", moves=name in setting.moves.meshes) for name in setting.obstacles),
-            *(MeshEntry(name=name, kind="solid") for name in setting.solids),
+            *(_mesh(setting, name, "surface", looks) for name in setting.surfaces),
+            *(_mesh(setting, name, "obstacle", looks) for name in setting.obstacles),
+            *(_mesh(setting, name, "solid", looks) for name in setting.solids),
         ),
         fields=tuple(FieldEntry(name=name, cell=float(field.cells.cell) * scale) for name, field in world.fields.items()),
         items=tuple(
@@ -252,6 +255,7 @@ def describe(
                 radius=tuple(item.radius * scale for item in items),
                 attributes=tuple(world.items[name].amounts) if name in world.items else (),
                 moves=name in setting.moves.items,
+                looks=_looks(looks.get(name), [item.name for item in items]),
             )
             for name, items in setting.items.items()
         ),
@@ -259,10 +263,19 @@ def describe(
     )
 
 
-def _surface(setting: Setting, name: str) -> MeshEntry:
-    off = setting.deviations.get(name)
+def _mesh(
+    setting: Setting, name: str, kind: Literal["surface", "obstacle", "solid"], looks: Mapping[str, Look | Mapping[str, Look]]
+) -> MeshEntry:
+    off, look = setting.deviations.get(name), looks.get(name)
     deviation = None if off is None else off / setting.unit_mm
-    return MeshEntry(name=name, kind="surface", moves=name in setting.moves.meshes, deviation=deviation)
+    moves = name in setting.moves.meshes
+    return MeshEntry(name=name, kind=kind, moves=moves, deviation=deviation, look=look if isinstance(look, str) else None)
+
+
+def _looks(given: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[Look | None, ...]:
+    if not given:
+        return ()
+    return tuple(given if isinstance(given, str) else given.get(name) for name in names)
 
 
 def _species(

@@ -22,6 +22,7 @@ _BYTES = 16 * limits.MIB
 Word = Annotated[str, Field(max_length=500)]
 Way = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
 Triple = tuple[float, float, float]
+Look = Literal["metal", "soil", "leaf", "light", "none"]
 
 
 class Part(BaseModel):
@@ -90,11 +91,12 @@ class SpeciesEntry(Part):
 
 class MeshEntry(Part):
     """`moves`: each frame has its vertices. `deviation`: of a surface of heights, how far (scene units) its triangles lie from
-    the bilinear surface through its samples, at most."""
+    the bilinear surface through its samples, at most. `look`: what pictures draw it as; None goes by its name."""
 
     name: Word
     kind: Literal["surface", "obstacle", "solid"]
     moves: bool = False
+    look: Look | None = None
     deviation: float | None = None
 
 
@@ -107,7 +109,8 @@ class FieldEntry(Part):
 
 class ItemsEntry(Part):
     """Items of one name: their own names, and the attributes that each frame has an array for. Positions and radii in scene
-    units, at the first simulated frame; `moves`: each frame has its own."""
+    units, at the first simulated frame; `moves`: each frame has its own. `looks`: what pictures draw each as, empty where no
+    scene says."""
 
     name: Word
     names: tuple[Word, ...]
@@ -115,6 +118,7 @@ class ItemsEntry(Part):
     radius: tuple[float, ...]
     attributes: tuple[Word, ...]
     moves: bool = False
+    looks: tuple[Look | None, ...] = ()
 
 
 class CameraEntry(Part):
