@@ -41,6 +41,7 @@ def body(
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
+    from antdsl.bodies.agents.definition import Definition
     from antdsl.bodies.agents.reading import read_definition
     from antdsl.bodies.library.table import BODIES, library_body
     from antdsl.cli.arguments import grants
@@ -50,8 +51,10 @@ def body(
     from antdsl.scene.paths import Roots
 
     roots = Roots(file.resolve().parent, grants(root))
+    report = Report()
+    found: Definition | None
     if str(file) in BODIES and not file.exists():
-        found, report = library_body(str(file)), Report()
+        found = library_body(str(file))
     else:
         found, report = read_definition(file, roots, prim=prim, rate=rate)
     if as_json:

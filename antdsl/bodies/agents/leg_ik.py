@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import Floats, Numbers, composed, normalised
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.leg_chains import Chain, Joints, chain, standing_joints
-from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.agents.machine_clips import MachineClips, Played
 from antdsl.bodies.agents.poses import Poses
 
 STRAIGHT = 0.9995  # of both bones together: a leg is never quite straight, or its knee would have no side
@@ -109,16 +109,16 @@ class Legs:
         """The axes float32[L, 3], in the definition's space, about which knees bend that are straight in a pose."""
         return np.concatenate([self._straight_axis(each) for each in self._chains], axis=1).T
 
-    def kept(self, clips: Sequence[tuple[str, str]], machines: Sequence[MachineClips], count: int) -> Floats:
+    def kept(self, clips: Sequence[tuple[str, str] | Played], machines: Sequence[MachineClips], count: int) -> Floats:
         """How much the feet of `count` agents stand, float32[n] from 0 to 1: less as clips play that leave feet free, by the
         same layers and weights that their poses have."""
         stands = np.ones(count, np.float32)
-        free = np.array([name in self._free for name, _ in clips] + [False])
-        moves = np.array([not group or self._groups.get(group, False) for _, group in clips] + [False])
+        played = [Played(*each) for each in clips]
+        free = np.array([each.clip in self._free for each in played] + [False])
+        moves = np.array([not each.add and (not each.on or self._groups.get(each.on, False)) for each in played] + [False])
         for machine in machines:
-            fade = np.clip(machine.fade, 0, 1)
             weight, loose = np.zeros(count, np.float32), np.zeros(count, np.float32)
-            for clip, share in ((machine.before, machine.before_weight * fade), (machine.clip, machine.weight * (1 - fade))):
+            for clip, _, share in machine.slots():
                 row = np.where((clip >= 0) & (clip < len(clips)), clip, len(clips))
                 heeded = np.maximum(np.nan_to_num(share), 0) * moves[row]
                 weight += heeded

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
-from antdsl.outputs.cache.clip_arrays import clips_playing, playing
+from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.outputs.cache.clip_arrays import clips_playing, machine_clips, playing
 from antdsl.pipeline import Shot
 from antdsl.preview.timeline import Light
 from antdsl.preview.viewing.bodies import body_of_species
@@ -26,7 +26,8 @@ def acts(world: World, shot: Shot, population: Population, light: Light) -> Arra
     name = population.name
     definition = body_of_species(shot, name)
     told = clips_playing(population, population.in_id_order())
-    machines = {each: MachineClips(*(told[f"clips.{name}.{each}.{field}"] for field in FIELDS)) for each in playing(population)}
+    found = {each: machine_clips(name, each, told, len(population.ids)) for each in playing(population)}
+    machines = {each: plays for each, plays in found.items() if plays is not None}
     clips = [definition.clips.get(clip.name) for clip in population.plan.clips]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
     arrays: Arrays = {f"{name}/plays/{each}": packed(clip, loops) for each, clip in machines.items()}
