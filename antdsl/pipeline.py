@@ -43,7 +43,7 @@ class Choices:
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
     """A scene that is ready to be simulated. `inputs` has a hash for all that the result depends on, by name; `loaded` are the
-    texts that the program was made of. `bodies`: by species, those that come from files."""
+    texts that the program was made of. `bodies`: by species."""
 
     scene: Scene
     program: Program

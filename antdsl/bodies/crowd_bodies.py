@@ -14,12 +14,11 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.packed import digest
 from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
-from antdsl.bodies.library.table import library_body
+from antdsl.bodies.library.table import BODIES, library_body
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.plan.lowering.traversal import inside
 from antdsl.program.model import ClipTest, Expr, Machine, Play, Program, Species
-from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, RoomData
 from antdsl.source import Span
@@ -29,8 +28,8 @@ _SHOWN = 12  # names in a message
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """By species: `definitions` of those whose body is a file (one for all that name the same file) and the `rooms` that these
-    take; `clips` of all. `hashes`: of the content of each file, by its path in the scene."""
+    """By species: `definitions` (one for all that wear the same), `clips`, and the `rooms` of those whose body is a file.
+    `hashes`: of the content of each file, by its path in the scene."""
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
@@ -42,34 +41,22 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     """The bodies of a scene's crowd, from files and from the library, and what does not fit: at their places in the scene, with
     a label where the program asks for what is missing."""
     report = Report()
-    files: dict[str, Definition | None] = {}
-    named = _named(scene)
+    found: dict[str, Definition | None] = {}
     worn: dict[str, Definition] = {}
-    played = {
-        name for name, species in program.species.items() if any(True for machine in species.machines for _ in _plays(machine))
-    }
-    library = {name: library_body(text) for name, (text, _) in named.items() if text in BODY_WORDS and name in played}
+    named = _named(scene)
     for species, (text, place) in named.items():
-        if text in BODY_WORDS:
-            if species in library:
-                _check(program.species[species], library[species], text, place, report)
-            continue
-        if text not in files:
-            files[text], findings = definition_at(text, scene.roots, place)
+        if text not in found:
+            found[text], findings = (library_body(text), Report()) if text in BODIES else definition_at(text, scene.roots, place)
             report.extend(findings)
-        found = files[text]
-        if found is not None and species in program.species:
-            _check(program.species[species], found, text, place, report)
-            worn[species] = found
-    whole = {text: found for text, found in files.items() if found is not None}
+        body = found[text]
+        if body is not None and species in program.species:
+            _check(program.species[species], body, text, place, report)
+            worn[species] = body
     made = CrowdBodies(
         worn,
-        {
-            species: {name: clip_data(clip, body) for name, clip in body.clips.items()}
-            for species, body in (worn | library).items()
-        },
-        {species: room_of(body) for species, body in worn.items()},
-        {text: digest(body) for text, body in whole.items()},
+        {species: {name: clip_data(clip, body) for name, clip in body.clips.items()} for species, body in worn.items()},
+        {species: room_of(body) for species, body in worn.items() if named[species][0] not in BODIES},
+        {text: digest(body) for text, body in found.items() if body is not None and text not in BODIES},
     )
     return made, report
 

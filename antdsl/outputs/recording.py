@@ -22,6 +22,7 @@ from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash, step
 from antdsl.runtime.profiling import Meter
+from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.model import Camera, millimetres
 from antdsl.scene.setting import CameraData
 
@@ -155,7 +156,8 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
     maker = FrameMaker(world, shot.program, model.output.attributes, pieces)
-    kept = KeptBodies.of(shot.bodies, {line.species: line.body for line in model.crowd if line.body is not None})
+    files = {line.species: line.body for line in model.crowd if line.body is not None and line.body not in BODY_WORDS}
+    kept = KeptBodies.of({species: body for species, body in shot.bodies.items() if species in files}, files)
     manifest = describe(
         world,
         shot.setting,

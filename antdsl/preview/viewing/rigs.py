@@ -26,11 +26,7 @@ class Rigs:
 
     def packets(self, seen: Seen) -> Packets:
         for name, population in seen.world.populations.items():
-            definition = seen.shot.bodies.get(name)
-            if definition is None:
-                if self._given.pop(name, None) is not None:
-                    yield f"rig:{name}", pack(f"rig:{name}", {}, machines=[])
-                continue
+            definition = seen.shot.bodies[name]
             plays = tuple((clip.name, clip.on) for clip in population.plan.clips)
             made = definition, plays, tuple(playing(population))
             known = self._given.get(name)
@@ -44,7 +40,7 @@ def rig_packet(species: str, definition: Definition, plays: Plays, machines: tup
     body = PosedBody(definition, plays)
     table = clip_table(definition)
     arrays = _clips(table, definition, plays)
-    for level, each in (("low", body.coarse), ("fine", body)):
+    for level, each in (("low", body.coarse), ("fine", body.fine)):
         arrays |= {f"{level}/{name}": array for name, array in _mesh(each, table).items()}
     base = definition.base()[:3].astype(float)
     return pack(
