@@ -24,7 +24,7 @@ from antdsl.scene.values import (
     word_or_file,
 )
 
-BODY_WORDS = ("ant", "ant_queen", "ant_soldier", "person", "arrow", "ball")  # of the library of bodies
+BODY_WORDS = ("ant", "ant_queen", "ant_soldier", "roach", "spider", "hunter", "rabbit", "person", "arrow", "ball")  # of the library of bodies
 Body = Annotated[str, BeforeValidator(word_or_file(*BODY_WORDS))]
 Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
