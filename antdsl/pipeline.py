@@ -43,7 +43,7 @@ class Choices:
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
     """A scene that is ready to be simulated. `inputs` has a hash for all that the result depends on, by name; `loaded` are the
-    texts that the program was made of. `bodies`: by species."""
+    texts that the program was made of. `bodies`: by species, those that come from files."""
 
     scene: Scene
     program: Program
@@ -127,7 +127,7 @@ def open_scene(
     if not report.ok:
         return None, report
     setting = with_changed_params(setting, scene, program, choices.changes)
-    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms)
+    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs)
     inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}

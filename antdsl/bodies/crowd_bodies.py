@@ -5,22 +5,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
+from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
-from antdsl.bodies.library.table import BODIES, library_body
+from antdsl.bodies.library.table import library_body
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.limits import LAYERS_WORN
 from antdsl.plan.lowering.traversal import inside
-from antdsl.program.model import ClipTest, Expr, Machine, Play, Program, Species
+from antdsl.program.model import Channel, ClipTest, Expr, Look, Machine, Play, Program, Species, Wear
+from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.load import Scene
-from antdsl.scene.setting import ClipData, RoomData
+from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span
 
 _SHOWN = 12  # names in a message
@@ -28,37 +33,103 @@ _SHOWN = 12  # names in a message
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """By species: `definitions` (one for all that wear the same), `clips`, and the `rooms` of those whose body is a file.
-    `hashes`: of the content of each file, by its path in the scene."""
+    """By species: `definitions` of those whose body is a file (one for all that name the same file) and the `rooms` that these
+    take; `clips` of all; `legs` of those that have some, with gaits. `hashes`: of the content of each file, by its path in the
+    scene."""
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
+    legs: Mapping[str, LegsData] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
+
+
+class Walkers(Mapping[str, LegsData]):
+    """The legs of species whose body has some, with gaits; `bodies`: by species, a definition or the name of one of the library.
+    Worked out where they are asked for: most commands never do."""
+
+    def __init__(self, bodies: Mapping[str, Definition | str]) -> None:
+        self._bodies = bodies
+
+    @cached_property
+    def _legs(self) -> dict[str, LegsData]:
+        found = {name: library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
+        return {name: legs_of(body) for name, body in found.items() if body.legs and body.gaits}
+
+    def __getitem__(self, species: str) -> LegsData:
+        return self._legs[species]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._legs)
+
+    def __len__(self) -> int:
+        return len(self._legs)
 
 
 def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     """The bodies of a scene's crowd, from files and from the library, and what does not fit: at their places in the scene, with
     a label where the program asks for what is missing."""
     report = Report()
-    found: dict[str, Definition | None] = {}
-    worn: dict[str, Definition] = {}
+    files: dict[str, Definition | None] = {}
     named = _named(scene)
+    worn: dict[str, Definition] = {}
+    words = _library(scene, program)
+    shown = {line.species for line in scene.model.crowd if line.wear}
+    shown |= {n for n, s in program.species.items() if any(True for m in s.machines for _ in (*_plays(m), *_shows(m)))}
+    library = {name: library_body(text) for name, text in words.items() if name in shown}
     for species, (text, place) in named.items():
-        if text not in found:
-            found[text], findings = (library_body(text), Report()) if text in BODIES else definition_at(text, scene.roots, place)
+        if text in BODY_WORDS:
+            if species in library:
+                _check(program.species[species], library[species], text, place, report)
+            continue
+        if text not in files:
+            files[text], findings = definition_at(text, scene.roots, place)
             report.extend(findings)
-        body = found[text]
-        if body is not None and species in program.species:
-            _check(program.species[species], body, text, place, report)
-            worn[species] = body
+        found = files[text]
+        if found is not None and species in program.species:
+            _check(program.species[species], found, text, place, report)
+            worn[species] = found
+    _wears(scene, program, worn | library, report)
+    whole = {text: found for text, found in files.items() if found is not None}
     made = CrowdBodies(
         worn,
-        {species: {name: clip_data(clip, body) for name, clip in body.clips.items()} for species, body in worn.items()},
-        {species: room_of(body) for species, body in worn.items() if named[species][0] not in BODIES},
-        {text: digest(body) for text, body in found.items() if body is not None and text not in BODIES},
+        {
+            species: {name: clip_data(clip, body) for name, clip in body.clips.items()}
+            for species, body in (worn | library).items()
+        },
+        {species: room_of(body) for species, body in worn.items()},
+        Walkers({**worn, **words}),
+        {text: digest(body) for text, body in whole.items()},
     )
     return made, report
+
+
+def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
+    """Complains of layers that lines of the crowd wear and their body does not have, and of more than can be told apart."""
+    layers: dict[str, set[str]] = {}
+    for number, line in enumerate(scene.model.crowd):
+        if line.species not in program.species:
+            continue
+        shown = (each for machine in program.species[line.species].machines for each in _shows(machine))
+        named = layers.setdefault(line.species, {each.layer for each in shown if isinstance(each, Wear)})
+        dressed = tuple(dict.fromkeys(name for part in line.layers() for name in part if name))
+        named |= set(dressed)
+        body = worn.get(line.species)
+        place = scene.span("crowd", number, "wear")
+        if line.wear and body is None:
+            report.warning(
+                "missing-key", f"`{line.species}` wears layers, and has no `body` with any", place,
+                f"add `body: {line.species}.glb`, or another file of a body",
+            )  # fmt: skip
+        for name in dressed:
+            if body is not None and name not in body.layers:
+                near, known = nearest_name(name, list(body.layers)), ", ".join(f"`{each}`" for each in list(body.layers)[:_SHOWN])
+                has = f"it has {known}" if known else "it has no layers"
+                words = f"the body of `{line.species}` has no layer `{name}`"
+                report.error("unknown-name", words, place, f"did you mean `{near}`? {has}" if near else has)
+        if len(named) > LAYERS_WORN:
+            words = f"agents of `{line.species}` may wear {len(named)} layers, and {LAYERS_WORN} at most can be told apart"
+            report.error("too-large", words, place, "put shapes that are worn together into one layer")
 
 
 def clip_data(clip: Clip, body: Definition) -> ClipData:
@@ -77,6 +148,13 @@ def room_of(body: Definition) -> RoomData:
     width = max(float(high[2] - low[2]), 1e-3)
     middle = (low + high) / 2
     return RoomData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))
+
+
+def _library(scene: Scene, program: Program) -> dict[str, str]:
+    """The body of the library that each species has whose body is no file."""
+    named = _named(scene)
+    words = {name: named[name][0] if name in named else body_of(name) for name in program.species}
+    return {name: text for name, text in words.items() if text in BODY_WORDS}
 
 
 def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
@@ -105,7 +183,15 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
         lacks.setdefault(f"{what} `{name}`", (help, label))
 
     marks = [mark for clip in body.clips.values() for mark in clip.marks]
+    channels = spoken_names(each.name for each in body.rig.channels).values()
     for machine in species.machines:
+        for shown in _shows(machine):
+            if isinstance(shown, Wear):
+                want("layer", shown.layer, body.layers, Label(shown.span, "worn here"))
+            elif isinstance(shown, Channel):
+                want("channel", shown.channel, channels, Label(shown.span, "set here"))
+            else:
+                want("transform group", shown.group, body.groups, Label(shown.span, "turned here"))
         for line in _plays(machine):
             want("clip", line.clip, body.clips, Label(line.span, "played here"))
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
@@ -121,6 +207,12 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
 def _plays(machine: Machine) -> Iterator[Play]:
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, Play))
+
+
+def _shows(machine: Machine) -> Iterator[Wear | Channel | Look]:
+    """What states of a machine show beside clips."""
+    for state in machine.states:
+        yield from (line for line in state.body if isinstance(line, (Wear, Channel, Look)))
 
 
 def _tests(machine: Machine) -> Iterator[ClipTest]:

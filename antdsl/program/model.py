@@ -105,7 +105,38 @@ class Play:
     span: Span
 
 
-Statement = Steer | Face | Assign | Ask | Give | Play
+@value
+class Wear:
+    """Agents in the state show the geometry layer `layer` of their body beside its own, those for whom `when` holds (None:
+    all)."""
+
+    layer: str
+    when: Expr | None
+    span: Span
+
+
+@value
+class Channel:
+    """The channel of the body has this value for agents in the state, whatever clips say of it."""
+
+    channel: str
+    value: Expr
+    span: Span
+
+
+@value
+class Look:
+    """The joints of a transform group turn to a place, at most `within` (None: 60 deg) from straight ahead, a share of the way
+    as `over` (None: 0.2 s) says."""
+
+    group: str
+    at: Expr
+    within: Expr | None
+    over: Expr | None
+    span: Span
+
+
+Statement = Steer | Face | Assign | Ask | Give | Play | Wear | Channel | Look
 
 
 @value

@@ -18,6 +18,7 @@ from antdsl.runtime.binding.bind_world import unpeopled
 from antdsl.runtime.binding.placing import arrive, begin
 from antdsl.runtime.binding.reuse import Built, digest
 from antdsl.runtime.faults import FaultLog
+from antdsl.runtime.feet import walking
 from antdsl.runtime.lifecycle import forget_the_dead
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.moving.moving_geometry import pose
@@ -58,6 +59,8 @@ def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None =
         begin(world, arrive(world, _agents(old, world, migration)))
         for population in world.populations.values():
             forget_the_dead(world, population, between_steps=True)
+    walking.begin(world)
+    _feet(old, world)
     _counts(old, world)
     return world, migration
 
@@ -188,6 +191,18 @@ def _flows(old: World, world: World) -> None:
             flow.restore({key: array.copy() for key, array in before.items()})
 
 
+def _feet(old: World, world: World) -> None:
+    """Feet stay where they stand and swing on, if bodies have the same legs and stand on the same."""
+    if old.floor is None or world.floor is None or old.floor.names != world.floor.names:
+        return
+    if digest((old.floor.meshes, old.setting.moves)) != digest((world.floor.meshes, world.setting.moves)):
+        return
+    for name, feet in world.feet.items():
+        before = old.feet.get(name)
+        if before is not None and digest(old.setting.legs[name]) == digest(world.setting.legs[name]):
+            feet.take(before)
+
+
 def _counts(old: World, world: World) -> None:
     """What was counted and measured so far, and who watches."""
     world.transitions = dict(old.transitions)
@@ -195,5 +210,6 @@ def _counts(old: World, world: World) -> None:
     world.faults = FaultLog(old.faults.count, old.faults.refused_births, list(old.faults.reported))
     world.watchers = list(old.watchers)
     world.carved = None if old.carved is None else {}
+    world.emitted = None if old.emitted is None else []
     if world.detail is not None and old.detail is not None:
         world.detail.counts = old.detail.counts.copy()

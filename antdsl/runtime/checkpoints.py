@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing
+from antdsl.runtime.feet import walking
+from antdsl.runtime.feet.state import KEPT, Feet, from_arrays
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.moving.moving_geometry import pose, pose_ground
 from antdsl.runtime.world import Population, World
@@ -49,6 +51,8 @@ def state(world: World, *, history: bool) -> Arrays:
         found[f"field.{name}"] = field.values
     for name, flow in world.flows.items():
         found |= {f"flow.{name}.{key}": array for key, array in flow.state().items()}
+    for name, feet in world.feet.items():
+        found |= {f"feet.{name}.{key}": array for key, array in feet.arrays().items()}
     if history:
         names = sorted(world.transitions)
         found["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
@@ -79,6 +83,7 @@ def show(still: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         field.show(arrays[f"field.{name}"], {key: arrays[f"field.{name}.{key}"] for key in field.added})
     for name, flow in still.flows.items():
         flow.show({key: arrays[f"flow.{name}.{key}"] for key in flow.state()})
+    still.feet = {name: Feet(**{key: arrays[f"feet.{name}.{key}"] for key in KEPT}) for name in still.feet}
     pose_ground(still, still.frame)
 
 
@@ -132,6 +137,23 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     world.clearances.clear()
     world.touching = None
     pose(world, world.frame)
+    _restore_feet(world, arrays)
+
+
+def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Put feet where they were. A state of a run that did not work them out has none: there all stand anew."""
+    found = {}
+    for name, feet in world.feet.items():
+        prefix = f"feet.{name}."
+        kept = {key.removeprefix(prefix): array for key, array in arrays.items() if key.startswith(prefix)}
+        if not kept:
+            walking.begin(world)
+            return
+        try:
+            found[name] = from_arrays(kept, feet.legs, world.populations[name].sorted_ids()[0])
+        except ValueError as why:
+            raise CheckpointError(f"`feet.{name}`: {why}") from None
+    world.feet = found
 
 
 def _arrays(population: Population) -> Arrays:

@@ -15,6 +15,7 @@ from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
 from antdsl.runtime import claims, digging, faults, lifecycle
+from antdsl.runtime.feet import walking
 from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, walks
 from antdsl.runtime.world import PUSHED, Population, World, select_rows
 
@@ -182,7 +183,9 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("solids", partial(_settle, "solids")),  # before moving: who digs goes on into what it dug
     ("move", move),
     ("motion", measure),  # before the ground goes on: what it carries along is no step of theirs
+    ("strides", walking.measure),  # with it: feet step over the ground, and stand on it as it goes on
     ("carry", moving_geometry.carry),  # after walking: who has walked stands on ground that goes on from here
     ("births", bear),  # after moving: a child starts where its parent is now
+    ("feet", walking.walk),  # once all are there who are seen in the frame, and all that feet stand on is where it is
     ("commit", commit),
 )

@@ -22,6 +22,7 @@ def snapshot(world: World) -> World:
     found.solids = {name: deepcopy(volume) for name, volume in world.solids.items()}
     found.fields = {name: field.snapshot() for name, field in world.fields.items()}
     found.flows = {name: copy(flow) for name, flow in world.flows.items()}
+    found.feet = {name: feet.snapshot() for name, feet in world.feet.items()}
     found.grids, found.trees, found.clearances, found.touching = {}, {}, {}, None
     ground = moving(world)
     if ground is not None:

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from antdsl.fields.pheromone import PheromoneField
     from antdsl.ground.solid import Volume
     from antdsl.runtime.faults import FaultLog
+    from antdsl.runtime.feet.seeking import Floor
+    from antdsl.runtime.feet.state import Feet
+    from antdsl.runtime.feet.walking import Walkers
     from antdsl.runtime.lod import Detail
     from antdsl.runtime.motion_measures import Motion
     from antdsl.senses.neighbours import CellGrid
@@ -49,7 +52,7 @@ class Options:
 
     `shuffle_rows` puts the agents into rows in a random order; `chunk` is the number of rows worked on at once.
     `wait_for_code`: with the native backend, the first step waits for machine code, instead of running in NumPy until it is
-    there."""
+    there. `feet`: where bodies have legs and gaits, it is worked out where their feet are."""
 
     backend: Literal["numpy", "native", "reference"] = "native"
     chunk: int = 16_384
@@ -57,6 +60,7 @@ class Options:
     shuffle_rows: int | None = None
     on_fault: Literal["stop", "quarantine"] = "stop"
     wait_for_code: bool = False
+    feet: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -171,6 +175,18 @@ class Backend(Protocol):
         """Sentences for the user on what is otherwise than asked; none of it changes a result."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Emitted:
+    """Agents that emitted an event: whose species (by name) and id, which event of all that are heard (by name), where it stood
+    (k, 3) mm and the normal of its ground there."""
+
+    species: NDArray[np.int16]
+    id: NDArray[np.int64]
+    event: NDArray[np.int16]
+    place: NDArray[np.float64]
+    normal: NDArray[np.float32]
+
+
 @dataclass(slots=True, eq=False)
 class World:
     """A bound plan under way. `frame` is the number of the frame that stands, and within a step that of the frame it began from;
@@ -205,10 +221,14 @@ class World:
     touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: nobody has asked
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
+    emitted: list[Emitted] | None = None  # since the last hand-over; None: nobody asks
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
     detail: Detail | None = None
     crowded: list[Crowded] = field(default_factory=list)  # lines of the crowd that found no room for all
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
+    feet: dict[str, Feet] = field(default_factory=dict)  # by species; of whom it is worked out
+    walkers: dict[str, Walkers] = field(default_factory=dict)  # how they walk
+    floor: Floor | None = None  # what they walk on
     stepping: bool = False  # between the first and the last phase of a step
 
     @property

@@ -156,7 +156,8 @@ class WalkData:
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
     """`count` agents of one species; `group` is the number of this line of the scene, from 0. Those with a `walk` sense and
-    decide nothing. `body` names what they look like; empty: what suits the species' name."""
+    decide nothing. `body` names what they look like; empty: what suits the species' name. `wears`: for each part that they
+    show of their body, the layers of which each has one by chance, "" for none."""
 
     species: str
     count: int
@@ -164,6 +165,7 @@ class CrowdData:
     group: int = 0
     walk: WalkData | None = None
     body: str = ""
+    wears: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +188,30 @@ class RoomData:
     width: float
     height: float
     ahead: float
+
+
+@dataclass(frozen=True, slots=True)
+class GaitData:
+    """A gait in body lengths and seconds, as `bodies.agents.legs.Gait`: `phases` has one number for each leg."""
+
+    speed: float
+    stride: float
+    duty: float
+    lift: float
+    phases: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LegsData:
+    """The L legs of a body as it stands, in its lengths: x along the heading, y up from the ground, z to the side (x × y).
+
+    `foot` float64[L,3]: the foot joints; `hip` float64[L,3]: where legs begin; `length` float64[L]: how far a leg reaches from
+    hip to foot joint when it is straight. `gaits` go from slow to fast; there is at least one."""
+
+    foot: NDArray[np.float64]
+    hip: NDArray[np.float64]
+    length: NDArray[np.float64]
+    gaits: tuple[GaitData, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,7 +253,7 @@ class Setting:
     `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
     ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
     the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
-    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up."""
+    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up; `legs`: what those that have gaits stand on."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -254,6 +280,7 @@ class Setting:
     deviations: Mapping[str, float] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
+    legs: Mapping[str, LegsData] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:

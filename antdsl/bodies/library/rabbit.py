@@ -42,7 +42,7 @@ CHAINS = tuple(Chain(leg.upper, leg.lower, f"wrist_{leg.name}", leg.foot) for le
 # Both hind legs push together; the forelegs come down one after the other before them.
 GAITS = (
     Gait("hop", 1.0, 0.62, 0.55, 0.05, (0.42, 0.36, 0.0, 0.0)),
-    Gait("bound", 5.5, 1.80, 0.20, 0.12, (0.48, 0.38, 0.0, 0.03)),
+    Gait("bound", 5.5, 1.80, 0.20, 0.07, (0.48, 0.38, 0.0, 0.03)),
 )
 MATERIALS = {
     "belly": (0.60, 0.53, 0.44), "dark": (0.018, 0.012, 0.010), "inner": (0.48, 0.25, 0.20), "tail": (0.75, 0.72, 0.68),
@@ -190,7 +190,7 @@ def _hopping(name: str, number: int, bend: float, rise: float) -> Callable[[Rig]
         m.turn("chest", Z, bend * 0.3 * arch)
         m.turn("head", Z, -bend * 0.5 * arch)
         _ears(m, 14.0 if number == 0 else 46.0, 0.0)
-        steps(m, gait, CHAINS, 40.0)
+        steps(m, gait, CHAINS, 20.0)
         return m.clip(name, stride=gait.stride, marks={"push": 0.0, "land": 0.6})
 
     return hopping

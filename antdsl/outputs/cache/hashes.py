@@ -21,21 +21,23 @@ _BYTES = 400 * limits.FRAMES
 class Line:
     """`hash`: of the state; `file`: of the frame's number, that hash and the bytes of its file, so that neither a damaged file
     nor a damaged line passes; `checkpoint`: the same of its checkpoint. Empty in a cache from before that was written, or where
-    there is no checkpoint."""
+    there is no checkpoint. `feet`: of the state of all feet, empty where none are worked out."""
 
     hash: str
     file: str
     checkpoint: str = ""
+    feet: str = ""
 
     def text(self, frame: int) -> bytes:
         """The line for a frame."""
         words = {"frame": frame, "hash": self.hash, "file": self.file}
-        return json.dumps(words | ({"checkpoint": self.checkpoint} if self.checkpoint else {})).encode() + b"\n"
+        more = {"checkpoint": self.checkpoint, "feet": self.feet}
+        return json.dumps(words | {name: text for name, text in more.items() if text}).encode() + b"\n"
 
 
-def line_of(frame: int, state: str, data: bytes) -> Line:
-    """The line for a frame with the state of a hash, whose file has these bytes."""
-    return Line(state, _hashed(_of_frame(frame, state), data))
+def line_of(frame: int, state: str, data: bytes, feet: str = "") -> Line:
+    """The line for a frame with the state of a hash, whose file has these bytes, and with a hash of its feet."""
+    return Line(state, _hashed(_of_frame(frame, state), data), feet=feet)
 
 
 def with_checkpoint(frame: int, line: Line, data: bytes) -> Line:
@@ -60,11 +62,12 @@ def read_lines(path: Path) -> dict[int, Line]:
         try:
             entry = json.loads(line)
             frame, state, file, point = entry["frame"], entry["hash"], entry.get("file", ""), entry.get("checkpoint", "")
+            feet = entry.get("feet", "")
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             break
-        if not isinstance(frame, int) or not all(isinstance(word, str) for word in (state, file, point)):
+        if not isinstance(frame, int) or not all(isinstance(word, str) for word in (state, file, point, feet)):
             break
-        found[frame] = Line(state, file, point)
+        found[frame] = Line(state, file, point, feet)
     return found
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from antdsl.plan.ir import Plan
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.timeline import Light
+from antdsl.preview.viewing.bodies import body_of_species
 from antdsl.preview.viewing.feelers import felt
 from antdsl.preview.viewing.plays import plays
 from antdsl.preview.viewing.seen import Packets, Seen, Wanted
@@ -64,11 +65,11 @@ def _now(population: Population, factors: Mapping[tuple[str, str], float]) -> Ar
 
 
 def _plays(population: Population, seen: Seen) -> Mapping[str, NDArray[Any]]:
-    """What those play who have a body to play it."""
-    body = seen.shot.bodies.get(population.name)
-    if body is None:
+    """What agents play."""
+    if not population.plan.clips:
         return {}
-    loops = [body.clips[clip.name].loop if clip.name in body.clips else False for clip in population.plan.clips]
+    clips = body_of_species(seen.shot, population.name).clips
+    loops = [clips[clip.name].loop if clip.name in clips else False for clip in population.plan.clips]
     return plays(population, population.in_id_order(), loops)
 
 

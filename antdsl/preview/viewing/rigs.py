@@ -1,7 +1,8 @@
-"""Bodies that agent definitions give: skinned meshes with the samples of the clips that are played, for the page to pose."""
+"""The bodies of species: skinned meshes with the samples of the clips that are played, for the page to pose."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.clip_arrays import playing
 from antdsl.preview.binary_packets import pack
+from antdsl.preview.viewing.bodies import body_of_species
 from antdsl.preview.viewing.seen import Packets, Seen
 
 Arrays = dict[str, NDArray[Any]]
@@ -26,27 +28,33 @@ class Rigs:
 
     def packets(self, seen: Seen) -> Packets:
         for name, population in seen.world.populations.items():
-            definition = seen.shot.bodies[name]
             plays = tuple((clip.name, clip.on) for clip in population.plan.clips)
-            made = definition, plays, tuple(playing(population))
+            made = body_of_species(seen.shot, name), plays, tuple(playing(population))
             known = self._given.get(name)
-            if known is None or known[0] is not definition or known[1:] != made[1:]:
+            if known is None or known[0] is not made[0] or known[1:] != made[1:]:
                 self._given[name] = made
                 yield f"rig:{name}", rig_packet(name, *made)
 
 
 def rig_packet(species: str, definition: Definition, plays: Plays, machines: tuple[str, ...]) -> bytes:
-    """The packet of a species: its clips, and its mesh as crowds and as those who are near have it."""
-    body = PosedBody(definition, plays)
-    table = clip_table(definition)
-    arrays = _clips(table, definition, plays)
+    """The packet of a species: its clips, and its mesh as crowds and as those who are near have it. `idle`: the number of the
+    clip that lies below all others and the seconds that it takes; none where there is no such clip."""
+    arrays, header = _rig(definition, plays)
+    return pack(f"rig:{species}", arrays, machines=list(machines), **header)
+
+
+@lru_cache(maxsize=8)
+def _rig(definition: Definition, plays: Plays) -> tuple[Arrays, dict[str, Any]]:
+    body, table = PosedBody(definition, plays), clip_table(definition)
+    idle = definition.clips.get(definition.idle)
+    arrays = _clips(table, definition, plays if idle is None else (*plays, (definition.idle, "")))
     for level, each in (("low", body.coarse), ("fine", body.fine)):
         arrays |= {f"{level}/{name}": array for name, array in _mesh(each, table).items()}
-    base = definition.base()[:3].astype(float)
-    return pack(
-        f"rig:{species}", arrays, machines=list(machines), joints=len(table.order), texels=_texels(table),
-        base=[round(float(x), 9) for x in base.reshape(-1)],
-    )  # fmt: skip
+    return arrays, {
+        "joints": len(table.order), "texels": _texels(table), "length": float(definition.length),
+        "base": [round(float(x), 9) for x in definition.base()[:3].reshape(-1)], "bending": {},
+        "idle": [] if idle is None or idle.duration <= 0 else [len(plays), idle.duration],
+    }  # fmt: skip
 
 
 def _texels(table: ClipTable) -> int:
@@ -106,5 +114,6 @@ def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
         "bone": mesh.bones.astype(np.uint16),
         "weight": mesh.weights,
         "joint": place[mesh.joint].astype(np.int32),
+        "part": np.zeros(len(mesh.joint), np.int32),
         "inverse": mesh.inverse,
     }

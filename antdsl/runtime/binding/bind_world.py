@@ -26,6 +26,7 @@ from antdsl.runtime.backends.numpy_backend import uniform_values
 from antdsl.runtime.binding.placing import populate
 from antdsl.runtime.binding.reuse import Built
 from antdsl.runtime.faults import FaultLog
+from antdsl.runtime.feet import walking
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.moving.moving_geometry import curve
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
@@ -51,6 +52,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, bui
     world = unpeopled(plan, setting, options, built=built)
     with np.errstate(all="ignore"):
         populate(world)
+    walking.begin(world)
     return world
 
 

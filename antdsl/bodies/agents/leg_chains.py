@@ -1,0 +1,73 @@
+"""The chains of joints that legs are: which joints move with each bone, and where hip and foot are as a body stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.clip_table import REST, clip_table
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.legs import Leg
+from antdsl.bodies.agents.poses import sampled, transforms
+from antdsl.bodies.agents.rig import Rig
+from antdsl.scene.setting import GaitData, LegsData
+
+Joints = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """A leg by numbers of joints: `upper`, `lower`, `foot`; `thigh`: what hangs below `upper` and not below `lower`, with
+    `upper`; `shank`: the same of `lower` and `foot`; `sole`: `foot` and all below it."""
+
+    upper: int
+    lower: int
+    foot: int
+    thigh: Joints
+    shank: Joints
+    sole: Joints
+
+
+def chain(rig: Rig, leg: Leg) -> Chain:
+    """The chain of a leg. Raises KeyError for a joint that the rig does not have."""
+    upper, lower, foot = rig.joint(leg.upper), rig.joint(leg.lower), rig.joint(leg.foot)
+    below = [_below(rig, joint) for joint in (upper, lower, foot)]
+    thigh, shank = (np.flatnonzero(a & ~b) for a, b in zip(below[:2], below[1:], strict=True))
+    return Chain(upper, lower, foot, thigh, shank, np.flatnonzero(below[2]))
+
+
+def _below(rig: Rig, joint: int) -> NDArray[np.bool_]:
+    found = np.zeros(len(rig.names), np.bool_)
+    found[joint] = True
+    for number in range(joint + 1, len(found)):
+        found[number] = rig.parents[number] >= 0 and found[rig.parents[number]]
+    return found
+
+
+def standing_joints(body: Definition) -> NDArray[np.float64]:
+    """Where joints are as the body stands, float64[J, 3] in body lengths along the axes of agents: in the first sample of its
+    idle clip, or in the rest pose."""
+    table = clip_table(body)
+    number = table.number(body.idle) if body.idle in body.clips else REST
+    world = transforms(table, sampled(table, np.array([number]), np.zeros(1)))[1]
+    places = np.empty((len(table.order), 3))
+    places[table.order] = world[:, 3, :, 0].T
+    base = body.base()
+    return np.stack([(base[k, 0] * places[:, 0] + base[k, 1] * places[:, 1]) + base[k, 2] * places[:, 2] for k in range(3)], 1)
+
+
+def legs_of(body: Definition) -> LegsData:
+    """The legs of a body that has some, in its lengths."""
+    places = standing_joints(body)
+    chains = [chain(body.rig, leg) for leg in body.legs]
+    hip, knee, foot = (places[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "foot"))
+    length = _lengths(knee - hip) + _lengths(foot - knee)
+    per = 1.0 / body.length
+    gaits = tuple(GaitData(g.speed * per, g.stride * per, g.duty, g.lift * per, g.phases) for g in body.gaits)
+    return LegsData(foot, hip, np.maximum(length, 1e-6), gaits)
+
+
+def _lengths(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt((v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) + v[:, 2] * v[:, 2]))

@@ -1,0 +1,250 @@
+"""Legs bent so that feet are where they stand: two-bone inverse kinematics of many agents, one leg after the other.
+
+The knee is opened or closed by the law of cosines in the plane that it has in the pose; then the whole leg is turned about the hip
+by the shortest way to the goal. So the knee stays on its side. Joints between keep what they have; the foot and all below it keeps
+its turn, so that its angle to the ground is the clip's. A goal that is out of reach is gone towards."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.affine import Floats, Numbers, composed, normalised
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.leg_chains import Chain, Joints, chain, standing_joints
+from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.agents.poses import Poses
+
+STRAIGHT = 0.9995  # of both bones together: a leg is never quite straight, or its knee would have no side
+_FOLDED = 1.02  # times the difference of both bones
+_SUNK = 0.25  # of a leg: how far a trunk comes down in a pose so that feet that stand are in reach
+_PLANE = 1e-3  # of both bones' product: a knee whose sine is less says nothing of its plane
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeetOfBodies:
+    """The feet of n agents beside their bodies, in body lengths along ahead, up and aside: `place` float32[n, L, 3], the ground
+    below each foot, or where it swings; `down` bool[n, L]; `rise` float32[n] and `tilt` float32[n, 4] (x y z w): how much higher
+    than it rests and turned from how it rests the trunk is."""
+
+    place: Floats
+    down: NDArray[np.bool_]
+    rise: Floats
+    tilt: Floats
+
+    def less(self, stands: Floats) -> FeetOfBodies:
+        """The same with trunks moved as much as `stands` [n] says, from 0 to 1."""
+        tilt = self.tilt * stands[:, None]
+        tilt[:, 3] += 1 - stands
+        return replace(self, rise=self.rise * stands, tilt=tilt)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedFeet:
+    """The feet of n agents in a frame, as caches have them, scene units: `P` float32[n, L, 3], `down` uint8[n, L], `phase` and
+    `rise` float32[n], `tilt` float32[n, 4]."""
+
+    P: Floats
+    down: NDArray[np.uint8]
+    phase: Floats
+    rise: Floats
+    tilt: Floats
+
+    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> PlacedFeet:
+        """The same of some agents."""
+        return PlacedFeet(self.P[chosen], self.down[chosen], self.phase[chosen], self.rise[chosen], self.tilt[chosen])
+
+    def beside(self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]) -> FeetOfBodies:
+        """Beside bodies that stand at `position` [n, 3], turned by `orient` [n, 4], `scale` [n] long. Numbers that are not finite
+        count as 0."""
+        with np.errstate(all="ignore"):
+            away = np.asarray(self.P, np.float64) - np.asarray(position, np.float64)[:, None]
+            across = _rotation(orient)
+            size = np.where(np.asarray(scale) > 0, scale, 1.0).astype(np.float64)
+            x, y, z = (away[..., k] for k in range(3))
+            place = [(x * m[0, :, None] + y * m[1, :, None]) + z * m[2, :, None] for m in np.moveaxis(across, 1, 0)]
+            local = np.stack(place, -1) / size[:, None, None]
+            return FeetOfBodies(
+                np.nan_to_num(local, posinf=0, neginf=0).astype(np.float32), self.down != 0,
+                np.nan_to_num(self.rise / size, posinf=0, neginf=0).astype(np.float32), np.nan_to_num(self.tilt),
+            )  # fmt: skip
+
+
+class Legs:
+    """The legs of a definition, ready to be bent."""
+
+    def __init__(self, body: Definition) -> None:
+        self._chains = [chain(body.rig, leg) for leg in body.legs]
+        standing = standing_joints(body)
+        self.soles = standing[[each.foot for each in self._chains], 1].astype(np.float32).reshape(-1)
+        base = body.base()[:3, :3] * body.length
+        self._base, self._length = base.astype(np.float32), np.float32(body.length)
+        self._up = base[1].astype(np.float32)
+        self._rest = (standing @ base * body.length).T.astype(np.float32)  # (3, J), axes of the definition
+        self._front = base[0].astype(np.float32)
+        legs = np.zeros(len(body.rig.names), np.bool_)
+        for each in self._chains:
+            legs[each.thigh] = legs[each.shank] = legs[each.sole] = True
+        self._groups = {
+            name: any(legs[body.rig.joint(joint)] and weight > 0 for joint, weight in group.members if joint in body.rig.names)
+            for name, group in body.groups.items()
+        }
+        self._free = {name for name, clip in body.clips.items() if not clip.feet}
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self._chains)
+
+    def kept(self, clips: Sequence[tuple[str, str]], machines: Sequence[MachineClips], count: int) -> Floats:
+        """How much the feet of `count` agents stand, float32[n] from 0 to 1: less as clips play that leave feet free, by the
+        same layers and weights that their poses have."""
+        stands = np.ones(count, np.float32)
+        free = np.array([name in self._free for name, _ in clips] + [False])
+        moves = np.array([not group or self._groups.get(group, False) for _, group in clips] + [False])
+        for machine in machines:
+            fade = np.clip(machine.fade, 0, 1)
+            weight, loose = np.zeros(count, np.float32), np.zeros(count, np.float32)
+            for clip, share in ((machine.before, machine.before_weight * fade), (machine.clip, machine.weight * (1 - fade))):
+                row = np.where((clip >= 0) & (clip < len(clips)), clip, len(clips))
+                heeded = np.maximum(np.nan_to_num(share), 0) * moves[row]
+                weight += heeded
+                loose += heeded * free[row]
+            over = np.minimum(weight, 1)
+            stands = stands * (1 - over) + over * (1 - loose / np.where(weight > 0, weight, np.float32(1)))
+        return stands.astype(np.float32)
+
+    def bent(self, poses: Poses, feet: FeetOfBodies, stands: Floats) -> Poses:
+        """Poses whose feet are where they are to be, as much as `stands` [n] says, on trunks that are moved by `rise` and `tilt`;
+        `local` is None."""
+        world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
+        goals = self._goals(feet)
+        self._sink(world, goals, feet.down, stands)
+        for each, goal in zip(self._chains, goals, strict=True):
+            self._bend(world, each, goal, stands)
+        self._with_trunk(world, feet)
+        return replace(poses, world=world.transpose(3, 2, 0, 1), local=None)
+
+    def _goals(self, feet: FeetOfBodies) -> list[Floats]:
+        """Where each foot joint is to be, float32[3, n], in the definition's space before the trunk is moved."""
+        turn = _rotation(feet.tilt).astype(np.float32)
+        found = []
+        for k in range(len(self._chains)):
+            x, y, z = feet.place[:, k, 0], feet.place[:, k, 1] + self.soles[k] - feet.rise, feet.place[:, k, 2]
+            q = [(turn[0, r] * x + turn[1, r] * y) + turn[2, r] * z for r in range(3)]
+            b = self._base * self._length
+            found.append(np.stack([(b[0, r] * q[0] + b[1, r] * q[1]) + b[2, r] * q[2] for r in range(3)]))
+        return found
+
+    def _sink(self, world: Floats, goals: list[Floats], down: NDArray[np.bool_], stands: Floats) -> None:
+        """Brings bodies down as far as feet that stand ask for: a clip may have a trunk higher than the stance that feet take."""
+        most = np.zeros(len(stands), np.float32)
+        for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
+            hip, knee, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.foot))
+            length = (_length(knee - hip) + _length(foot - knee)) * np.float32(STRAIGHT)
+            way = goal - hip
+            high = _dot(way, self._up[:, None])
+            level = np.maximum(length * length - np.maximum(_dot(way, way) - high * high, 0), 0)
+            short = np.clip(-np.sqrt(level) - high, 0, np.float32(_SUNK) * length)
+            most = np.maximum(most, np.where(down[:, k], short, 0))
+        world[:, 3] -= self._up[:, None, None] * (most * stands)
+
+    def _bend(self, world: Floats, leg: Chain, goal: Floats, stands: Floats) -> None:
+        hip, knee, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.foot))
+        sole = world[:, :, leg.sole].copy()
+        goal = foot + (goal - foot) * stands
+        thigh, shank = hip - knee, foot - knee
+        a, b = _length(thigh), _length(shank)
+        tiny = np.float32(1e-6) * self._length
+        a, b = np.maximum(a, tiny), np.maximum(b, tiny)
+        way = goal - hip
+        far = np.clip(_length(way), np.abs(a - b) * np.float32(_FOLDED), (a + b) * np.float32(STRAIGHT))
+        old = np.clip(_dot(thigh, shank) / (a * b), -1, 1)
+        new = np.clip((a * a + b * b - far * far) / (2 * a * b), -1, 1)
+        old_sine, new_sine = np.sqrt(1 - old * old), np.sqrt(1 - new * new)
+        axis = self._knee_axis(world, leg, thigh, shank, a * b)
+        turn = _about(axis, new * old + new_sine * old_sine, new_sine * old - new * old_sine)
+        _turn(world, np.concatenate([leg.shank, leg.sole]), turn, knee)
+        reached = world[:, 3, leg.foot] - hip
+        turn = _onto(_unit(reached), _unit(way))
+        _turn(world, np.concatenate([leg.thigh, leg.shank, leg.sole]), turn, hip)
+        moved = world[:, 3, leg.foot] - foot
+        world[:, :, leg.sole] = sole
+        world[:, 3, leg.sole] += moved[:, None, :]
+
+    def _knee_axis(self, world: Floats, leg: Chain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
+        """The unit axis [3, n] about which the knee opens; that of the standing pose where a leg is straight."""
+        axis = _cross(thigh, shank)
+        hip, knee, foot = (self._rest[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
+        rest = _cross(hip - knee, foot - knee)
+        if _length(rest)[0] <= _PLANE * _length(hip - knee)[0] * _length(foot - knee)[0]:
+            rest = _cross(self._front[:, None], hip - foot)  # a knee that bends to the front
+        straight = _length(axis) <= np.float32(_PLANE) * size
+        axis = np.where(straight, rest - thigh * (_dot(rest, thigh) / _dot(thigh, thigh)), axis)
+        return _unit(axis)
+
+    def _with_trunk(self, world: Floats, feet: FeetOfBodies) -> None:
+        """Moves all joints as `rise` and `tilt` say, in place."""
+        base = self._base
+        own = np.einsum("ar,abn,bs->rsn", base, _rotation(feet.tilt), base).astype(np.float32)
+        _turn(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.rise)), np.float32))
+        world[:, 3] += base[1][:, None, None] * (feet.rise * self._length)
+
+
+def _rotation(quaternions: NDArray[np.floating]) -> Numbers:
+    """Matrices float64[3, 3, n] of quaternions [n, 4]; one that is nothing turns nothing."""
+    q = normalised(np.array(np.asarray(quaternions, np.float64).T, order="C"))
+    return composed(np.zeros((3, q.shape[1])), q, None, None, np.empty((3, 4, q.shape[1])))[:, :3]
+
+
+def _turn(world: Floats, joints: Joints, turn: Floats, about: Floats) -> None:
+    """Turns joints by matrices [3, 3, n] about points [3, n], in place."""
+    old = world[:, :, joints]
+    old[:, 3] -= about[:, None]
+    for r in range(3):
+        new = (turn[r, 0] * old[0] + turn[r, 1] * old[1]) + turn[r, 2] * old[2]
+        new[3] += about[r]
+        world[r][:, joints] = new
+
+
+def _about(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
+    """Matrices [3, 3, n] of turns about unit axes [3, n] (Rodrigues)."""
+    x, y, z = axis
+    left = 1 - cosine
+    return np.stack([
+        np.stack([cosine + x * x * left, x * y * left - z * sine, x * z * left + y * sine]),
+        np.stack([x * y * left + z * sine, cosine + y * y * left, y * z * left - x * sine]),
+        np.stack([x * z * left - y * sine, y * z * left + x * sine, cosine + z * z * left]),
+    ])  # fmt: skip
+
+
+def _onto(a: Floats, b: Floats) -> Floats:
+    """Matrices [3, 3, n] that turn unit vectors a to b by the shortest way."""
+    axis, cosine = _cross(a, b), _dot(a, b)
+    x, y, z = axis
+    by = 1 / np.maximum(1 + cosine, np.float32(1e-6))
+    return np.stack([
+        np.stack([cosine + x * x * by, x * y * by - z, x * z * by + y]),
+        np.stack([x * y * by + z, cosine + y * y * by, y * z * by - x]),
+        np.stack([x * z * by - y, y * z * by + x, cosine + z * z * by]),
+    ])  # fmt: skip
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    found: Floats = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+    return found
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _length(v: Floats) -> Floats:
+    return np.asarray(np.sqrt(_dot(v, v)))
+
+
+def _unit(v: Floats) -> Floats:
+    return np.asarray(v / np.maximum(_length(v), np.float32(1e-12)))

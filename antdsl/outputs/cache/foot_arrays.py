@@ -1,0 +1,44 @@
+"""Feet in the frames of a cache: `feet.SPECIES.FIELD`, one row an agent of the species, by id.
+
+`P` float32[n, L, 3], scene units: where each foot stands or swings, in the order of the body's legs; `down` uint8[n, L]: which
+stand; `phase` float32[n]: of the gait; `rise` float32[n] (scene units) and `tilt` float32[n, 4] (x y z w): how much higher than it
+rests and turned from `orient` the trunk is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.leg_ik import PlacedFeet
+from antdsl.runtime.feet.trunk import quaternions
+from antdsl.runtime.world import World
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[Any]]:
+    """The arrays of a species whose feet are worked out; none for others. `scale`: scene units in a millimetre."""
+    feet = world.feet.get(species)
+    if feet is None:
+        return {}
+    place = (feet.shown.transpose(1, 2, 0) + world.origin) * scale
+    values = {
+        "P": place.astype(np.float32),
+        "down": feet.down.astype(np.uint8),
+        "phase": feet.phase,
+        "rise": feet.rise * np.float32(scale),
+        "tilt": quaternions(feet.slope),
+    }
+    return {f"feet.{species}.{name}": array for name, array in values.items()}
+
+
+def feet_of(species: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
+    """The feet of a species in a frame with `count` agents of it that have so many legs; None where the frame does not say."""
+    shapes = {"P": (count, legs, 3), "down": (count, legs), "phase": (count,), "rise": (count,), "tilt": (count, 4)}
+    found = {name: arrays.get(f"feet.{species}.{name}") for name in shapes}
+    if not legs or any(array is None or array.shape != shapes[name] for name, array in found.items()):
+        return None
+    return PlacedFeet(**{name: np.asarray(array, np.uint8 if name == "down" else np.float32) for name, array in found.items()})

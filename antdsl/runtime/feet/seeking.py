@@ -1,0 +1,250 @@
+"""Ground for feet: what a leg can reach of surfaces, obstacles, solids and the plane, and on which side it is.
+
+A foot seeks along the straight way from its hip to where it wants to stand, so that no leg passes through a sheet. Where that
+leads far from the place (an edge, a wall, a step), it looks from above the place along the body's up, as far as the hip sees that
+point, and last for the nearest place. What it finds is in sight of the hip and no farther than the leg is long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.rays import RayScene
+from antdsl.ground.plane import Plane
+from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.numerics import vectors as vec
+from antdsl.runtime.feet.gaits import SINK
+from antdsl.runtime.feet.state import NOTHING, PLANE
+from antdsl.runtime.moving.moving_geometry import vertices_at
+from antdsl.runtime.world import World
+
+Places = NDArray[np.float64]  # (3, k)
+Rows = NDArray[np.intp]
+
+_NEAR = 0.3  # of a leg: a hit so near to the wanted place is taken
+_BEYOND = 1.6  # times the way to the wanted place: how far the first ray goes
+_SHY = 1e-6  # of a way: how much shorter it is when it is asked whether something is on it
+
+
+@dataclass(slots=True, eq=False)
+class Found:
+    """Where k rays met something: `place` float64[3, k], `part` of the way (inf: nothing), `on`, `face` and `weight` as in
+    `Feet`."""
+
+    part: NDArray[np.float64]
+    place: Places
+    on: NDArray[np.int16]
+    face: NDArray[np.int32]
+    weight: NDArray[np.float64]
+
+    @staticmethod
+    def none(count: int) -> Found:
+        """Nothing met."""
+        return Found(
+            np.full(count, np.inf), np.zeros((3, count)), np.full(count, NOTHING, np.int16), np.zeros(count, np.int32),
+            np.zeros((2, count)),
+        )  # fmt: skip
+
+    def put(self, rows: Rows | NDArray[np.bool_], other: Found) -> None:
+        """Put other hits into rows."""
+        self.part[rows], self.on[rows], self.face[rows] = other.part, other.on, other.face
+        self.place[:, rows], self.weight[:, rows] = other.place, other.weight
+
+    def take(self, rows: Rows | NDArray[np.bool_]) -> Found:
+        """The hits of some rows."""
+        return Found(self.part[rows], self.place[:, rows], self.on[rows], self.face[rows], self.weight[:, rows])
+
+
+class Floor:
+    """All that feet can stand on, by numbers: surfaces, obstacles and solids that are to be seen, in the setting's order."""
+
+    def __init__(self, world: World) -> None:
+        setting = world.setting
+        self.meshes = {**setting.surfaces, **setting.obstacles}
+        self.names = (*self.meshes, *world.solids)
+        self.moving = [k for k, name in enumerate(self.names) if name in setting.moves.meshes]
+        self._still = {
+            k: _box(self.meshes[name].vertices - world.origin)
+            for k, name in enumerate(self.names)
+            if name in self.meshes and k not in self.moving and len(self.meshes[name].vertices)
+        }
+
+    def cast(self, world: World, origin: Places, way: Places) -> Found:
+        """What the straight ways from `origin` by `way` meet first."""
+        found = Found.none(origin.shape[1])
+        if isinstance(world.ground, Plane):
+            _on_plane(world, origin, way, found)
+        low, high = np.minimum(origin, origin + way), np.maximum(origin, origin + way)
+        for k, name in enumerate(self.names):
+            seen = world.obstacles.get(name)
+            box = self._box_of(world, k, seen)
+            if box is None:
+                continue
+            near = np.flatnonzero(((low <= box[1][:, None]) & (high >= box[0][:, None])).all(axis=0))
+            if not near.size:
+                continue
+            if isinstance(seen, RayScene):
+                self._on_mesh(world, k, seen, near, origin, way, found)
+            elif isinstance(seen, SolidFeelers):
+                _on_solid(k, seen, near, origin, way, found)
+        return found
+
+    def nearest(self, world: World, points: Places, reach: NDArray[np.float64]) -> Found:
+        """The places nearest to points, of those within `reach` (mm, [k])."""
+        found = Found.none(points.shape[1])
+        least = reach.copy()
+        for k, name in enumerate(self.names):
+            seen = world.obstacles.get(name)
+            box = self._box_of(world, k, seen)
+            if box is None:
+                continue
+            near = np.flatnonzero(((points - reach <= box[1][:, None]) & (points + reach >= box[0][:, None])).all(axis=0))
+            if not near.size:
+                continue
+            if isinstance(seen, RayScene):
+                _, face, place, distance = seen.closest(points[:, near].T, world.options.threads, least[near])
+            else:
+                assert isinstance(seen, SolidFeelers)
+                slope = seen.volume.gradient(points[:, near].T).astype(np.float64)
+                landed = seen.volume.project(points[:, near].T, _unit_rows(slope), float(reach.max()))
+                place, face = landed.points, np.zeros(near.size, np.int32)
+                distance = np.where(landed.found, vec.length(tuple((landed.points - points[:, near].T).T)), np.inf)  # type: ignore[arg-type]
+            nearer = distance < least[near]
+            rows = near[nearer]
+            least[rows] = distance[nearer]
+            found.put(rows, self._hits(world, k, distance[nearer], place[nearer].T, face[nearer]))
+        return found
+
+    def carried(self, world: World, on: NDArray[np.int16], face: NDArray[np.int32], weight: Places, place: Places) -> None:
+        """Put places, [3, …], on what moves where that is now."""
+        for k in self.moving:
+            rows = on == k
+            if rows.any():
+                vertices = vertices_at(world, self.names[k], world.shown)
+                a, b, c = (vertices[self.meshes[self.names[k]].faces[face[rows], corner]].T for corner in range(3))
+                place[:, rows] = a + weight[0][rows] * (b - a) + weight[1][rows] * (c - a)
+
+    def _box_of(self, world: World, k: int, seen: object) -> tuple[Places, Places] | None:
+        if isinstance(seen, SolidFeelers):
+            return seen.volume.low, seen.volume.high
+        if k in self.moving:
+            return _box(vertices_at(world, self.names[k], world.shown))
+        return self._still.get(k)
+
+    def _on_mesh(self, world: World, k: int, seen: RayScene, near: Rows, origin: Places, way: Places, found: Found) -> None:
+        a, w = origin[:, near], way[:, near]
+        which, part, _, face = seen.cast_within(np.ascontiguousarray(a.T), np.ascontiguousarray(w.T), world.options.threads)
+        nearer = part < found.part[near[which]]
+        which, part, face = which[nearer], part[nearer], face[nearer]
+        found.put(near[which], self._hits(world, k, part, a[:, which] + w[:, which] * part, face))
+
+    def _hits(self, world: World, k: int, part: NDArray[np.float64], place: Places, face: NDArray[np.int32]) -> Found:
+        made = Found(part, place, np.full(len(part), k, np.int16), np.zeros(len(part), np.int32), np.zeros((2, len(part))))
+        if k in self.moving and len(part):
+            made.face = face.astype(np.int32)
+            vertices = vertices_at(world, self.names[k], world.shown)
+            corners = tuple(vertices[self.meshes[self.names[k]].faces[face, corner]].T for corner in range(3))
+            made.weight = _weights(place, *corners)
+        return made
+
+
+def seek(
+    world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64]
+) -> Found:
+    """Ground for feet that want to stand at places, seen from hips, all float64[3, k]. `leg` float64[k]: how far a foot joint may
+    be from its hip (mm); `sole` float64[k]: how far it is above the ground that it stands on."""
+    way = (wanted - hip) * _BEYOND
+    found = floor.cast(world, hip, way)
+    fits = _in_reach(found, hip, up, leg, sole)
+    off = vec.length(tuple(found.place - wanted))  # type: ignore[arg-type]
+    rows = np.flatnonzero(~(fits & (off <= _NEAR * leg)))
+    if rows.size:
+        found.put(rows, _searched(world, floor, *(v[:, rows] for v in (hip, wanted, up)), leg[rows], sole[rows],
+                                  found.take(rows), fits[rows], off[rows]))  # fmt: skip
+    return found
+
+
+def _searched(
+    world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64],
+    first: Found, fits: NDArray[np.bool_], off: NDArray[np.float64],
+) -> Found:  # fmt: skip
+    """As `seek`, for places that the straight way from the hip does not lead to: from above them, then the nearest."""
+    height = np.maximum(vec.dot(hip - wanted, up), 0.2 * leg)  # type: ignore[arg-type]
+    above = wanted + up * height
+    level = floor.cast(world, hip, above - hip)
+    down = floor.cast(world, above, -up * (2.0 * height + leg))
+    free = ~np.isfinite(level.part)
+    best, nearest = Found.none(len(leg)), np.full(len(leg), np.inf)
+    for hits, good in ((first, fits), (level, None), (down, free)):
+        ok = _in_reach(hits, hip, up, leg, sole)
+        ok &= np.isfinite(hits.part) if good is None else good
+        away = np.where(ok, vec.length(tuple(hits.place - wanted)), np.inf)  # type: ignore[arg-type]
+        better = away < nearest
+        best.put(better, hits.take(better))
+        nearest = np.minimum(nearest, away)
+    rows = np.flatnonzero(nearest > 2 * _NEAR * leg)
+    if rows.size:
+        close = floor.nearest(world, wanted[:, rows], np.minimum(leg[rows], nearest[rows]))
+        seen = floor.cast(world, hip[:, rows], (close.place - hip[:, rows]) * (1.0 - _SHY))
+        sight = ~np.isfinite(seen.part) | (vec.length(tuple(seen.place - close.place)) < 1e-3 * leg[rows])  # type: ignore[arg-type]
+        ok = _in_reach(close, hip[:, rows], up[:, rows], leg[rows], sole[rows]) & sight
+        best.put(rows[ok], close.take(ok))
+    return best
+
+
+def _in_reach(hits: Found, hip: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whose foot joint would be no farther from its hip than the leg is long."""
+    away = hits.place + up * sole - hip
+    high = vec.dot(away, up)
+    low = np.maximum(np.abs(high) - SINK * leg * (high < 0), 0.0)  # trunks come down for a long step
+    reached: NDArray[np.bool_] = np.isfinite(hits.part) & ((vec.dot(away, away) - high * high) + low * low <= leg * leg)
+    return reached
+
+
+def _on_plane(world: World, origin: Places, way: Places, found: Found) -> None:
+    up = world.up
+    height = (origin[0] * up[0] + origin[1] * up[1]) + origin[2] * up[2]
+    fall = -((way[0] * up[0] + way[1] * up[1]) + way[2] * up[2])
+    part = np.where(fall > 0, height / np.where(fall > 0, fall, 1.0), np.inf)
+    met = np.flatnonzero((part >= 0) & (part <= 1))
+    place = origin[:, met] + way[:, met] * part[met]
+    made = Found.none(met.size)
+    made.part, made.place, made.on = part[met], place, np.full(met.size, PLANE, np.int16)
+    found.put(met, made)
+
+
+def _on_solid(k: int, seen: SolidFeelers, near: Rows, origin: Places, way: Places, found: Found) -> None:
+    a, w = origin[:, near], way[:, near]
+    length = vec.length(tuple(w))  # type: ignore[arg-type]
+    unit = w / np.maximum(length, 1e-300)
+    hits = seen.feelers(*a, *unit, length)  # type: ignore[call-arg]
+    part = hits.t.astype(np.float64) / np.maximum(length, 1e-300)
+    met = np.flatnonzero(hits.hit & (part < found.part[near]))
+    place = a[:, met] + w[:, met] * part[met]
+    normal = np.stack([hits.nx[met], hits.ny[met], hits.nz[met]]).astype(np.float64)
+    landed = seen.volume.project(place.T, _unit_rows(normal.T), 2 * seen.volume.voxel)
+    good = landed.found
+    met = met[good]
+    made = Found.none(met.size)
+    made.part, made.place, made.on = part[met], landed.points[good].T, np.full(met.size, k, np.int16)
+    found.put(near[met], made)
+
+
+def _unit_rows(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    size = np.sqrt((v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) + v[:, 2] * v[:, 2])
+    return np.asarray(v / np.maximum(size, 1e-12)[:, None])
+
+
+def _box(vertices: NDArray[np.float64]) -> tuple[Places, Places]:
+    return vertices.min(axis=0), vertices.max(axis=0)
+
+
+def _weights(place: Places, a: Places, b: Places, c: Places) -> NDArray[np.float64]:
+    """The weights float64[2, k] of the second and third corner of triangles at places in them."""
+    u, v, w = b - a, c - a, place - a
+    uu, uv, vv, wu, wv = vec.dot(u, u), vec.dot(u, v), vec.dot(v, v), vec.dot(w, u), vec.dot(w, v)
+    whole = uu * vv - uv * uv
+    whole = np.where(whole > 0, whole, 1.0)
+    return np.stack([(vv * wu - uv * wv) / whole, (uu * wv - uv * wu) / whole])

@@ -1,0 +1,143 @@
+"""The feet of one species as arrays, rows by id."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+STANDS = np.float32(-1)  # of `swing`
+NOTHING, PLANE = -2, -1  # of `on`
+
+
+@dataclass(slots=True, eq=False)
+class Feet:
+    """The feet of n agents with L legs; places are mm as the world counts them, components first.
+
+    `place` float64[3, n, L]: where each foot stands or is to land; `shown` float64[3, n, L]: where it is; `start` float64[3, n,
+    L]: where its swing began. `swing` float32[n, L]: the share of its swing that is done, -1 for a foot that stands. `on`
+    int16[n, L]: the number of the thing that `place` is on, -1 for the plane, -2 for nothing, whose foot hangs; `face` int32[n,
+    L] and `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner. `phase` float32[n]: of the
+    gait, from 0 to 1; `rise` float32[n]: how much higher the trunk is than it rests, mm; `slope` float32[2, n]: how much higher
+    the ground below its feet gets a length ahead and aside. `position` float64[3, n], `heading` and `up` float32[3, n] are those
+    that the last frame ended with."""
+
+    ids: NDArray[np.int64]
+    place: NDArray[np.float64]
+    shown: NDArray[np.float64]
+    start: NDArray[np.float64]
+    swing: NDArray[np.float32]
+    on: NDArray[np.int16]
+    face: NDArray[np.int32]
+    weight: NDArray[np.float64]
+    phase: NDArray[np.float32]
+    rise: NDArray[np.float32]
+    slope: NDArray[np.float32]
+    position: NDArray[np.float64]
+    heading: NDArray[np.float32]
+    up: NDArray[np.float32]
+    # What the feet of this step went over the ground, float32[2, n, L], ahead and aside in body lengths; None between steps.
+    covered: NDArray[np.float32] | None = field(default=None)
+    stood: NDArray[np.float64] | None = field(default=None)  # where bodies were before the ground went on, float64[3, n], NaN: no
+
+    @staticmethod
+    def none(legs: int) -> Feet:
+        """Of nobody yet."""
+        three, flat = (3, 0, legs), (0, legs)
+        return Feet(
+            np.zeros(0, np.int64), np.zeros(three), np.zeros(three), np.zeros(three), np.zeros(flat, np.float32),
+            np.zeros(flat, np.int16), np.zeros(flat, np.int32), np.zeros((2, 0, legs)), np.zeros(0, np.float32),
+            np.zeros(0, np.float32), np.zeros((2, 0), np.float32), np.zeros((3, 0)), np.zeros((3, 0), np.float32),
+            np.zeros((3, 0), np.float32),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def legs(self) -> int:
+        """How many each agent has."""
+        return self.swing.shape[1]
+
+    @property
+    def down(self) -> NDArray[np.bool_]:
+        """Which feet stand, bool[n, L]."""
+        return self.swing == STANDS
+
+    def arrays(self) -> dict[str, Array]:
+        """What is kept, by name: the arrays themselves."""
+        return {name: getattr(self, name) for name in KEPT}
+
+    def snapshot(self) -> Feet:
+        """One whose arrays do not change with these."""
+        return Feet(**{name: array.copy() for name, array in self.arrays().items()})
+
+    def take(self, before: Feet) -> None:
+        """Take over the feet of all who had some before."""
+        at = np.minimum(np.searchsorted(before.ids, self.ids), max(len(before.ids) - 1, 0))
+        known = before.ids[at] == self.ids if len(before.ids) else np.zeros(len(self.ids), np.bool_)
+        for name, array in self.arrays().items():
+            rows: tuple[Any, ...] = (slice(None),) * _AXIS.get(name, 0)
+            array[(*rows, known)] = getattr(before, name)[(*rows, at[known])]
+
+    def matched(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
+        """The feet of agents by ascending ids, zero for those who had none before; and the rows of these."""
+        if np.array_equal(ids, self.ids):
+            return self, np.zeros(0, np.intp)
+        at = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
+        known = self.ids[at] == ids if len(self.ids) else np.zeros(len(ids), np.bool_)
+        made: dict[str, Array] = {}
+        for name, array in self.arrays().items():
+            axis = _AXIS.get(name, 0)
+            shape = list(array.shape)
+            shape[axis] = len(ids)
+            made[name] = np.zeros(shape, array.dtype)
+            rows: tuple[Any, ...] = (slice(None),) * axis
+            made[name][(*rows, known)] = array[(*rows, at[known])]
+        found = Feet(**(made | {"ids": ids.copy()}))
+        if self.covered is not None:
+            found.covered = np.zeros((2, len(ids), self.legs), np.float32)
+            found.covered[:, known] = self.covered[:, at[known]]
+        if self.stood is not None:
+            found.stood = np.full((3, len(ids)), np.nan)
+            found.stood[:, known] = self.stood[:, at[known]]
+        return found, np.flatnonzero(~known)
+
+
+KEPT = tuple(each.name for each in fields(Feet) if each.name not in ("covered", "stood"))
+_AXIS = {name: 1 for name in ("place", "shown", "start", "weight", "slope", "position", "heading", "up")}
+
+
+def feet_hash(feet: Mapping[str, Feet]) -> str:
+    """One number for the feet of all species, as `state_hash` is one for all else; empty where there are none."""
+    if not feet:
+        return ""
+    digest = sha256()
+    for name in sorted(feet):
+        digest.update(f"\0{name}\0{len(feet[name])}".encode())
+        for array in feet[name].arrays().values():
+            digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()[:32]
+
+
+def from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
+    """The feet that `Feet.arrays` gave these of. Raises ValueError where they are not such of agents with these ids."""
+    like = Feet.none(legs).arrays()
+    found: dict[str, Array] = {}
+    for name, empty in like.items():
+        array = np.asarray(arrays[name]) if name in arrays else None
+        axis = _AXIS.get(name, 0)
+        wanted = list(empty.shape)
+        wanted[axis] = len(ids)
+        if array is None or array.dtype != empty.dtype or list(array.shape) != wanted:
+            raise ValueError(f"`{name}` is missing or of another shape")
+        found[name] = array.copy()
+    if not np.array_equal(found["ids"], ids):
+        raise ValueError("`ids` are others")
+    return Feet(**found)
