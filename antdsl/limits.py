@@ -50,6 +50,7 @@ BODY_VALUES: Final = 1_000_000  # of one JSON file; numbers in a row count less
 BODY_BYTES: Final = 512 * MIB  # of one glTF file, its buffers included
 JOINTS: Final = 4096  # of one rig
 CHANNELS: Final = 4096  # of one rig
+LAYERS_WORN: Final = 64  # layers that agents of one species may show beside their own: bits of a mask
 LEGS: Final = 64  # of one body
 GAITS: Final = 32  # of one body
 LEAST_STRIDE: Final = 1e-6  # units of length of a definition

@@ -14,13 +14,15 @@ from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
+from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
 from antdsl.bodies.library.table import library_body
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.limits import LAYERS_WORN
 from antdsl.plan.lowering.traversal import inside
-from antdsl.program.model import ClipTest, Expr, Machine, Play, Program, Species
+from antdsl.program.model import Channel, ClipTest, Expr, Look, Machine, Play, Program, Species, Wear
 from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, LegsData, RoomData
@@ -71,10 +73,10 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     files: dict[str, Definition | None] = {}
     named = _named(scene)
     worn: dict[str, Definition] = {}
-    played = {
-        name for name, species in program.species.items() if any(True for machine in species.machines for _ in _plays(machine))
-    }
-    library = {name: library_body(text) for name, (text, _) in named.items() if text in BODY_WORDS and name in played}
+    words = _library(scene, program)
+    shown = {line.species for line in scene.model.crowd if line.wear}
+    shown |= {n for n, s in program.species.items() if any(True for m in s.machines for _ in (*_plays(m), *_shows(m)))}
+    library = {name: library_body(text) for name, text in words.items() if name in shown}
     for species, (text, place) in named.items():
         if text in BODY_WORDS:
             if species in library:
@@ -87,6 +89,7 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
         if found is not None and species in program.species:
             _check(program.species[species], found, text, place, report)
             worn[species] = found
+    _wears(scene, program, worn | library, report)
     whole = {text: found for text, found in files.items() if found is not None}
     made = CrowdBodies(
         worn,
@@ -95,10 +98,33 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
             for species, body in (worn | library).items()
         },
         {species: room_of(body) for species, body in worn.items()},
-        Walkers(worn | {name: text for name, text in _library(scene, program).items() if name not in worn}),
+        Walkers({**worn, **words}),
         {text: digest(body) for text, body in whole.items()},
     )
     return made, report
+
+
+def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
+    """Complains of layers that lines of the crowd wear and their body does not have, and of more than can be told apart."""
+    layers: dict[str, set[str]] = {}
+    for number, line in enumerate(scene.model.crowd):
+        if line.species not in program.species:
+            continue
+        shown = (each for machine in program.species[line.species].machines for each in _shows(machine))
+        named = layers.setdefault(line.species, {each.layer for each in shown if isinstance(each, Wear)})
+        dressed = tuple(dict.fromkeys(name for part in line.layers() for name in part if name))
+        named |= set(dressed)
+        body = worn.get(line.species)
+        place = scene.span("crowd", number, "wear")
+        for name in dressed:
+            if body is not None and name not in body.layers:
+                near, known = nearest_name(name, list(body.layers)), ", ".join(f"`{each}`" for each in list(body.layers)[:_SHOWN])
+                has = f"it has {known}" if known else "it has no layers"
+                words = f"the body of `{line.species}` has no layer `{name}`"
+                report.error("unknown-name", words, place, f"did you mean `{near}`? {has}" if near else has)
+        if len(named) > LAYERS_WORN:
+            words = f"agents of `{line.species}` may wear {len(named)} layers, and {LAYERS_WORN} at most can be told apart"
+            report.error("too-large", words, place, "put shapes that are worn together into one layer")
 
 
 def clip_data(clip: Clip, body: Definition) -> ClipData:
@@ -152,9 +178,18 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
         lacks.setdefault(f"{what} `{name}`", (help, label))
 
     marks = [mark for clip in body.clips.values() for mark in clip.marks]
+    channels = spoken_names(each.name for each in body.rig.channels).values()
     for machine in species.machines:
+        for shown in _shows(machine):
+            if isinstance(shown, Wear):
+                want("layer", shown.layer, body.layers, Label(shown.span, "worn here"))
+            elif isinstance(shown, Channel):
+                want("channel", shown.channel, channels, Label(shown.span, "set here"))
+            else:
+                want("transform group", shown.group, body.groups, Label(shown.span, "turned here"))
         for line in _plays(machine):
-            want("clip", line.clip, body.clips, Label(line.span, "played here"))
+            for clip in (line.clip, *line.ways):
+                want("clip", clip, body.clips, Label(line.span, "played here"))
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
         for test in _tests(machine):
             want("mark", test.mark, marks, Label(test.span, "asked for here"))
@@ -168,6 +203,12 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
 def _plays(machine: Machine) -> Iterator[Play]:
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, Play))
+
+
+def _shows(machine: Machine) -> Iterator[Wear | Channel | Look]:
+    """What states of a machine show beside clips."""
+    for state in machine.states:
+        yield from (line for line in state.body if isinstance(line, (Wear, Channel, Look)))
 
 
 def _tests(machine: Machine) -> Iterator[ClipTest]:

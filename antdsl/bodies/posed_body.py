@@ -17,15 +17,17 @@ from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.coarse import coarse
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import bound
+from antdsl.bodies.agents.driving import Driven, with_channels, with_looks
 from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs
-from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
 from antdsl.bodies.agents.poses import Poses, local_transforms
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
 
 BODY, CLOSE, COLLISION = "body", "close", "collision"  # layers
+NOTHING = Driven()
 _GOLDEN = (5**0.5 - 1) / 2  # multiples of it are spread evenly over a turn
 STATE = "state"  # the material that has the colour of the agent's state
 
@@ -34,16 +36,15 @@ class PosedBody:
     """Length 1 along +x (where it heads), up +y, posed by what each agent plays.
 
     `faces` int32[m, 3]; `own` float32[v, 3], linear colours of materials; `tint` float32[v]: 1 takes the agent's colour, as
-    does what has no material or one called `state`, 0 its material's. Drawn are the shapes of one layer, `body` where there is
-    one so called, else the first that is not called `collision`; `fine` is for agents that are large in a picture, `coarse` for
-    those that are small."""
+    does what has no material or one called `state`, 0 its material's. Drawn are the shapes of its own layer, `body` where there
+    is one so called, else the first that is not called `collision`, and of `layers` beside it; those that it does not have are
+    passed over. `fine` is for agents that are large in a picture, `coarse` for those that are small."""
 
-    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]]) -> None:
-        self.clips, self._whole, self.name = tuple(clips), definition, definition.name
+    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | Played], layers: Sequence[str] = ()) -> None:
+        self.clips, self.layers, self._whole, self.name = tuple(clips), tuple(layers), definition, definition.name
         self._played = (*self.clips, (definition.idle, ""))
         self._table = clip_table(definition)
-        layer = _worn(definition)
-        self._bindings = (*layer.static, *layer.deforming)
+        self._bindings = _bindings(definition, layers)
         names = {binding.shape for binding in self._bindings}
         shaded = {n: _with_normals(shape) if n in names else shape for n, shape in _needed(definition, names).items()}
         self._definition = replace(definition, shapes=shaded)
@@ -75,13 +76,13 @@ class PosedBody:
         if close is None:
             return self
         layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE}
-        return PosedBody(replace(self._whole, layers=layers | {BODY: replace(close, name=BODY)}), self.clips)
+        return PosedBody(replace(self._whole, layers=layers | {BODY: replace(close, name=BODY)}), self.clips, self.layers)
 
     @cached_property
     def coarse(self) -> PosedBody:
         """The same with fewer triangles, for agents that are small in a picture; with a layer `close` the layer `body` has few
         enough."""
-        return self if CLOSE in self._whole.layers else PosedBody(coarse(self._whole), self.clips)
+        return self if CLOSE in self._whole.layers else PosedBody(coarse(self._whole), self.clips, self.layers)
 
     def idling(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
         """What agents with these ids play where no machine says otherwise: the definition's clip for that, each from a start of
@@ -114,58 +115,56 @@ class PosedBody:
         """The same with what is drawn alone, and normals for all of it."""
         return self._definition
 
-    @property
-    def bindings(self) -> tuple[Binding, ...]:
-        """The bindings of the layer that is drawn, static ones first."""
-        return self._bindings
-
     def with_clips(self, clips: Sequence[tuple[str, str]]) -> PosedBody:
         """The same for agents that play other clips."""
-        return PosedBody(self._whole, clips)
+        return PosedBody(self._whole, clips, self.layers)
+
+    @property
+    def bindings(self) -> tuple[Binding, ...]:
+        """The bindings of the layers that are drawn, static ones of a layer first."""
+        return self._bindings
 
     def poses(
         self,
         machines: Sequence[MachineClips],
         count: int,
-        threads: int = 1,
-        local: bool = False,
         feet: FeetOfBodies | None = None,
+        threads: int = 1,
+        *,
+        driven: Driven = NOTHING,
+        local: bool = False,
     ) -> Poses:
-        """Transforms and channels of `count` agents that play what their machines say, in the definition's space; `local` too.
-        With `feet` legs are bent to where these are, and trunks moved with them."""
-        playing = machines_playing(self._table, self._played, machines, count)
+        """Transforms and channels of `count` agents that play what their machines say and show what is `driven`, in the
+        definition's space, `local` too; with `feet` legs are bent to where these are, and trunks moved with them."""
+        playing = machines_playing(self._table, self._played, machines, count, driven.lean)
         poses = posed(self._table, self._definition.groups, playing, local=local, threads=threads)
-        if self.legs is None or feet is None:
-            return poses
-        stands = self.legs.kept(self._played, machines, count)
-        feet = feet.less(stands)
-        poses = self.legs.with_trunk(self.legs.bent(poses, feet, stands), feet)
-        return replace(poses, local=local_transforms(self._table, poses.world) if local else None)
+        poses = with_channels(self._table, poses, driven.channels)
+        poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])
+        if self.legs is not None and feet is not None:
+            stands = self.legs.kept(self._played, machines, count)
+            poses = self.legs.bent(poses, feet.less(stands), stands)
+        return replace(poses, local=local_transforms(self._table, poses.world)) if local and poses.local is None else poses
 
     def posed(
-        self, machines: Sequence[MachineClips], count: int, feet: FeetOfBodies | None = None, threads: int = 1
+        self,
+        machines: Sequence[MachineClips],
+        count: int,
+        feet: FeetOfBodies | None = None,
+        threads: int = 1,
+        *,
+        driven: Driven = NOTHING,
     ) -> tuple[Floats, Floats]:
-        """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say, in body lengths; with
-        `feet` legs are bent to where these are, and trunks moved with them."""
-        playing = machines_playing(self._table, self._played, machines, count)
-        poses = posed(self._table, self._definition.groups, playing, threads=threads)
-        legs = self.legs if feet is not None else None
-        if legs is not None and feet is not None:
-            stands = legs.kept(self._played, machines, count)
-            feet = feet.less(stands)
-            poses = legs.bent(poses, feet, stands)
+        """Vertices and unit normals float32[n, v, 3] of the same agents, in body lengths."""
+        poses = self.poses(machines, count, feet, threads, driven=driven)
         found = [bound(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((count, 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self._taken]
         normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)[:, self._taken]
-        points, normals = points @ self._base.T, normals @ self._turn.T
-        if legs is None or feet is None:
-            return points, normals
-        return legs.on_trunk(points, feet), legs.on_trunk(normals, feet.level())
+        return points @ self._base.T, normals @ self._turn.T
 
 
-def _worn(definition: Definition) -> Layer:
-    """The layer that is drawn; none has no shapes."""
+def own_layer(definition: Definition) -> Layer:
+    """The layer that a body always shows; none has no shapes."""
     layers = definition.layers
     worn = [layer for name, layer in layers.items() if name != COLLISION]
     return layers.get(BODY) or next(iter(worn), Layer(BODY))
@@ -181,6 +180,13 @@ def _needed(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
             found[name] = shape = definition.shapes[name]
             left += [*(shape.blend.shapes if shape.blend else ()), *(shape.between.shapes if shape.between else ())]
     return found
+
+
+def _bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:
+    """What is shown of a body with some layers beside its own: each binding once, in the order of the definition's layers."""
+    own = own_layer(definition)
+    worn = (own, *(layer for name, layer in definition.layers.items() if name in layers and layer is not own))
+    return tuple(dict.fromkeys(binding for layer in worn for binding in (*layer.static, *layer.deforming)))
 
 
 def _with_normals(shape: Shape) -> Shape:

@@ -60,3 +60,20 @@ def open_time(text: str | None, flag: str = "--shutter") -> tuple[float, float] 
             f"`{text}` is not open for at most one frame, from -1 to 1; write `-0.25..0.25`", param_hint=flag
         )
     return first, last
+
+
+def number_set(text: str | None, flag: str) -> frozenset[int] | None:
+    """Whole numbers of a list such as `3,8..12`; None for None."""
+    if text is None:
+        return None
+    found: set[int] = set()
+    for word in text.split(","):
+        first, dots, last = word.strip().partition("..")
+        try:
+            low, high = int(first), int(last if dots else first)
+        except ValueError:
+            low, high = 1, 0
+        if not 0 <= low <= high or high - low > 1_000_000:
+            raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,8..12", param_hint=flag)
+        found.update(range(low, high + 1))
+    return frozenset(found)

@@ -83,6 +83,9 @@ FORM_HELP = {
     "each": "asks of every agent",
     "ant": "the edition of the language",
     "play": "the clip that the body plays in this state",
+    "wear": "a layer of the body that is shown in this state, beside its own",
+    "channel": "the value of a channel of the body in this state",
+    "look": "a part of the body turns to something",
 }
 # Words inside a line; some of them begin lines too and mean something else there.
 INNER_HELP = {

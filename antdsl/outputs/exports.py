@@ -2,35 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from antdsl.outputs.csv_export import export_csv
+from antdsl.outputs.events_export import export_csv_events, export_npz_events
+from antdsl.outputs.geo_export import export_geo
+from antdsl.outputs.gltf_export import export_gltf
+from antdsl.outputs.mesh_export import export_meshes, export_usd_meshes
+from antdsl.outputs.npz_export import export_arrays
+from antdsl.outputs.numbered_files import numbered
+from antdsl.outputs.poses_export import export_poses
+from antdsl.outputs.solid_export import export_solids, export_volumes
 from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances, export_xforms
+
+Notes = list[str] | None  # what was left out or is not as it was, in sentences
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
     """Files of some `endings`. `forms`: by name the functions that write frames of a cache into one; the first is the usual.
-    `options`: by name of a form what it takes beside them, a dataclass."""
+    `each`: the forms that write a file for each frame, with the frame's number before its ending. `options`: by name of a form
+    what it takes beside these, a dataclass."""
 
     endings: tuple[str, ...]
-    forms: Mapping[str, Callable[..., Sequence[str] | None]]
+    forms: Mapping[str, Callable[..., Notes]]
+    each: frozenset[str] = frozenset()
     options: Mapping[str, type] = field(default_factory=dict)
 
     def takes(self, form: str) -> frozenset[str]:
-        """The names of what a form takes beside frames and a path."""
+        """The names of what a form takes beside a gallery, frames and a path."""
         return frozenset(each.name for each in fields(self.options[form])) if form in self.options else frozenset()
+
+    def paths(self, form: str, path: Path, frames: list[int]) -> list[Path]:
+        """The files that a form writes."""
+        return [numbered(path, frame) for frame in frames] if form in self.each else [path]
 
 
 EXPORTS = (
     Export(
         (".usdc", ".usda", ".usd"),
-        {"instances": export_instances, "xforms": export_xforms},
-        {"instances": UsdOptions, "xforms": XformOptions},
+        {"instances": export_instances, "xforms": export_xforms, "meshes": export_usd_meshes},
+        options={"instances": UsdOptions, "xforms": XformOptions},
     ),
-    Export((".csv",), {"keyframes": export_csv}),
+    Export((".glb", ".gltf"), {"skinned": export_gltf}),
+    Export((".geo",), {"points": export_geo}, frozenset({"points"})),
+    Export((".csv",), {"keyframes": export_csv, "events": export_csv_events}),
+    Export((".npz",), {"arrays": export_arrays, "poses": export_poses, "volume": export_volumes, "events": export_npz_events}),
+    Export((".ply", ".obj"), {"meshes": export_meshes, "solids": export_solids}, frozenset({"meshes", "solids"})),
 )
 
 

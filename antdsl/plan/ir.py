@@ -305,10 +305,20 @@ class LayerPlan:
 
 @dataclass(frozen=True, slots=True)
 class ClipPlan:
-    """A clip of the body by its name, on the joints of a transform group ("": all)."""
+    """A clip of the body by its name, on the joints of a transform group ("": all). `add`: it lies over all others by its
+    differences from the rest pose. `left`, `right`, `up`, `down`: what it gives way to as an agent turns, climbs or goes down."""
 
     name: str
     on: str = ""
+    add: bool = False
+    left: str = ""
+    right: str = ""
+    up: str = ""
+    down: str = ""
+
+    @property
+    def leans(self) -> bool:
+        return any((self.left, self.right, self.up, self.down))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -331,6 +341,11 @@ class SpeciesPlan:
     lazy: tuple[Node, ...] = ()  # worth keeping for the whole step once computed: senses used in more than one region
     rests: Mapping[str, Node] = field(default_factory=dict)  # of values per pair what they begin with and return to, rate RUN
     clips: tuple[ClipPlan, ...] = ()  # what its states play: registers of clips count these
+    wears: tuple[str, ...] = ()  # layers of its body that states show: registers `wear:LAYER`
+    channels: tuple[
+        str, ...
+    ] = ()  # channels of its body that states set: `channel:NAME`, and `channel:NAME.said` whether they do
+    looks: tuple[str, ...] = ()  # transform groups that states turn to something: `look:GROUP.x`, `.y`, `.z`
 
 
 @dataclass(frozen=True, slots=True, eq=False)

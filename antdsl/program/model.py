@@ -96,16 +96,51 @@ class Give:
 @value
 class Play:
     """`clip` is played as long as the state lasts, on the joints of the transform group `on` ("": all), `speed` times as fast as
-    it goes and with the share `weight` (None: 1)."""
+    it goes and with the share `weight` (None: 1). Where `again` holds as an agent comes into the state, it begins anew.
+    `add`: it is added to what is played besides."""
 
     clip: str
     on: str
     speed: Expr | None
     weight: Expr | None
     span: Span
+    again: Expr | None = None
+    add: bool = False
+    ways: tuple[str, str, str, str] = ("", "", "", "")  # clips for who turns left or right, climbs, goes down
 
 
-Statement = Steer | Face | Assign | Ask | Give | Play
+@value
+class Wear:
+    """Agents in the state show the geometry layer `layer` of their body beside its own, those for whom `when` holds (None:
+    all)."""
+
+    layer: str
+    when: Expr | None
+    span: Span
+
+
+@value
+class Channel:
+    """The channel of the body has this value for agents in the state, whatever clips say of it."""
+
+    channel: str
+    value: Expr
+    span: Span
+
+
+@value
+class Look:
+    """The joints of a transform group turn to a place, at most `within` (None: 60 deg) from straight ahead, a share of the way
+    as `over` (None: 0.2 s) says."""
+
+    group: str
+    at: Expr
+    within: Expr | None
+    over: Expr | None
+    span: Span
+
+
+Statement = Steer | Face | Assign | Ask | Give | Play | Wear | Channel | Look
 
 
 @value

@@ -24,7 +24,9 @@ from antdsl.scene.values import (
     word_or_file,
 )
 
-BODY_WORDS = ("ant", "ant_queen", "ant_soldier", "person", "arrow", "ball")  # of the library of bodies
+NONE = "none"  # of the layers of a part, the one that is none
+# Of the library of bodies.
+BODY_WORDS = ("ant", "ant_queen", "ant_soldier", "roach", "spider", "hunter", "rabbit", "person", "arrow", "ball")
 Body = Annotated[str, BeforeValidator(word_or_file(*BODY_WORDS))]
 Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
@@ -72,9 +74,22 @@ class Walk(Part):
     length: PositiveLength
 
 
+class AnyOf(Part):
+    """One of several layers, or `none`, for each agent by chance; a layer that is named twice comes twice as often."""
+
+    any: Annotated[tuple[Name, ...], Field(min_length=1, max_length=limits.LAYERS_WORN)]
+
+
+def _layer_or_any(value: Any) -> str:
+    return "any" if isinstance(value, dict) else "layer"
+
+
+Worn = Annotated[Annotated[Name, Tag("layer")] | Annotated[AnyOf, Tag("any")], Discriminator(_layer_or_any)]
+
+
 class CrowdLine(Part):
     """Agents of one species. `body` is what pictures draw, a word or a file of an agent definition; by itself it goes by the
-    species' name."""
+    species' name. `wear`: layers of the body that they show beside its own."""
 
     species: Name
     source: FilePath = Field(alias="from")
@@ -82,3 +97,9 @@ class CrowdLine(Part):
     place: Placement = Placement()
     walk: Walk | None = None
     body: Body | None = None
+    wear: Annotated[tuple[Worn, ...], Field(max_length=limits.LAYERS_WORN)] = ()
+
+    def layers(self) -> tuple[tuple[str, ...], ...]:
+        """What they wear: for each part the layers of which an agent has one, "" for none."""
+        chosen = (each.any if isinstance(each, AnyOf) else (each,) for each in self.wear)
+        return tuple(tuple("" if name == NONE else name for name in names) for names in chosen)

@@ -156,7 +156,8 @@ class WalkData:
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
     """`count` agents of one species; `group` is the number of this line of the scene, from 0. Those with a `walk` sense and
-    decide nothing. `body` names what they look like; empty: what suits the species' name."""
+    decide nothing. `body` names what they look like; empty: what suits the species' name. `wears`: for each part that they
+    show of their body, the layers of which each has one by chance, "" for none."""
 
     species: str
     count: int
@@ -164,6 +165,7 @@ class CrowdData:
     group: int = 0
     walk: WalkData | None = None
     body: str = ""
+    wears: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +253,8 @@ class Setting:
     `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
     ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
     the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
-    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up; `legs`: what those that have gaits stand on."""
+    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up;
+    `legs`: what those that have gaits stand on."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1

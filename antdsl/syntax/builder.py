@@ -71,10 +71,8 @@ class Builder:
 
     def at(self, part: Any) -> Span:
         """The span of a token, or of a node that has been built already."""
-        if hasattr(part, "start_pos"):
-            return self.place.span(part.start_pos, part.end_pos)
-        span: Span = part.span
-        return span
+        found: Span = self.place.span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
+        return found
 
     def over(self, parts: Sequence[Any]) -> Span:
         """The span from the first to the last part that is there."""
@@ -96,8 +94,7 @@ class Builder:
         return None if token is None else n.Text(token.value[1:-1], self.at(token))
 
     def body(self, parts: list[Any]) -> Body:
-        opening = self.at(parts[0])
-        lines = tuple(parts[1:-1]) or self.bodies.get(opening.start, ())
+        lines = tuple(parts[1:-1]) or self.bodies.get(self.at(parts[0]).start, ())
         return Body(lines, self.over(parts))
 
     def names(self, parts: list[Any]) -> tuple[n.Name, ...]:
@@ -235,10 +232,9 @@ class Builder:
         return n.Face(parts[1], self.over(parts))
 
     def enter(self, parts: list[Any]) -> Block:
-        return Block("enter", parts[1].lines, self.over(parts))
+        return Block(str(parts[0].value), parts[1].lines, self.over(parts))
 
-    def exit(self, parts: list[Any]) -> Block:
-        return Block("exit", parts[1].lines, self.over(parts))
+    exit = enter
 
     def change(self, parts: list[Any]) -> n.Change:
         interrupt, _, (condition, after, held), take, _, target, over, body = parts
@@ -279,7 +275,10 @@ class Builder:
         return n.Ask(str(parts[0].value), self.word(parts[1]), None, _given(parts[3:-2]), parts[-1], self.over(parts))
 
     def ask_amount(self, parts: list[Any]) -> n.Ask:
-        return n.Ask(str(parts[0].value), self.word(parts[1]), parts[2], (), None, self.over(parts))
+        return n.Ask(str(parts[0].value), self.word(parts[1]), parts[-1], (), None, self.over(parts))
+
+    def ask_when(self, parts: list[Any]) -> n.Ask:
+        return n.Ask(str(parts[0].value), self.word(parts[1]), None, (), None, self.over(parts), parts[-1])
 
     def give(self, parts: list[Any]) -> n.Give:
         every = getattr(parts[1], "type", None) == "ALL"

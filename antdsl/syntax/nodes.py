@@ -265,7 +265,7 @@ class Assign:
 @node
 class Ask:
     """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`),
-    `deposit trail 2 /s` (`amount`), `emit hit to other` (`to`)."""
+    `deposit trail 2 /s` and `channel jaw = load` (`amount`), `emit hit to other` (`to`), `wear load when load > 0` (`when`)."""
 
     verb: str
     name: Name | None
@@ -273,6 +273,7 @@ class Ask:
     arguments: tuple[Argument | Comprehension, ...]
     to: Expr | None
     span: Span
+    when: Expr | None = None
 
 
 @node

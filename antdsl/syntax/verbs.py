@@ -17,6 +17,8 @@ SHAPES: dict[str, str] = {
     "called": "NAME [LPAR [_arguments] RPAR]",
     "arguments": "NAME LPAR [_arguments] RPAR",
     "amount": "NAME expr -> ask_amount",
+    "set": "NAME EQUAL expr -> ask_amount",
+    "when": "NAME [WHEN expr] -> ask_when",
     "own": "",
 }
 
@@ -40,5 +42,8 @@ _ROWS = (
     Verb("spawn", "name", "spawn worker", "the name of a species"),
     Verb("die", "alone", "die"),
     Verb("play", "called", "play walk", "the name of a clip"),
+    Verb("wear", "when", "wear load", "the name of a layer"),
+    Verb("channel", "set", "channel jaw = load", "the name of a channel"),
+    Verb("look", "arguments", "look head(at: meal)", "the name of a transform group"),
 )
 VERBS: dict[str, Verb] = {row.word: row for row in _ROWS}

@@ -104,7 +104,7 @@ BELONGS: dict[str, str] = {
     **{word: "in a state" for word in ("steer", "enter", "exit", *_CHANGES)},
     "face": "in a state, or in `layers`",
     **{word: "in a state, or in the braces of a transition" for word in _ACTIONS},
-    "play": "in a state",
+    **{word: "in a state" for word in ("play", "wear", "channel", "look")},
     "let": "in a species, a state or a behaviour",
     "keep": "in a behaviour",
     **{word: "in a spec" for word in LINE_WORDS["spec_line"] if word != "when"},

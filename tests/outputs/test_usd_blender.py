@@ -1,4 +1,4 @@
-"""Blender opens what is exported: agents in the colours of their states and in their poses, items where they are, a blurred still.
+"""Blender opens what is exported: agents in the colours of their states and in their poses, items in place, a blurred still.
 
 Run by hand or by night: `pip install bpy`, which is no dependency of antdsl."""
 

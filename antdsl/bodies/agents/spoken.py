@@ -35,10 +35,11 @@ def spoken_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def spoken(body: Definition) -> Definition:
-    """The definition with its clips (the idle one too), their marks and its transform groups by spoken names."""
-    clips, groups = spoken_names(body.clips), spoken_names(body.groups)
+    """The definition with its clips (the idle one too), their marks, its layers and its transform groups by spoken names.
+    Channels keep theirs: clips and shapes name them."""
+    clips, groups, layers = (spoken_names(each) for each in (body.clips, body.groups, body.layers))
     marked = {name: spoken_names(clip.marks) for name, clip in body.clips.items()}
-    if all(name == own for each in (clips, groups, *marked.values()) for name, own in each.items()):
+    if all(name == own for each in (clips, groups, layers, *marked.values()) for name, own in each.items()):
         return body
     return replace(
         body,
@@ -47,5 +48,6 @@ def spoken(body: Definition) -> Definition:
             for name, clip in body.clips.items()
         },
         idle=clips.get(body.idle, body.idle),
+        layers={layers[name]: replace(layer, name=layers[name]) for name, layer in body.layers.items()},
         groups={groups[name]: replace(group, name=groups[name]) for name, group in body.groups.items()},
     )

@@ -135,7 +135,7 @@ class _Drawn:
 def bank_clips(worn: PosedBody) -> list[tuple[str, str]]:
     """What poses of a bank may be of: the clips that the species plays, the one of those who play none, and those to go on."""
     strides = [(name, "") for name, clip in worn.definition.clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
-    return [*worn.clips, (worn.definition.idle, ""), *strides]
+    return [*((each[0], each[1]) for each in worn.clips), (worn.definition.idle, ""), *strides]
 
 
 def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
@@ -146,15 +146,17 @@ def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> 
     clips = [worn.definition.clips.get(name) for name, _ in bank_clips(worn)]
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
     groups = np.array([bool(group) for _, group in bank_clips(worn)] + [False])
+    added = np.array([len(each) > 2 and bool(each[2]) for each in worn.clips] + [False])  # over all others: left out
     steps = np.where(groups, _SAMPLES_OF_PARTS, SAMPLES)
     count = len(crowd.position)
-    whole, on_parts = np.full(count, 0, np.int64), []
+    whole, on_parts = np.zeros(count, np.int64), list[NDArray[np.int64]]()
     for machine in crowd.plays:
         fade = np.clip(machine.fade, 0.0, 1.0)
         here, before = machine.weight * (1 - fade), machine.before_weight * fade
         clip = np.where(here >= before, machine.clip, machine.before).astype(np.int64)
         turns = np.where(here >= before, machine.turns, machine.before_turns).astype(np.float64)
         clip = np.where((here + before >= 0.5) & (clip >= 0) & (clip <= len(worn.clips)), clip, -1)
+        clip = np.where(added[np.minimum(clip, len(worn.clips))], -1, clip)
         code = np.where(clip >= 0, _code(clip, turns, loops, steps), 0)
         whole = np.where((clip >= 0) & ~groups[clip], code, whole)
         part = np.where(groups[clip], code, 0)

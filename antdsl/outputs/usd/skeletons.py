@@ -12,7 +12,6 @@ from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decoded
-from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
 from antdsl.outputs.usd.materials import Looks
 from antdsl.outputs.usd.moments import Agents, Moment, matched
@@ -113,21 +112,15 @@ def _joints(moment: Moment, number: int, part: int, body: PosedBody) -> _Joints:
     """The joints of those who wear a body, at a time; beyond the last frame they go on as they came to it."""
     agents = moment.species[number]
     crowd, rows = agents.parts[part]
-    found = _Joints(_posed(body, crowd))
+    found = _Joints(crowd.poses(local=True))
     others, share = (moment.after, moment.share) if moment.after else (moment.before, -moment.share)
     if not share or others is None:
         return found
     for other, there in others[number].parts:
         if other.worn is body:
             at, same = matched(agents.ids[rows], others[number].ids[there])
-            found.mix(same, _Joints(_posed(body, other)), at, share)
+            found.mix(same, _Joints(other.poses(local=True)), at, share)
     return found
-
-
-def _posed(body: PosedBody, crowd: Crowd) -> Poses:
-    """Poses of a crowd, on its feet where these are known."""
-    feet = crowd.feet_beside(np.arange(len(crowd.position)))
-    return body.poses(crowd.plays, len(crowd.position), local=True, feet=feet)
 
 
 class _Agent:

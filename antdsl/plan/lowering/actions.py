@@ -8,7 +8,7 @@ from typing import Any
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
-from antdsl.plan.lowering import clips, pair_values, values
+from antdsl.plan.lowering import appearance, clips, pair_values, values
 from antdsl.plan.lowering.expressions import lower, own, scalar, single, vector
 from antdsl.plan.lowering.values import Named, Own, Ref, Vec
 from antdsl.plan.lowering.writer import AXES, NotYet, Writer
@@ -137,4 +137,5 @@ def _ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> O
 OPERANDS: dict[str, Callable[..., Operands]] = {"carve": _ball}
 _WRITE: dict[type, Callable[[Writer, Any, str], None]] = {
     model.Steer: _steer, model.Face: _face, model.Assign: _assign, model.Give: _give, model.Ask: _ask,
+    **appearance.WRITE,
 }  # fmt: skip

@@ -7,7 +7,7 @@ from math import inf
 
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Kind, Node, begun_with
-from antdsl.plan.lowering import pair_values
+from antdsl.plan.lowering import appearance, leaning, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import as_truth, keeps_moving, lower
 from antdsl.plan.lowering.machines import MachineWriter
@@ -71,6 +71,8 @@ def born(w: Writer, machines: list[MachineWriter]) -> None:
         write(w, handler.actions, f"{w.species.name}.on.spawn#{number + 1}")
     for machine in machines:
         machine.enter_start()
+    appearance.begin(w, [machine.machine.states[machine.machine.start] for machine in machines])
+    leaning.begin(w)
 
 
 def _unless_given(w: Writer, name: str, default: Value) -> Value:

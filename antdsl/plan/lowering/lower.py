@@ -11,7 +11,7 @@ from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
-from antdsl.plan.lowering import birth, blending, clips, collisions, pair_values
+from antdsl.plan.lowering import appearance, birth, blending, clips, collisions, leaning, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import measures_pushes, own, scalar, truth, vector
 from antdsl.plan.lowering.lazy import lazy
@@ -85,6 +85,8 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     collisions.declare(w)
     for latch in species.latches:
         w.declare(latch.key or latch.name, Kind.BOOL, "memory")
+    appearance.declare(w)
+    leaning.declare(w)
     machines = [MachineWriter(w, machine) for machine in species.machines]
     born = _born(w, machines)
     with w.block() as done:
@@ -93,6 +95,8 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     with w.block() as done:
         for machine in machines:
             machine.act()
+        appearance.settle(w)
+        leaning.settle(w)
         stand_still(w, machines)
         act = done()
     with w.block() as done:
@@ -105,7 +109,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     return ir.SpeciesPlan(
         species.name, w.registers, tuple(m.plan() for m in machines), born, decide, act, blend, events, layers,
         lazy(decide, act, blend), {a.name: pair_values.at_rest(w, a) for a in species.attributes if a.each},
-        clips.clips_of(species),
+        clips.clips_of(species), appearance.wears_of(species), appearance.channels_of(species), appearance.looks_of(species),
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block, added
+from antdsl.program.declarations.appearance import channel, look, wear
 from antdsl.program.declarations.asks import ask
 from antdsl.program.declarations.clips import play
 from antdsl.program.model import Expr, Kind, Type
@@ -173,7 +174,7 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
 
 
 def _ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Statement | None:
-    return play(scope, line, block) if line.verb == "play" else ask(scope, line, block)
+    return _SHOWN.get(line.verb, ask)(scope, line, block)
 
 
 def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | None:
@@ -303,6 +304,7 @@ def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, o
     return True
 
 
+_SHOWN: dict[str, Callable[..., model.Statement | None]] = {"play": play, "wear": wear, "channel": channel, "look": look}
 _RULES: dict[type, Callable[..., model.Statement | None]] = {
     nodes.Steer: _steer, nodes.Face: _face, nodes.Assign: _assign, nodes.Ask: _ask, nodes.Give: _give,
 }  # fmt: skip

@@ -123,6 +123,7 @@ def stage(
             number,
             walk(scene, line.walk),
             line.body if line.body in BODY_WORDS else "",
+            line.layers(),
         )
         for number, line in enumerate(model.crowd)
     )

@@ -1,0 +1,115 @@
+"""What behaviour says of a pose beside clips: values of channels, and where parts of a body look."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.affine import Floats, normalised
+from antdsl.bodies.agents.clip_table import ClipTable
+from antdsl.bodies.agents.layer import TransformGroup
+from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.spoken import spoken_names
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Driven:
+    """Of n agents. `channels` float32[n] by spoken name: the value of a channel of the rig whatever clips say, NaN where clips
+    say it. `looks` float32[n, 3] by transform group: unit vectors in the space of the agent (+x ahead, +y up), (1, 0, 0) for
+    who looks straight ahead. `ids` int64[n]: what draws go by. `lean` float32[n, 2]: how much each turns, to the left above 0,
+    and climbs, from -1 to 1; None where no clip goes by that."""
+
+    channels: Mapping[str, Floats] = field(default_factory=dict)
+    looks: Mapping[str, Floats] = field(default_factory=dict)
+    ids: NDArray[np.int64] | None = None
+    lean: Floats | None = None
+
+    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Driven:
+        """The same of some agents."""
+        return Driven(
+            {name: each[chosen] for name, each in self.channels.items()},
+            {name: each[chosen] for name, each in self.looks.items()},
+            None if self.ids is None else self.ids[chosen],
+            None if self.lean is None else self.lean[chosen],
+        )
+
+
+def with_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
+    """Poses whose channels have the values that are said; a channel that the rig does not have is passed over."""
+    names = {spoken: k for k, spoken in enumerate(spoken_names(each.name for each in table.rig.channels).values())}
+    known = {names[name]: value for name, value in channels.items() if name in names}
+    if not known:
+        return poses
+    values = np.array(poses.channels, np.float32)
+    for k, value in known.items():
+        said = np.isfinite(value)
+        values[said, k] = value[said]
+    return replace(poses, channels=values)
+
+
+def with_looks(
+    table: ClipTable, poses: Poses, looks: Mapping[str, Floats], groups: Mapping[str, TransformGroup], base: NDArray[np.float64]
+) -> Poses:
+    """Poses whose joints of transform groups are turned to look where it is said: each joint of a group turns, with all below
+    it, about its own place by its weight's share of the shortest turn from straight ahead. `base` [3, 3] leads from the body's
+    space to that of agents. A group that the body does not have is passed over; `local` is None where anything was turned."""
+    wanted = {name: look for name, look in looks.items() if name in groups and len(look)}
+    if not wanted:
+        return poses
+    world = np.array(poses.world, np.float32)
+    size = np.linalg.norm(base[0])
+    back = (base / size).T.astype(np.float32)
+    for name, look in wanted.items():
+        turn = _shortest(look @ back.T, back[:, 0])
+        for joint, weight in sorted((table.rig.joint(member), weight) for member, weight in groups[name].members):
+            _turned(world, joint, _below(table, joint), _share(turn, weight))
+    return Poses(world, None, poses.channels)
+
+
+def _shortest(way: Floats, ahead: Floats) -> Floats:
+    """The quaternions float32[n, 4] of the shortest turns that bring `ahead` [3] to unit vectors [n, 3]."""
+    found = np.empty((4, len(way)), np.float32)
+    found[:3] = np.cross(np.broadcast_to(ahead, way.shape), way).T
+    found[3] = 1 + way @ ahead
+    found[:, found[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: there is no shortest turn
+    return np.ascontiguousarray(normalised(found).T)
+
+
+def _share(turn: Floats, weight: float) -> Floats:
+    """A share of turns [n, 4], by nlerp from none."""
+    part = turn * np.float32(weight)
+    part[:, 3] += np.float32(1 - weight)
+    return np.ascontiguousarray(normalised(np.ascontiguousarray(part.T)).T)
+
+
+def _below(table: ClipTable, joint: int) -> list[int]:
+    """A joint and all that hang on it."""
+    parents = np.asarray(table.rig.parents)
+    found, reached = [joint], True
+    inside = np.zeros(len(parents), bool)
+    inside[joint] = True
+    while reached:
+        more = np.flatnonzero((parents >= 0) & inside[parents] & ~inside)
+        inside[more] = True
+        found += more.tolist()
+        reached = bool(len(more))
+    return found
+
+
+def _turned(world: Floats, joint: int, moved: list[int], turn: Floats) -> None:
+    """Turn some joints [n, J, 3, 4] about the place of one, in place."""
+    x, y, z, w = turn.T
+    matrix = np.empty((len(turn), 3, 3), np.float32)
+    matrix[:, 0] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1)
+    matrix[:, 1] = np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1)
+    matrix[:, 2] = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    pivot = world[:, joint, :, 3].copy()
+    part: Any = world[:, moved]
+    part[..., 3] -= pivot[:, None]
+    part = np.matmul(matrix[:, None], part)
+    part[..., 3] += pivot[:, None]
+    world[:, moved] = part

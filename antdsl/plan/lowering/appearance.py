@@ -1,0 +1,124 @@
+"""What states show of an agent beside clips: layers that it wears, channels of its body, where parts of it look.
+
+All machines say it together in each step, and what none says is not so any more. Registers: `wear:LAYER`, a truth; `channel:NAME`
+with `channel:NAME.said`; `look:GROUP.x`, `.y` and `.z`, a unit vector by the heading, the body's up and what is right of both,
+(1, 0, 0) straight ahead. What a step says is gathered in temps of the same names after `~`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from math import pi
+from typing import Any
+
+from antdsl.plan.ir import Kind
+from antdsl.plan.lowering import values
+from antdsl.plan.lowering.expressions import lower, scalar, truth
+from antdsl.plan.lowering.rules.places import away
+from antdsl.plan.lowering.values import Vec
+from antdsl.plan.lowering.writer import AXES, Writer
+from antdsl.program import model
+
+WITHIN, OVER = pi / 3, 0.2  # rad, s: how far a part turns and how soon where the line does not say
+_AHEAD = (1.0, 0.0, 0.0)
+
+
+def wears_of(species: model.Species) -> tuple[str, ...]:
+    """The layers that states wear, each once, in text order."""
+    return tuple(dict.fromkeys(line.layer for line in _lines(species) if isinstance(line, model.Wear)))
+
+
+def channels_of(species: model.Species) -> tuple[str, ...]:
+    """The channels that states set, each once, in text order."""
+    return tuple(dict.fromkeys(line.channel for line in _lines(species) if isinstance(line, model.Channel)))
+
+
+def looks_of(species: model.Species) -> tuple[str, ...]:
+    """The transform groups that states turn to look at something, each once, in text order."""
+    return tuple(dict.fromkeys(line.group for line in _lines(species) if isinstance(line, model.Look)))
+
+
+def declare(w: Writer) -> None:
+    """The registers of a species."""
+    for role, sign in (("memory", ""), ("temp", "~")):
+        for layer in wears_of(w.species):
+            w.declare(f"{sign}wear:{layer}", Kind.BOOL, role)
+        for name in channels_of(w.species):
+            w.declare(f"{sign}channel:{name}", Kind.F32, role)
+            w.declare(f"{sign}channel:{name}.said", Kind.BOOL, role)
+        for group in looks_of(w.species):
+            for axis, ahead in zip(AXES, _AHEAD, strict=True):
+                w.declare(f"{sign}look:{group}.{axis}", Kind.F32, role, ahead)
+    for group in looks_of(w.species):
+        w.declare(f"~look:{group}.over", Kind.F32, "temp", OVER)
+
+
+def begin(w: Writer, starts: Sequence[model.State]) -> None:
+    """At birth: what the start states show. Looks begin straight ahead."""
+    for state in starts:
+        for line in state.body:
+            if isinstance(line, (model.Wear, model.Channel)):
+                w.b.span = line.span
+                WRITE[type(line)](w, line, "")
+    _shown(w)
+
+
+def settle(w: Writer) -> None:
+    """After all machines have acted: what they say is so, and who looks has turned by a step."""
+    _shown(w)
+    b = w.b
+    for group in looks_of(w.species):
+        name = f"look:{group}"
+        now, wish = w.read_vector(name), w.read_vector(f"~{name}")
+        least = b("max", w.read(f"~{name}.over"), w.run("dt"))
+        share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), least))))
+        turned = values.unit(b, values.add(b, now, values.scale(b, values.sub(b, wish, now), share)))
+        there = b("gt", values.dot(b, turned, turned), b.number(0.5))
+        w.store_vector(name, values.choose(b, there, turned, now), None)
+
+
+def _shown(w: Writer) -> None:
+    for layer in wears_of(w.species):
+        w.store(f"wear:{layer}", w.read(f"~wear:{layer}"), None)
+    for name in channels_of(w.species):
+        for register in (f"channel:{name}", f"channel:{name}.said"):
+            w.store(register, w.read(f"~{register}"), None)
+
+
+def _wear(w: Writer, line: model.Wear, site: str) -> None:
+    register = f"~wear:{line.layer}"
+    worn = w.b.true if line.when is None else truth(w, line.when)
+    w.store(register, w.b("or", w.read(register), worn), line.span)
+
+
+def _channel(w: Writer, line: model.Channel, site: str) -> None:
+    w.store(f"~channel:{line.channel}", scalar(w, line.value), line.span)
+    w.store(f"~channel:{line.channel}.said", w.b.true, line.span)
+
+
+def _look(w: Writer, line: model.Look, site: str) -> None:
+    """The way to a place as the agent sees it, no farther aside than it may; straight ahead where there is no such place."""
+    b, register = w.b, f"~look:{line.group}"
+    there, offset = away(w, lower(w, line.at), line.at)
+    way = values.unit(b, values.keep_if(b, there, offset))
+    heading, up = w.read_vector("heading"), w.read_vector("up")
+    side = values.cross(b, heading, up)
+    seen = Vec(values.dot(b, way, heading), values.dot(b, way, up), values.dot(b, way, side))
+    limit = b.number(WITHIN) if line.within is None else scalar(w, line.within)
+    least, widest = b("cos", limit), b("sin", limit)
+    aside = values.length(b, Vec(b.number(0), seen.y, seen.z))
+    far = b("div", widest, b("max", aside, b.number(1e-6)))
+    held = Vec(least, b("mul", seen.y, far), b("mul", seen.z, far))
+    wish = values.choose(b, b("lt", seen.x, least), held, seen)
+    ahead = Vec(*(b.number(part) for part in _AHEAD))
+    known = b("and", there, b("gt", aside, b.number(1e-6)))  # what is straight behind has no side to turn to
+    w.store_vector(register, values.choose(b, known, wish, ahead), line.span)
+    w.store(f"{register}.over", b.number(OVER) if line.over is None else scalar(w, line.over), line.span)
+
+
+WRITE: dict[type, Callable[[Writer, Any, str], None]] = {model.Wear: _wear, model.Channel: _channel, model.Look: _look}
+
+
+def _lines(species: model.Species) -> Iterator[model.Statement]:
+    for machine in species.machines:
+        for state in machine.states:
+            yield from state.body
