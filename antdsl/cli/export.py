@@ -80,6 +80,7 @@ def export(
         raise typer.BadParameter(
             f"`{to.name}` cannot be written as `{word}`: there is {', '.join(export.forms)}", param_hint="--as"
         )
+    between, chosen = frame_range(frames), number_set(ids, "--ids")
     wanted = {
         "skeletons": skeletons,
         "shutter": open_time(shutter),
@@ -95,7 +96,6 @@ def export(
     if "samples" in given and "shutter" not in given:
         raise typer.BadParameter("say when they are: `--shutter -0.25..0.25`", param_hint="--samples")
     options = (export.options[word](**given),) if word in export.options else ()
-    between, chosen = frame_range(frames), number_set(ids, "--ids")
     try:
         found = open_cache(cache)
         there = [f for f in found.frames() if between is None or between.first <= f <= between.last]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -17,27 +17,25 @@ from antdsl.outputs.poses_export import export_poses
 from antdsl.outputs.solid_export import export_solids, export_volumes
 from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances, export_xforms
 
-Notes = list[str] | None  # what was left out or is not as it was, in sentences
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
     """Files of some `endings`. `forms`: by name the functions that write frames of a cache into one; the first is the usual.
     `each`: the forms that write a file for each frame, with the frame's number before its ending. `options`: by name of a form
-    what it takes beside these, a dataclass."""
+    what it takes beside them, a dataclass. A form returns what was left out or is not as it was, in sentences."""
 
     endings: tuple[str, ...]
-    forms: Mapping[str, Callable[..., Notes]]
+    forms: Mapping[str, Callable[..., Sequence[str] | None]]
     each: frozenset[str] = frozenset()
     options: Mapping[str, type] = field(default_factory=dict)
-
-    def takes(self, form: str) -> frozenset[str]:
-        """The names of what a form takes beside a gallery, frames and a path."""
-        return frozenset(each.name for each in fields(self.options[form])) if form in self.options else frozenset()
 
     def paths(self, form: str, path: Path, frames: list[int]) -> list[Path]:
         """The files that a form writes."""
         return [numbered(path, frame) for frame in frames] if form in self.each else [path]
+
+    def takes(self, form: str) -> frozenset[str]:
+        """The names of what a form takes beside frames and a path."""
+        return frozenset(each.name for each in fields(self.options[form])) if form in self.options else frozenset()
 
 
 EXPORTS = (

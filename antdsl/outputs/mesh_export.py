@@ -69,7 +69,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 def _usd_mesh(out: Out, part: Part) -> tuple[Samples, ...]:
     species, _, number = part.name.rpartition("_")
     pxr("UsdGeom").Xform.Define(out.stage, f"{ROOT}/{identifier(species)}")
-    made = mesh(out.stage, f"{ROOT}/{identifier(species)}/agent_{number}", part.points, part.faces, part.points)
+    made = mesh(out.stage, f"{ROOT}/{identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
     assert part.colours is not None
     made.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(part.colours)))
     attributes = (made.GetPointsAttr(), made.GetExtentAttr(), made.GetNormalsAttr())

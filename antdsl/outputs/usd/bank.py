@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
@@ -132,10 +133,10 @@ class _Drawn:
         return path, float(np.linalg.norm(points, axis=1).max(initial=0.0))
 
 
-def bank_clips(worn: PosedBody) -> list[tuple[str, str]]:
+def bank_clips(worn: PosedBody) -> list[Played]:
     """What poses of a bank may be of: the clips that the species plays, the one of those who play none, and those to go on."""
-    strides = [(name, "") for name, clip in worn.definition.clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
-    return [*((each[0], each[1]) for each in worn.clips), (worn.definition.idle, ""), *strides]
+    strides = [Played(name) for name, clip in worn.definition.clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
+    return [*(Played(*each) for each in worn.clips), Played(worn.definition.idle), *strides]
 
 
 def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
@@ -143,20 +144,20 @@ def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> 
     a transform group. 0 is nothing, else (clip + 1) · (SAMPLES + 1) + the nearest of so many moments; clips are those of
     `bank_clips`. Who goes and plays nothing that goes has the clip whose speed is nearest to its `speed` [n] (body lengths a
     second), at the phase of its feet."""
-    clips = [worn.definition.clips.get(name) for name, _ in bank_clips(worn)]
+    clips = [worn.definition.clips.get(each.clip) for each in bank_clips(worn)]
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
-    groups = np.array([bool(group) for _, group in bank_clips(worn)] + [False])
-    added = np.array([len(each) > 2 and bool(each[2]) for each in worn.clips] + [False])  # over all others: left out
+    groups = np.array([bool(each.on) for each in bank_clips(worn)] + [False])
+    added = np.array([each.add for each in bank_clips(worn)] + [False])  # over all others: left out
     steps = np.where(groups, _SAMPLES_OF_PARTS, SAMPLES)
     count = len(crowd.position)
-    whole, on_parts = np.zeros(count, np.int64), list[NDArray[np.int64]]()
+    whole, on_parts = np.full(count, 0, np.int64), []
     for machine in crowd.plays:
         fade = np.clip(machine.fade, 0.0, 1.0)
         here, before = machine.weight * (1 - fade), machine.before_weight * fade
         clip = np.where(here >= before, machine.clip, machine.before).astype(np.int64)
         turns = np.where(here >= before, machine.turns, machine.before_turns).astype(np.float64)
         clip = np.where((here + before >= 0.5) & (clip >= 0) & (clip <= len(worn.clips)), clip, -1)
-        clip = np.where(added[np.minimum(clip, len(worn.clips))], -1, clip)
+        clip = np.where(added[clip], -1, clip)
         code = np.where(clip >= 0, _code(clip, turns, loops, steps), 0)
         whole = np.where((clip >= 0) & ~groups[clip], code, whole)
         part = np.where(groups[clip], code, 0)
