@@ -60,7 +60,8 @@ class FeelerHits:
 
 
 @cache
-def _open3d() -> Any:
+def open3d() -> Any:
+    """The module, imported when it is first needed."""
     try:
         import open3d
     except (ImportError, OSError) as problem:
@@ -114,13 +115,13 @@ class RayScene:
 
     def _built(self, corners: NDArray[np.float32]) -> Any:
         # By one thread, so that the tree is the same on every machine of one kind.
-        scene = _open3d().t.geometry.RaycastingScene(nthreads=1)
+        scene = open3d().t.geometry.RaycastingScene(nthreads=1)
         scene.add_triangles(self._tensor(corners), self._tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)))
         return scene
 
     @staticmethod
     def _tensor(array: NDArray[Any]) -> Any:
-        return _open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))
+        return open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))
 
     # ---- rays
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from antdsl.outputs.paths import Window
     from antdsl.outputs.pictures.model import Camera, Picture
 
+LEAST, ENLARGED = 7.0, 3.0  # pixels that agents are drawn long at least, though at most so many times their size
 SHEET = 9  # pictures on a contact sheet where no frames are named
 MOST = 100
 
@@ -26,7 +28,14 @@ class View(StrEnum):
     scene = "scene"
     fit = "fit"
     above = "above"
+    top = "top"
     eye = "eye"
+    close = "close"
+
+
+class Legend(StrEnum):
+    beside = "beside"
+    none = "none"
 
 
 def render(
@@ -55,8 +64,26 @@ def render(
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
     camera: View = typer.Option(
-        View.scene, "--camera", help="The scene's own, one that fits the crowd, one from above, one at an agent's eye level."
+        View.scene,
+        "--camera",
+        help="The scene's own; one that fits the crowd; one from above; one straight above, at one scale; one at an agent's eye "
+        "level; one close to it.",
     ),
+    blur: float = typer.Option(0.0, "--blur", min=0.0, max=1.0, metavar="SHARE", help="Motion blur: the share of a frame."),
+    least: float = typer.Option(
+        None,
+        "--least",
+        min=0.0,
+        max=1000.0,
+        metavar="PIXELS",
+        help="Draw shorter agents so long. [default: 7, up to three times their size]",
+        show_default=False,
+    ),
+    marks: float = typer.Option(0.0, "--marks", min=0.0, max=200.0, metavar="PIXELS", help="Discs so wide instead of agents."),
+    full: list[str] = typer.Option(
+        [], "--full", metavar="FIELD=VALUE", help="The strength at the end of a field's scale of colours.", show_default=False
+    ),
+    legend: Legend = typer.Option(Legend.beside, "--legend", help="States and scales: in a strip beside it, or nowhere."),
     cut: str = typer.Option(
         None, "--cut", metavar="'z > 0'", help="Leave out what lies beyond a plane, in the scene's units, and look into solids."
     ),
@@ -71,7 +98,7 @@ def render(
 
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
     seconds = _window(window)
-    gallery = _gallery(cache, _cut(cut), seconds if "paths" in words else None)
+    gallery = _gallery(cache, _cut(cut), seconds if "paths" in words else None, blur > 0, _full(full))
     wanted = _frames(gallery, frame_range(frames), every, sheet, film)
     followed = _ids(agents)
     folder = out if out is not None else cache / "pictures"
@@ -79,7 +106,8 @@ def render(
     folder.mkdir(parents=True, exist_ok=True)
     if film:
         _ready_for_films()
-    drawn = _draw(gallery, wanted, camera, followed, words, width, height, at_once(threads), rest=film and not followed)
+    style = _Style(width, height, at_once(threads), least, marks, blur, legend is Legend.beside)
+    drawn = _draw(gallery, wanted, camera, followed, words, style, rest=film and not followed)
     if film:
         _film(drawn, gallery, folder)
     elif sheet:
@@ -109,17 +137,33 @@ def _window(text: str) -> Window:
     return found
 
 
-def _gallery(folder: Path, cut: Cut | None, window: Window | None) -> Gallery:
+def _full(texts: list[str]) -> dict[str, float]:
+    found = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            found[name.strip()] = float(value)
+        except ValueError:
+            found[name.strip()] = 0.0
+        if not 0 < found[name.strip()] < float("inf"):
+            raise typer.BadParameter(f"`{text}` is no field and strength such as `trail=20`", param_hint="--full")
+    return found
+
+
+def _gallery(folder: Path, cut: Cut | None, window: Window | None, blurred: bool, full: dict[str, float]) -> Gallery:
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.gallery import Gallery, NoPicture
 
     try:
-        return Gallery(open_cache(folder), cut, window)
+        return Gallery(open_cache(folder), cut, window, blurred=blurred, full=full)
     except (ManifestError, CacheError) as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except NoPicture as why:
-        raise Stop(Exit.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again") from None
+        advice = "add it to `output: {attributes: …}` of the scene and run again"
+        if "field" in str(why):
+            advice = "`antdsl info CACHE` names its fields"
+        raise Stop(Exit.FINDINGS, f"error: {why}", advice) from None
 
 
 def _frames(gallery: Gallery, between: Any, every: int | None, sheet: bool, film: bool) -> list[int]:
@@ -150,23 +194,35 @@ def _ids(text: str | None) -> tuple[int, ...]:
         raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,17", param_hint="--agents") from None
 
 
+@dataclass(frozen=True)
+class _Style:
+    width: int
+    height: int
+    threads: int
+    least: float | None
+    marks: float
+    blur: float
+    legend: bool
+
+
 def _draw(
     gallery: Gallery,
     frames: list[int],
     camera: View,
     agents: tuple[int, ...],
     show: tuple[str, ...],
-    width: int,
-    height: int,
-    threads: int,
+    style: _Style,
     rest: bool,
 ) -> Iterator[tuple[int, Any]]:
     """Frames with their pictures; with `rest` a camera at eye level stays where the first frame put it, as a film needs it."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.gallery import NoPicture
+    from antdsl.outputs.pictures.legend import strip_width, with_strip
     from antdsl.outputs.pictures.render import Renderer
 
-    renderer = Renderer(width, height, threads=threads)
+    least, enlarged = (LEAST, ENLARGED) if style.least is None else (style.least, float("inf"))
+    renderer: Renderer | None = None
+    strip = 0
     standing: Camera | None = None
     for frame in frames:
         try:
@@ -175,27 +231,34 @@ def _draw(
             raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
         except NoPicture as why:
             raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
-        if standing is None or (camera is View.eye and not rest) or (camera is View.scene and gallery.camera_moves):
-            standing = _camera(gallery, picture, camera, agents, width / height, frames)
+        if renderer is None:
+            strip = strip_width(picture, style.width, show) if style.legend else 0
+            size = style.width - strip, style.height
+            renderer = Renderer(*size, threads=style.threads, marks=style.marks, blur=style.blur, least=least, enlarged=enlarged)
+        if standing is None or (camera in (View.eye, View.close) and not rest) or (camera is View.scene and gallery.camera_moves):
+            standing = _camera(gallery, picture, camera, agents, renderer.width / renderer.height, frames)
         try:
             image = renderer.draw(picture, standing, show=show)
         except ValueError as why:
             raise typer.BadParameter(str(why), param_hint="--show") from None
-        yield frame, image
+        yield frame, with_strip(image, picture, strip, show)
 
 
 def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float, frames: list[int]) -> Camera:
     import numpy as np
 
-    from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_holding, camera_over
+    from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_holding, camera_on_top, camera_over
 
-    if which is View.eye:
-        found = camera_at_eye_level(picture, agents[0] if agents else None)
+    if which in (View.eye, View.close):
+        close = which is View.close
+        found = camera_at_eye_level(picture, agents[0] if agents else None, focal=35.0 if close else 26.0, close=close)
         if found is None:
             raise Stop(
                 Exit.FINDINGS, f"error: there is no agent {agents[0] if agents else ''} to stand beside".replace("  ", " ")
             )
         return found
+    if which is View.top:
+        return camera_on_top(picture, aspect=aspect)
     if which is View.fit or (which is View.scene and gallery.camera_fits):
         return camera_holding(gallery.outline(frames), np.asarray(picture.up, np.float64), aspect=aspect)
     own = gallery.camera(picture.frame or 0) if which is View.scene else None

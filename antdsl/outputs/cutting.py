@@ -5,15 +5,15 @@ from __future__ import annotations
 import re
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
-from antdsl.outputs.pictures.model import Crowd, Picture, Solid
+from antdsl.outputs.pictures.model import Picture, Solid
 
+_SECTION = (0.33, 0.24, 0.17)  # display values of cut soil
 _WRITTEN = re.compile(r"\s*([xyz])\s*([<>])\s*(-?[0-9]+(?:\.[0-9]+)?)\s*")
 
 
@@ -35,6 +35,12 @@ class Cut:
         """Which places [n,3] are taken away."""
         along = places[:, self.axis]
         return along < self.at if self.below else along > self.at
+
+    def painted(self, places: NDArray[np.float64], near: float) -> NDArray[np.float64]:
+        """Colours [n,3] of a solid's vertices: a dark one on the plane, so that what is hollow stands out, and none elsewhere."""
+        colour = np.full((len(places), 3), np.nan)
+        colour[np.abs(places[:, self.axis] - self.at) < near] = _SECTION
+        return colour
 
     def opened(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
         """A copy of a solid from which all beyond the plane has been dug: max(distance, depth beyond it)."""
@@ -61,7 +67,7 @@ class Cut:
         return replace(
             whole,
             solids=tuple(self._mesh(solid) for solid in whole.solids),
-            crowds=tuple(some_of(crowd, ~self.gone(crowd.position)) for crowd in whole.crowds),
+            crowds=tuple(crowd.rows(~self.gone(crowd.position)) for crowd in whole.crowds),
             items=tuple(item for item in whole.items if not self.gone(np.array([item.position]))[0]),
             trails=tuple(replace(t, strength=np.where(self.gone(t.position), 0.0, t.strength)) for t in whole.trails),
         )
@@ -70,18 +76,3 @@ class Cut:
         gone = self.gone(solid.vertices)
         kept = ~gone[solid.faces].all(axis=1)
         return solid if kept.all() else replace(solid, faces=solid.faces[kept])
-
-
-def some_of(crowd: Crowd, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Crowd:
-    """Some agents of a crowd."""
-
-    def of(array: Any) -> Any:
-        return None if array is None else array[rows]
-
-    return replace(
-        crowd, position=of(crowd.position), orient=of(crowd.orient), scale=of(crowd.scale), colour=of(crowd.colour),
-        ids=of(crowd.ids), velocity=of(crowd.velocity), feelers=None,
-        plays=tuple(each.rows(rows) for each in crowd.plays), driven=crowd.driven.rows(rows),
-        feet=None if crowd.feet is None else crowd.feet.rows(rows),
-        paths=None if crowd.paths is None else replace(crowd.paths, places=of(crowd.paths.places)),
-    )  # fmt: skip

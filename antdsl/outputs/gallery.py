@@ -3,7 +3,7 @@ ground."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import body_of
@@ -22,17 +23,19 @@ from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.foot_arrays import feet_of
-from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
+from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, MeshEntry, SpeciesEntry
 from antdsl.outputs.cache.shown_arrays import driven, layers_of, worn_masks
-from antdsl.outputs.cutting import Cut, some_of
+from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
+from antdsl.outputs.following import followed
 from antdsl.outputs.paths import Walks, Window
 from antdsl.outputs.pictures.camera import three
 from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 from antdsl.outputs.pictures.trails import robust_full
 
 _KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
+_LOOKS: dict[str, Kind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
 _UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 WANTED = ("P", "orient", "pscale")
 _DYES = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
@@ -46,19 +49,32 @@ class NoPicture(Exception):
 
 
 class Gallery:
-    """Makes pictures of one cache. Each frame is drawn from it alone. With a `window` pictures
-    hold paths: where each agent is in the frames of so many seconds before and after."""
+    """Makes pictures of one cache, each of its frame alone. With a `window` they hold paths: where each agent is in the frames of
+    so many seconds before and after. `blurred`: they say where agents are in the frame after, too. `full`: by field, the
+    strength that is drawn strongest. Raises NoPicture for a cache without what pictures need, or without such a field."""
 
-    def __init__(self, cache: Cache, cut: Cut | None = None, window: Window | None = None) -> None:
+    def __init__(
+        self,
+        cache: Cache,
+        cut: Cut | None = None,
+        window: Window | None = None,
+        *,
+        blurred: bool = False,
+        full: Mapping[str, float] | None = None,
+    ) -> None:
         self.cache, self.manifest, self._cut = cache, cache.manifest, cut
         missing = [name for name in WANTED if name not in self.manifest.attributes]
         if missing:
             raise NoPicture(f"the cache has no attribute `{missing[0]}`, which pictures need")
+        strange = [name for name in full or () if name not in {field.name for field in self.manifest.fields}]
+        if strange:
+            raise NoPicture(f"the cache has no field `{strange[0]}`")
+        self._blurred, self._given = blurred, dict(full or {})
         above, below = self.manifest.fps.split("/")
         self.dt = int(below) / int(above)
         self._walks = None if window is None else Walks(cache, self.dt, window)
         self.static = cache.static()
-        self._stones = tuple(self._solid(m.name, m.kind) for m in self.manifest.meshes if m.kind != "solid")
+        self._stones = tuple(self._solid(m) for m in self.manifest.meshes if m.kind != "solid" and m.look != "none")
         self._dug = DugSolids(cache, self.static, cut)
         self.flows = tuple(
             Arrows(name, place, way, _ARROWS[number % len(_ARROWS)])
@@ -78,7 +94,7 @@ class Gallery:
             self._first = self.cache.frame(frames[0]) if frames else arrays
         crowds, legend = self._crowds(frame, arrays, agents)
         whole = Picture(
-            solids=(*self._solids(arrays), *self._dug.at(frame)),
+            solids=(*self._solids(arrays), *self._dug_at(frame)),
             crowds=crowds,
             items=self._items(arrays),
             trails=self._trails(arrays),
@@ -124,7 +140,7 @@ class Gallery:
         reach = np.ones(len(self.manifest.species))
         for number, species in enumerate(self.manifest.species):
             if species.definition is not None:
-                reach[number] = max(1.0, self._body(number).reach)
+                reach[number] = max(1.0, self.body(number).reach)
         if "species" not in arrays or not len(reach):
             return float(reach.max(initial=1.0))
         return reach[np.clip(np.asarray(arrays["species"], np.int64), 0, len(reach) - 1)]
@@ -140,6 +156,15 @@ class Gallery:
         at, look_at, up = (three(self.static[f"camera.{name}"][k]) for name in ("at", "look_at", "up"))
         return Camera(at, look_at, focal=float(self.static["camera.focal"][k]) or 35.0, up=up)
 
+    def _dug_at(self, frame: int) -> tuple[Solid, ...]:
+        """The solids as far as they are dug."""
+        looks = {mesh.name: mesh.look for mesh in self.manifest.meshes if mesh.look is not None}
+        return tuple(
+            solid if solid.name not in looks else replace(solid, kind=_LOOKS[str(looks[solid.name])])
+            for solid in self._dug.at(frame)
+            if looks.get(solid.name) != "none"
+        )
+
     def _solids(self, arrays: Arrays) -> tuple[Solid, ...]:
         """The meshes, those that move as they are in a frame."""
         moved = {mesh.name: f"mesh.{mesh.name}.vertices" for mesh in self.manifest.meshes if mesh.moves}
@@ -150,64 +175,68 @@ class Gallery:
             for solid in self._stones
         )
 
-    def _solid(self, name: str, kind: str) -> Solid:
-        look: Kind = next((k for word, k in _KINDS if word in name.lower()), "stone" if kind == "obstacle" else "ground")
+    def _solid(self, mesh: MeshEntry) -> Solid:
+        name = mesh.name
+        look = next((k for word, k in _KINDS if word in name.lower()), "stone" if mesh.kind == "obstacle" else "ground")
         vertices = np.asarray(self.static[f"mesh.{name}.vertices"], np.float64)
-        return Solid(name, vertices, np.asarray(self.static[f"mesh.{name}.faces"], np.int32), look)
+        faces = np.asarray(self.static[f"mesh.{name}.faces"], np.int32)
+        return Solid(name, vertices, faces, look if mesh.look is None else _LOOKS[mesh.look])
 
     def _crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
         made: list[Crowd] = []
         legend: list[LegendRow] = []
-        count = len(arrays["P"])
-        which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(count, np.int16)
-        ids = np.asarray(arrays["id"]) if "id" in arrays else np.arange(count)
+        after = self.cache.frame(frame + 1) if self._blurred and frame + 1 in self.cache.frames() else None
         for number, species in enumerate(self.manifest.species):
-            rows = np.flatnonzero(which == number)
-            crowd = Crowd(
-                species=species.name,
-                position=np.asarray(arrays["P"], np.float64)[rows],
-                orient=np.asarray(arrays["orient"], np.float64)[rows],
-                scale=np.asarray(arrays["pscale"], np.float64)[rows],
-                colour=np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35),
-                ids=ids[rows],
-                velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
-            )
-            dressed = self._dressed(crowd, number, frame, arrays)
+            rows = _rows_of(number, arrays)
+            whole = self._whole(number, frame, arrays)
+            if after is not None:
+                whole = replace(whole, after=followed(whole, self._whole(number, frame + 1, after)))
+            dressed = self._dressed(whole, number, arrays)
             made += [self._with_lines(part, species, number, frame) for each in dressed for part in _parted(each, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
-                    LegendRow(state.label or state.name, _bytes(state.colour), int(n))
+                    LegendRow(state.label or state.name, _bytes(state.colour), int(n), species.name)
                     for state, n in zip(species.machines[0].states, counts, strict=False)
                 ]
         return tuple(made), tuple(legend)
 
-    def _dressed(self, crowd: Crowd, number: int, frame: int, arrays: Arrays) -> list[Crowd]:
-        """The crowd in its body, posed by what the frame says that each plays and shows, over the clip of those who play none, on
-        the feet that the frame has: a crowd for each set of layers that some wear."""
-        species, count = self.manifest.species[number], len(crowd.position)
-        ids = np.asarray(crowd.ids, np.int64)
-        masks = worn_masks(species, arrays, count)
-        sets = [int(mask) for mask in np.unique(masks)] or [0]
-        body = self._body(number, sets[0])
-        whole = replace(
-            crowd,
+    def _whole(self, number: int, frame: int, arrays: Arrays) -> Crowd:
+        """All agents of a species, posed by what the frame says that each plays and shows, over the clip of those who play none,
+        on the feet that it has."""
+        species, rows = self.manifest.species[number], _rows_of(number, arrays)
+        ids = np.asarray(arrays["id"])[rows] if "id" in arrays else rows
+        body, count = self.body(number), len(rows)
+        return Crowd(
+            species=species.name,
+            position=np.asarray(arrays["P"], np.float64)[rows],
+            orient=np.asarray(arrays["orient"], np.float64)[rows],
+            scale=np.asarray(arrays["pscale"], np.float64)[rows],
+            colour=np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((count, 3), 0.35),
+            ids=ids,
+            velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
+            worn=body,
             plays=(*body.idling(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
-            feet=feet_of(crowd.species, arrays, count, 0 if body.legs is None else body.legs.count),
-            driven=driven(species, arrays, ids),
+            feet=feet_of(species.name, arrays, count, 0 if body.legs is None else body.legs.count),
+            driven=driven(species, arrays, np.asarray(ids, np.int64)),
         )
-        if len(sets) == 1:
-            return [replace(whole, worn=body)]
-        parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
-        return [replace(some_of(whole, rows), worn=self._body(number, mask)) for mask, rows in parts]
 
-    def _body(self, number: int, mask: int = 0) -> PosedBody:
+    def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:
+        """A crowd for each set of layers that some wear."""
+        masks = worn_masks(self.manifest.species[number], arrays, len(crowd.position))
+        sets = [int(mask) for mask in np.unique(masks)] or [0]
+        if len(sets) == 1:
+            return [replace(crowd, worn=self.body(number, sets[0]))]
+        parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
+        return [replace(crowd.rows(rows), worn=self.body(number, mask)) for mask, rows in parts]
+
+    def body(self, number: int, mask: int = 0) -> PosedBody:
         """The body that a species has, with the layers of a mask: its own, kept in the cache, or one of the library."""
         species = self.manifest.species[number]
         if (number, mask) not in self._worn:
             if number not in self._definitions:
                 self._definitions[number] = self._definition(species)
-            clips = tuple((clip.name, clip.on) for clip in species.clips)
+            clips = tuple(Played(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
             self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
         return self._worn[number, mask]
 
@@ -235,8 +264,12 @@ class Gallery:
             moved = arrays.get(f"items.{group.name}.P") if group.moves else None
             places = group.position if moved is None else [three(place) for place in moved]
             for number, (name, position, radius) in enumerate(zip(group.names, places, group.radius, strict=True)):
+                look = group.looks[number] if number < len(group.looks) else None
                 shape = cast(Shape, shape_of(group.name, name))
-                made.append(Item(name, position, radius, self._left(group.name, group.attributes, number, arrays), shape))
+                if look == "none" or (shape == "none" and look is not None):
+                    shape = "none" if look == "none" else "sphere"  # a place that is meant is seen where the scene says of what
+                left = self._left(group.name, group.attributes, number, arrays)
+                made.append(Item(name, position, radius, left, shape, None if look == "none" else look))
         return tuple(made)
 
     def _left(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
@@ -260,7 +293,7 @@ class Gallery:
                     places = np.concatenate([places, np.asarray(added, np.float64)])
                 strength = np.zeros(len(places))
                 strength[cells] = values
-                full = self._strongest().get(field.name) or None
+                full = self._given.get(field.name) or self._strongest().get(field.name) or None
                 made.append(Trail(field.name, places, strength, field.cell, _DYES[number % len(_DYES)], full))
         return tuple(made)
 
@@ -286,16 +319,18 @@ class Gallery:
         return float(np.median(lengths)) if len(lengths) else None
 
 
+def _rows_of(number: int, arrays: Arrays) -> NDArray[np.intp]:
+    """The rows of a species in a frame."""
+    return np.flatnonzero(np.asarray(arrays["species"]) == number) if "species" in arrays else np.arange(len(arrays["P"]))
+
+
 def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
     """The crowd, or those agents and the others, of which only the first have ids and velocities to show."""
     if not agents or crowd.ids is None:
         return [crowd]
     chosen = np.isin(crowd.ids, sorted(agents))
-    parts = []
-    for rows, named in ((chosen, True), (~chosen, False)):
-        some = some_of(crowd, rows)
-        parts.append(some if named else replace(some, ids=None, velocity=None))
-    return parts
+    some, others = crowd.rows(chosen), crowd.rows(~chosen)
+    return [some, replace(others, ids=None, velocity=None)]
 
 
 def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:

@@ -133,7 +133,7 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
         for item, placed in value.items():
             if placed.on is not None and placed.on not in _surfaces(program):
                 _unknown(report, scene, ("world", name, item, "on"), "no surface is named", _surfaces(program), key=False)
-            known = [*declared, "at", "on", "radius", "keys"]
+            known = [*declared, "at", "on", "radius", "keys", "look"]
             _attributes(scene, report, name, thing, placed.model_extra or {}, known, "world", name, item)
 
 
@@ -151,10 +151,11 @@ def _attributes(
 
 def _only_items(scene: Scene, report: Report, name: str, thing: WorldThing, value: UsdThing) -> None:
     """What a part of a USD file says of items alone, against what the program declares of them."""
-    keys = [key for key in ("each", "kind", "turn") if key in value.model_fields_set]
+    unseen = ("look",) if thing.kind == "curve" else ()
+    keys = [key for key in ("each", "kind", "turn", *unseen) if key in value.model_fields_set]
     if thing.kind != "items":
         for key in keys:
-            words = f"`{key}` is for items, and `{name}` is a {thing.kind}"
+            words = f"`{key}` is for {'what is seen' if key in unseen else 'items'}, and `{name}` is a {thing.kind}"
             report.error("wrong-kind", words, scene.span("world", name, key, key=True), "delete it")
         return
     declared = {a.name: a.type for a in thing.attributes}

@@ -47,6 +47,10 @@ Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
 DEFAULT_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state")
 
 
+LOOKS = ("metal", "soil", "leaf", "light", "none")
+Look = Annotated[str, BeforeValidator(one_of(*LOOKS))]  # of things in pictures
+
+
 class MeshThing(Part):
     """A mesh file (`####` in its name: one a frame), turned and moved into the scene: scaled, its `up` made the scene's, rotated
     about x, then y, then z, then put `at`. `group`: of an .obj file only the faces of that group or object."""
@@ -60,6 +64,7 @@ class MeshThing(Part):
     rotate: tuple[Angle, Angle, Angle] | None = None
     scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
+    look: Look | None = None
 
 
 class HeightThing(Part):
@@ -76,6 +81,7 @@ class HeightThing(Part):
     at: Point | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
     keys: Keys = {}
+    look: Look | None = None
 
 
 class UsdEach(Part):
@@ -102,6 +108,7 @@ class UsdThing(Part):
     scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
     keys: Keys = {}
+    look: Look | None = None
     each: UsdEach = UsdEach()
 
     @property
@@ -210,6 +217,7 @@ class ItemThing(Part):
     on: Name | None = None
     radius: PositiveLength | None = None
     keys: Keys = {}
+    look: Look | None = None
 
 
 # The key that says what a thing of the world is, unless it is the name of an item.
@@ -310,6 +318,7 @@ class LevelOfDetail(Part):
 class Output(Part):
     attributes: tuple[Annotated[str, BeforeValidator(lambda v: v)], ...] = DEFAULT_ATTRIBUTES
     checkpoint: Annotated[int, BeforeValidator(whole(1, 100_000))] = 50
+    events: tuple[Annotated[str, BeforeValidator(one_of("contact", "emit"))], ...] = ()
 
 
 class StartFrom(Part):

@@ -7,7 +7,7 @@ import pytest
 
 from antdsl.bodies.body import orientation
 from antdsl.bodies.shapes import sheet, sphere
-from antdsl.casting.rays import RayScene
+from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures import (
     Camera,
     Crowd,
@@ -55,9 +55,16 @@ def at(image, picture, camera, point):
 
 def test_rays_and_projection_agree():
     ready = view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
-    rays = ready.rays(40, 41, 1)
-    places, ahead = ready.project(ready.eye + 7.0 * rays[[3, 90]].astype(float))
-    assert np.allclose(places, [[3.5, 40.5], [90.5, 40.5]], atol=1e-3) and (ahead > 0).all()
+    for camera in (
+        Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0),
+        Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), wide=9.0),
+    ):
+        ready = view(camera, W, H, (0.0, 1.0, 0.0))
+        start, way = ready.rays(np.array([40 * W + 3, 40 * W + 90]), 0.25, 0.5)
+        places, ahead = ready.project(start + 7.0 * way.astype(float))
+        assert np.allclose(places, [[3.25, 40.5], [90.25, 40.5]], atol=1e-3) and (ahead > 0).all()
+        assert np.allclose(ready.distance(start + 7.0 * way.astype(float)), 7.0, atol=1e-5)
+    ready = view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
     assert ready.half[0] == pytest.approx(np.tan(np.radians(25)))
 
 
@@ -109,7 +116,9 @@ def test_even_scent_on_uneven_cells_shows_no_pattern():
     slope = np.array([[1.0, 0.7, 0.2], [0.0, 0.3, 1.0]])  # ground that lies across the lattice
     trail = Trail("trail", flat @ slope, np.ones(len(flat)), 3.0)
     places = (draw.uniform(-24, 24, (4000, 2)) @ slope).astype(np.float32)
-    assert np.allclose(TrailCloth(places, 3.0).share(trail), 1.0, atol=1e-3)
+    cloth = TrailCloth(places.min(axis=0).astype(float), places.max(axis=0).astype(float), 3.0)
+    cloth.soak(trail)
+    assert np.allclose(cloth.share(places), 1.0, atol=1e-3)
 
 
 def test_a_thin_veil_of_scent_everywhere_does_not_hide_a_trail():
@@ -134,7 +143,7 @@ def test_the_soil_of_a_nest_follows_the_ground():
     plain = floor(60.0, 3)
     up = np.array([0.0, 1.0, 0.0])
     steep = plain.vertices + up * 0.5 * plain.vertices[:, :1]
-    ground = RayScene(steep, plain.faces)
+    ground = PictureRays(steep, plain.faces)
     nest = Item("home", (0.0, 0.0, 0.0), 10.0, 1.0, "mound")
     flat, laid = item_mesh(nest, (0.0, 1.0, 0.0)).vertices, item_mesh(nest, (0.0, 1.0, 0.0), ground).vertices
     assert np.allclose(laid - flat, up * 0.5 * flat[:, :1], atol=1e-3) and np.ptp(flat[:, 0]) > 20

@@ -4,6 +4,7 @@ units."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.outputs.cache.clip_arrays import clips_playing, playing
+from antdsl.outputs.cache.event_arrays import events_of
 from antdsl.outputs.cache.foot_arrays import placed_feet
 from antdsl.outputs.cache.manifest import (
     BodyEntry,
@@ -20,6 +22,7 @@ from antdsl.outputs.cache.manifest import (
     FeelersEntry,
     FieldEntry,
     ItemsEntry,
+    Look,
     MachineEntry,
     Manifest,
     MeshEntry,
@@ -31,6 +34,7 @@ from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.plan.pair_registers import pair_values
 from antdsl.program.model import Dim, Kind, Program
+from antdsl.runtime.emitted import event_names
 from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import Setting
@@ -41,10 +45,17 @@ _PLAIN = {"P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "
 
 class FrameMaker:
     """Turns a world into the arrays of a frame. `attributes` are names of the scene's `output`; others than the usual are
-    registers."""
+    registers. `events`: the kinds of events that frames have."""
 
-    def __init__(self, world: World, program: Program, attributes: tuple[str, ...], pieces: PieceMaker | None = None) -> None:
-        self.pieces = pieces
+    def __init__(
+        self,
+        world: World,
+        program: Program,
+        attributes: tuple[str, ...],
+        pieces: PieceMaker | None = None,
+        events: tuple[str, ...] = (),
+    ) -> None:
+        self.pieces, self.events = pieces, events
         self.scale = 1.0 / world.setting.unit_mm
         pairs = {name: pair_values(population.plan.registers) for name, population in world.populations.items()}
         self.pairs = {name: {each: slots[each] for each in attributes if each in slots} for name, slots in pairs.items()}
@@ -83,6 +94,7 @@ class FrameMaker:
             for attribute, amount in items.amounts.items():
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
         arrays |= self._moved(world, rows)
+        arrays |= events_of(world, self.events, self.scale)
         return arrays if self.pieces is None else arrays | self.pieces.frame(world)
 
     def _pairs(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
@@ -214,8 +226,10 @@ def describe(
     worn: Mapping[str, int],
     feelers: Mapping[str, tuple[FeelersEntry, ...]],
     camera: CameraEntry | Literal["fit"] | None,
+    looks: Mapping[str, Look | Mapping[str, Look]],
 ) -> Manifest:
-    """The manifest of a run that begins with this world."""
+    """The manifest of a run that begins with this world. `looks`: of what the scene gives one, by name; of items that differ by
+    the name of each."""
     scale = 1.0 / setting.unit_mm
     return Manifest(
         antdsl=version,
@@ -238,9 +252,9 @@ def describe(
         ),
         bodies=definitions,
         meshes=(
-            *(_surface(setting, name) for name in setting.surfaces),
-            *(MeshEntry(name=name, kind="obstacle", moves=name in setting.moves.meshes) for name in setting.obstacles),
-            *(MeshEntry(name=name, kind="solid") for name in setting.solids),
+            *(_mesh(setting, name, "surface", looks) for name in setting.surfaces),
+            *(_mesh(setting, name, "obstacle", looks) for name in setting.obstacles),
+            *(_mesh(setting, name, "solid", looks) for name in setting.solids),
         ),
         fields=tuple(FieldEntry(name=name, cell=float(field.cells.cell) * scale) for name, field in world.fields.items()),
         items=tuple(
@@ -251,17 +265,28 @@ def describe(
                 radius=tuple(item.radius * scale for item in items),
                 attributes=tuple(world.items[name].amounts) if name in world.items else (),
                 moves=name in setting.moves.items,
+                looks=_looks(looks.get(name), [item.name for item in items]),
             )
             for name, items in setting.items.items()
         ),
+        events=event_names(world),
         camera=camera,
     )
 
 
-def _surface(setting: Setting, name: str) -> MeshEntry:
-    off = setting.deviations.get(name)
+def _mesh(
+    setting: Setting, name: str, kind: Literal["surface", "obstacle", "solid"], looks: Mapping[str, Look | Mapping[str, Look]]
+) -> MeshEntry:
+    off, look = setting.deviations.get(name), looks.get(name)
     deviation = None if off is None else off / setting.unit_mm
-    return MeshEntry(name=name, kind="surface", moves=name in setting.moves.meshes, deviation=deviation)
+    moves = name in setting.moves.meshes
+    return MeshEntry(name=name, kind=kind, moves=moves, deviation=deviation, look=look if isinstance(look, str) else None)
+
+
+def _looks(given: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[Look | None, ...]:
+    if not given:
+        return ()
+    return tuple(given if isinstance(given, str) else given.get(name) for name in names)
 
 
 def _species(
@@ -281,7 +306,7 @@ def _species(
         name=population.name,
         body=body,
         definition=definition,
-        clips=tuple(ClipEntry(name=clip.name, on=clip.on) for clip in population.plan.clips),
+        clips=tuple(ClipEntry(**asdict(clip)) for clip in population.plan.clips),
         playing=tuple(playing(population)),
         wears=layers_worn(population, setting),
         channels=population.plan.channels,

@@ -22,6 +22,7 @@ _BYTES = 16 * limits.MIB
 Word = Annotated[str, Field(max_length=500)]
 Way = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
 Triple = tuple[float, float, float]
+Look = Literal["metal", "soil", "leaf", "light", "none"]
 
 
 class Part(BaseModel):
@@ -59,10 +60,16 @@ class BodyEntry(Part):
 
 
 class ClipEntry(Part):
-    """A clip that states play, on the joints of a transform group (empty: all)."""
+    """A clip that states play, on the joints of a transform group (empty: all). `add`: it is added to all others; `left`,
+    `right`, `up`, `down`: what it gives way to as an agent turns, climbs or goes down."""
 
     name: Word
     on: Word = ""
+    add: bool = False
+    left: Word = ""
+    right: Word = ""
+    up: Word = ""
+    down: Word = ""
 
 
 class SpeciesEntry(Part):
@@ -84,11 +91,12 @@ class SpeciesEntry(Part):
 
 class MeshEntry(Part):
     """`moves`: each frame has its vertices. `deviation`: of a surface of heights, how far (scene units) its triangles lie from
-    the bilinear surface through its samples, at most."""
+    the bilinear surface through its samples, at most. `look`: what pictures draw it as; None goes by its name."""
 
     name: Word
     kind: Literal["surface", "obstacle", "solid"]
     moves: bool = False
+    look: Look | None = None
     deviation: float | None = None
 
 
@@ -101,7 +109,8 @@ class FieldEntry(Part):
 
 class ItemsEntry(Part):
     """Items of one name: their own names, and the attributes that each frame has an array for. Positions and radii in scene
-    units, at the first simulated frame; `moves`: each frame has its own."""
+    units, at the first simulated frame; `moves`: each frame has its own. `looks`: what pictures draw each as, empty where no
+    scene says."""
 
     name: Word
     names: tuple[Word, ...]
@@ -109,6 +118,7 @@ class ItemsEntry(Part):
     radius: tuple[float, ...]
     attributes: tuple[Word, ...]
     moves: bool = False
+    looks: tuple[Look | None, ...] = ()
 
 
 class CameraEntry(Part):
@@ -123,8 +133,8 @@ class CameraEntry(Part):
 
 class Manifest(Part):
     """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
-    asked for. `static` is the hash of `static.npz`, None where none was kept. `scene_path` leads from the cache's folder to the
-    scene's file, where `way_to` knows one."""
+    asked for; `events` the names that frames count. `static` is the hash of `static.npz`, None where none was kept. `scene_path`
+    leads from the cache's folder to the scene's file, where `way_to` knows one."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -147,6 +157,7 @@ class Manifest(Part):
     meshes: tuple[MeshEntry, ...]
     fields: tuple[FieldEntry, ...]
     items: tuple[ItemsEntry, ...]
+    events: tuple[Word, ...] = ()
     camera: CameraEntry | Literal["fit"] | None = None  # `fit`: one that holds the crowd in the frames that are drawn
 
 

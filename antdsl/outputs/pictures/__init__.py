@@ -2,6 +2,7 @@
 
 from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_over
 from antdsl.outputs.pictures.image_files import film, film_ready, still
+from antdsl.outputs.pictures.legend import strip_width, with_strip
 from antdsl.outputs.pictures.model import Camera, Crowd, Item, LegendRow, Picture, Solid, Trail
 from antdsl.outputs.pictures.render import SHOWN, Renderer, render_frame
 from antdsl.outputs.pictures.sheet import contact_sheet
@@ -23,4 +24,6 @@ __all__ = [
     "film_ready",
     "render_frame",
     "still",
+    "strip_width",
+    "with_strip",
 ]

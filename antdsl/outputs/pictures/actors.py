@@ -9,7 +9,8 @@ from antdsl.bodies.body import Body, orientation, rotation, vertex_normals
 from antdsl.bodies.catalogue import body
 from antdsl.bodies.placed import placed
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.casting.rays import RayScene
+from antdsl.casting.picture_rays import PictureRays
+from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
@@ -19,14 +20,17 @@ Array = NDArray[np.float64]
 
 CLOSE = 28.0  # pixels of body length from which the close-up body is worth its triangles
 MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
-MOST_ENLARGED = 3.0
+MOST_MOMENTS = 20
+METAL, LIGHT = 1.5, -1.0  # in place of gloss
 MOST_TRIANGLES = 2_000_000  # of close-up bodies of a species' own
+_STEEP = 0.8  # of a heap's slope: what is steeper beside it is a stone or a wall
 _DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """One kind of thing many times: vertices and normals (n, 3), faces, linear colour (n, 3), gloss (n,)."""
+    """One kind of thing many times: vertices and normals (n, 3), faces, linear colour (n, 3), gloss (n,): 0 dull to 1, METAL
+    above, and LIGHT below for what has light of its own."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -36,49 +40,121 @@ class Mesh:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Actors:
-    """`rays` over one mesh of everything that moves; `tall`: the longest way its shadow needs to be looked
-    for; `size`: how far around a body the ground lies in its shade."""
+class Part:
+    """b bodies of one shape: vertices float32 (b, v, 3) as they are turned at the picture's frame, their places (b, 3), and
+    the same at the frame after, or None for what stands still; faces of all, and normal, colour and gloss of their vertices."""
 
-    rays: RayScene
+    local: Floats
+    place: Array
+    then: tuple[Floats, Array] | None
+    faces: NDArray[np.int32]
+    normal: Floats
+    colour: Floats
+    gloss: Floats
+
+    def at(self, moment: float) -> Array:
+        """Vertices (b, v, 3), `moment` of a frame later: every one goes straight on."""
+        if self.then is None or moment == 0:
+            return self.local + self.place[:, None]
+        local = self.local + (self.then[0] - self.local) * np.float32(moment)
+        return np.asarray(local + (self.place + (self.then[1] - self.place) * moment)[:, None])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Actors:
+    """Everything that moves. `rays`: at one moment or at several over which the shutter is open; `mesh` is at the middle one.
+    `near` bool (h · w,): pixels where any of it may be seen. `tall`: the longest way its shadow needs to be looked for;
+    `size`: how far around a body the ground lies in its shade."""
+
+    rays: tuple[PictureRays, ...]
     mesh: Mesh
+    near: NDArray[np.bool_]
     tall: float
     size: float
 
 
-def actors(picture: Picture, view: View, least: float = 0.0, ground: RayScene | None = None) -> Actors:
+def actors(
+    picture: Picture, view: View, least: float = 0.0, ground: PictureRays | None = None, blur: float = 0.0, enlarged: float = 3.0
+) -> Actors:
     """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those out of sight left out;
-    what is of loose soil follows `ground`.
+    what is of loose soil follows `ground`. The shutter is open for `blur` of the way to the frame after.
 
-    Bodies shorter than `least` pixels are drawn that long, though never more than MOST_ENLARGED times their size."""
-    parts: list[Mesh] = []
+    Bodies shorter than `least` pixels are drawn that long, though never more than `enlarged` times their size."""
+    parts: list[Part] = []
     longest = 0.0
     for crowd in picture.crowds:
         if len(crowd.position):
-            parts += _crowd(crowd, view, least)
+            parts += _crowd(crowd, view, least, enlarged)
             longest = max(longest, float(np.max(crowd.scale)))
-    parts += [
-        item_mesh(item, picture.up, ground)
-        for item in picture.items
-        if item.shape != "none" and item.left > 0 and item.radius > 0
-    ]
+    for item in picture.items:
+        if item.shape != "none" and item.left > 0 and item.radius > 0:
+            made = item_mesh(item, picture.up, ground)
+            place = np.asarray([item.position], np.float64)
+            local = (made.vertices - place).astype(np.float32)[None]
+            parts.append(Part(local, place, None, made.faces, made.normal, made.colour, made.gloss))
     widest = max((item.radius for item in picture.items), default=0.0)
+    moments = _moments(parts, view, blur)
+    meshes = [_joined(parts, moment) for moment in moments]
+    near = _near(parts, meshes, view)
+    rays = tuple(PictureRays(mesh.vertices, mesh.faces) for mesh in meshes)
+    mesh = meshes[len(meshes) // 2]
+    return Actors(rays, mesh, near, max(20 * longest, 8 * widest), max(longest, 0.3 * widest) if parts else 0.0)
+
+
+def _moments(parts: list[Part], view: View, blur: float) -> list[float]:
+    """When, in frames from the picture's own, the open shutter looks: about once for each pixel of the longest way."""
+    if blur <= 0:
+        return [0.0]
+    longest = 0.0
+    for part in parts:
+        if part.then is not None and part.local.size:
+            ends = [part.at(moment)[:, ::7].reshape(-1, 3) for moment in (0.0, blur)]
+            (a, first), (b, last) = (view.project(end) for end in ends)
+            way = np.linalg.norm(b - a, axis=1)[(first > 0) & (last > 0)]
+            longest = max(longest, float(np.quantile(way, 0.99)) if len(way) else 0.0)
+    count = int(np.clip(np.ceil(longest / 1.5), 1, MOST_MOMENTS))
+    return [blur * (k + 0.5) / count for k in range(count)]
+
+
+def _joined(parts: list[Part], moment: float) -> Mesh:
     if not parts:
         none = np.zeros((0, 3), np.float32)
-        nothing = Mesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
-        return Actors(RayScene(nothing.vertices, nothing.faces), nothing, 0.0, 0.0)
-    starts = np.cumsum([0] + [len(part.vertices) for part in parts])
-    mesh = Mesh(
-        np.concatenate([part.vertices for part in parts]),
+        return Mesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
+    points = [part.at(moment).reshape(-1, 3) for part in parts]
+    starts = np.cumsum([0] + [len(each) for each in points])
+    return Mesh(
+        np.concatenate(points),
         np.concatenate([part.faces + np.int32(start) for part, start in zip(parts, starts[:-1], strict=True)]),
         np.concatenate([part.normal for part in parts]),
         np.concatenate([part.colour for part in parts]),
         np.concatenate([part.gloss for part in parts]),
     )
-    return Actors(RayScene(mesh.vertices, mesh.faces), mesh, max(20 * longest, 8 * widest), max(longest, 0.3 * widest))
 
 
-def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
+def _near(parts: list[Part], meshes: list[Mesh], view: View) -> NDArray[np.bool_]:
+    """Pixels (h · w,) within the boxes, on the screen, of all bodies at all moments."""
+    high, wide = view.height, view.width
+    count = np.zeros((high + 1, wide + 1), np.int32)
+    for mesh in meshes:
+        start = 0
+        for part in parts:
+            bodies, own = part.local.shape[:2]
+            places, ahead = view.project(mesh.vertices[start : start + bodies * own])
+            start += bodies * own
+            places, ahead = places.reshape(bodies, own, 2), ahead.reshape(bodies, own)
+            low, high_ = places.min(axis=1) - 2, places.max(axis=1) + 2
+            # What reaches behind the camera may be anywhere.
+            around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
+            low[around], high_[around] = -1, max(high, wide) + 1
+            seen = (ahead > 0).any(axis=1)
+            a = np.clip(np.floor(low[seen]), 0, (wide, high)).astype(np.int64)
+            b = np.clip(np.ceil(high_[seen]) + 1, 0, (wide, high)).astype(np.int64)
+            for x, y, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
+                np.add.at(count, (y[:, 1], x[:, 0]), sign)
+    return np.asarray(count.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0).reshape(-1)
+
+
+def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part]:
     scale = np.asarray(crowd.scale, np.float64)
     finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(crowd.orient).all(axis=1) & np.isfinite(scale) & (scale > 0)
     position = np.where(finite[:, None], crowd.position, 0.0)
@@ -86,67 +162,91 @@ def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
     depth = view.project(position)[1]
     # What is a little outside still throws its shadow into the picture.
     seen = finite & (depth > -20 * scale) & _in_sight(position, depth, 20 * scale, view)
-    near = np.maximum(np.linalg.norm(position - view.eye, axis=1), 1e-9)
+    near = np.maximum(view.distance(position), 1e-9)
     pixels = scale / view.pixel_at(near)
     large = np.flatnonzero(seen & (pixels >= CLOSE))
     most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces)))
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     far = np.setdiff1d(np.flatnonzero(seen), close)
-    sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), MOST_ENLARGED * scale)
+    sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), enlarged * scale)
     if crowd.worn is not None:
         parts = ((crowd.worn.fine, close), (crowd.worn.coarse, far))
         return [_worn(crowd, own, rows, sizes) for own, rows in parts if len(rows) and len(own.faces)]
     made = [_posed(crowd, body(crowd.body, True), close, scale[close], np.zeros(len(close)))]
     # Of a body a few pixels long the dark legs would hide the state's colour.
     made.append(_posed(crowd, body(crowd.body, False), far, sizes[far], np.clip(1 - pixels[far] / CLOSE, 0.0, 1.0) ** 2))
-    return [mesh for mesh in made if len(mesh.vertices)]
+    return [part for part in made if part.local.size]
 
 
-def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> Mesh:
+def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> Part:
     """The bodies of some agents, each posed by what it plays, `size` (n,) long for all agents of the crowd."""
-    plays = [each.rows(rows) for each in crowd.plays]
-    local, normal = body.posed(plays, len(rows), crowd.feet_beside(rows), driven=crowd.driven.rows(rows))
-    across = np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
-    local = np.matmul(local * size[rows].astype(np.float32)[:, None, None], across)
-    vertices = local.astype(np.float64) + np.asarray(crowd.position, np.float64)[rows, None, :]
+    turn, long = _turn(crowd, rows), size[rows].astype(np.float32)[:, None, None]
+    local, normal = crowd.posed(body, rows)
+    then = None
+    if crowd.after is not None:
+        later, _ = crowd.after.posed(body, rows)
+        then = np.matmul(later * long, _turn(crowd.after, rows)), np.asarray(crowd.after.position, np.float64)[rows]
     bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint[None, :, None]
     colour = bright * tint + body.own[None] * (1 - tint)
-    count = len(body.tint)
-    faces = (body.faces[None] + (np.arange(len(rows), dtype=np.int32) * count)[:, None, None]).reshape(-1, 3)
-    gloss = np.full(len(rows) * count, 0.35, np.float32)
-    normal = np.matmul(normal, across)
-    return Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3), colour.reshape(-1, 3), gloss)
+    place = np.asarray(crowd.position, np.float64)[rows]
+    return _part(np.matmul(local * long, turn), place, then, body.faces, np.matmul(normal, turn), colour, 0.5)
+
+
+def _turn(crowd: Crowd, rows: NDArray[np.int64]) -> Floats:
+    """Matrices (n, 3, 3) that turn rows of vertices as agents are turned."""
+    return np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
+
+
+def _part(
+    local: Floats,
+    place: Array,
+    then: tuple[Floats, Array] | None,
+    faces: NDArray[np.int32],
+    normal: Floats,
+    colour: Floats,
+    gloss: float,
+) -> Part:
+    bodies, own = local.shape[:2]
+    every = (faces[None] + (np.arange(bodies, dtype=np.int32) * own)[:, None, None]).reshape(-1, 3)
+    shine = np.full(bodies * own, gloss, np.float32)
+    return Part(local, place, then, every, normal.reshape(-1, 3), np.ascontiguousarray(colour).reshape(-1, 3), shine)
 
 
 def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
     """Whether a ball of `margin` around each point reaches into the picture's pyramid."""
     seen = points - view.eye
     inside = np.ones(len(points), np.bool_)
+    if view.parallel:
+        depth = np.ones(len(points))
     for axis, half in ((view.right, view.half[0]), (view.above, view.half[1])):
         inside &= np.abs(seen @ axis) - depth * half <= margin * float(np.hypot(1.0, half))
     return inside
 
 
-def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64], size: Array, plain: Array) -> Mesh:
+def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64], size: Array, plain: Array) -> Part:
     """The bodies of some agents, `size` (a,) long; `plain` (a,): how much their dark parts take the agent's colour too."""
-    scale = np.asarray(crowd.scale, np.float64)[rows]
-    walked = np.zeros(len(rows)) if crowd.walked is None else np.asarray(crowd.walked, np.float64)[rows] / scale
-    across = np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
-    local = shape.posed(np.nan_to_num(walked)) * size.astype(np.float32)[:, None, None]
-    vertices = np.matmul(local, across).astype(np.float64) + np.asarray(crowd.position, np.float64)[rows, None, :]
-    normal = np.matmul(np.broadcast_to(shape.normals, (len(rows), *shape.normals.shape)), across)
+    turn, long = _turn(crowd, rows), size.astype(np.float32)[:, None, None]
+    local = np.matmul(shape.posed(_walked(crowd, rows)) * long, turn)
+    then = None
+    if crowd.after is not None:
+        later = np.matmul(shape.posed(_walked(crowd.after, rows)) * long, _turn(crowd.after, rows))
+        then = later, np.asarray(crowd.after.position, np.float64)[rows]
+    normal = np.matmul(np.broadcast_to(shape.normals, (len(rows), *shape.normals.shape)), turn)
     bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = shape.tint[None, :, None]
     tint = tint + (1 - tint) * (0.8 * plain.astype(np.float32))[:, None, None]
     colour = bright * tint + (_DARK + bright * 0.07) * (1 - tint)
-    count = len(shape.normals)
-    faces = (shape.faces[None] + (np.arange(len(rows), dtype=np.int32) * count)[:, None, None]).reshape(-1, 3)
-    gloss = np.full(len(rows) * count, 0.55, np.float32)
-    return Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3), colour.reshape(-1, 3), gloss)
+    return _part(local, np.asarray(crowd.position, np.float64)[rows], then, shape.faces, normal, colour, 0.5)
 
 
-def item_mesh(item: Item, up: tuple[float, float, float], ground: RayScene | None = None) -> Mesh:
+def _walked(crowd: Crowd, rows: NDArray[np.int64]) -> Array:
+    if crowd.walked is None:
+        return np.zeros(len(rows))
+    return np.nan_to_num(np.asarray(crowd.walked, np.float64)[rows] / np.asarray(crowd.scale, np.float64)[rows])
+
+
+def item_mesh(item: Item, up: tuple[float, float, float], ground: PictureRays | None = None) -> Mesh:
     vertices, faces, colour = placed(item.shape)
     size = item.radius * min(max(item.left, 0.0), 1.0) ** (1 / 3)
     upward = np.array([up]) / np.linalg.norm(up)
@@ -154,13 +254,29 @@ def item_mesh(item: Item, up: tuple[float, float, float], ground: RayScene | Non
     points = (vertices * size) @ turn.T + np.asarray(item.position, np.float64)
     if item.shape == "mound" and ground is not None:
         points += _slump(points, np.asarray(item.position, np.float64), upward[0], size, ground)[:, None] * upward
-    gloss = np.full(len(points), 0.0 if item.shape == "mound" else 0.5, np.float32)
-    return Mesh(points, faces, vertex_normals(points, faces), decoded(colour), gloss)
+    shade, gloss = _made_of(item, decoded(colour))
+    return Mesh(points, faces, vertex_normals(points, faces), shade, np.full(len(points), gloss, np.float32))
 
 
-def _slump(points: Array, foot: Array, up: Array, size: float, ground: RayScene) -> Array:
-    """How much higher than at `foot` the ground is below each point (n,); 0 where it is not within `size` of it."""
-    level = points - ((points - foot) @ up)[:, None] * up
+def _made_of(item: Item, colour: Floats) -> tuple[Floats, float]:
+    """Linear colours (n, 3) and gloss of an item by what it is made of."""
+    if item.look is None:
+        return colour, 0.0 if item.shape == "mound" else 0.5
+    plain, gloss = {
+        "metal": (looks.STEEL, METAL),
+        "soil": (decoded((0.55, 0.42, 0.30)), 0.0),
+        "leaf": (looks.GREEN, 0.4),
+        "light": (looks.LIT, LIGHT),
+    }[item.look]
+    return np.broadcast_to(plain, colour.shape), gloss
+
+
+def _slump(points: Array, foot: Array, up: Array, size: float, ground: PictureRays) -> Array:
+    """How much higher than at `foot` the ground is below each point (n,): as far as loose soil lies, and 0 where it is farther
+    off than `size`."""
+    away = points - foot
+    level = points - (away @ up)[:, None] * up
     start = level + size * up
-    down = ground.cast(start, np.broadcast_to(-up, start.shape)).t.astype(np.float64)
-    return np.where(down <= 2 * size, size - down, 0.0)
+    down = ground.cast(start, np.broadcast_to((-up).astype(np.float32), start.shape)).t.astype(np.float64)
+    flat = np.linalg.norm(level - foot, axis=1)
+    return np.clip(np.where(down <= 2 * size, size - down, 0.0), -_STEEP * flat, _STEEP * flat)

@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A camera made ready: `eye` (3,), `right`, `above`, `ahead` unit axes, `half` the tangents of half the width and height."""
+    """A camera made ready: `eye` (3,), `right`, `above`, `ahead` unit axes. `half`: the tangents of half the width and height, or
+    of one with `parallel` rays half the width and height in world units."""
 
     eye: Array
     right: Array
@@ -25,29 +26,40 @@ class View:
     half: tuple[float, float]
     width: int
     height: int
+    parallel: bool = False
 
-    def rays(self, first: int, last: int, samples: int) -> Floats:
-        """Unit directions (rows · samples · width · samples, 3) of the pixel rows `first` to `last`, on a regular grid."""
-        rows = np.arange(first * samples, last * samples)
-        columns = np.arange(self.width * samples)
-        x = ((columns + 0.5) / (self.width * samples) * 2 - 1) * self.half[0]
-        y = (1 - (rows + 0.5) / (self.height * samples) * 2) * self.half[1]
-        towards = self.ahead + x[None, :, None] * self.right + y[:, None, None] * self.above
-        length = np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
-        return (towards / length[:, :, None]).reshape(-1, 3).astype(np.float32)
+    def rays(self, pixels: NDArray[np.int64], across: float = 0.5, down: float = 0.5) -> tuple[Array, Floats]:
+        """Where rays begin, (n, 3) or (3,), and their unit directions float32 (n, 3), through pixels (n,) counted row by row, at
+        the shares `across` and `down` of a pixel from its upper left corner."""
+        row, column = np.divmod(pixels, self.width)
+        x = ((column + across) / self.width * 2 - 1) * self.half[0]
+        y = (1 - (row + down) / self.height * 2) * self.half[1]
+        if self.parallel:
+            start = self.eye + x[:, None] * self.right + y[:, None] * self.above
+            return start, np.broadcast_to(self.ahead.astype(np.float32), (len(pixels), 3))
+        towards = np.empty((len(pixels), 3), np.float32)
+        length = 1 / np.sqrt(1 + x * x + y * y)
+        for axis in range(3):
+            towards[:, axis] = (self.ahead[axis] + x * self.right[axis] + y * self.above[axis]) * length
+        return self.eye, towards
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Pixel places (n, 2) and distances ahead (n,) of world points; not ahead of the camera where the distance is ≤ 0."""
         seen = np.asarray(points, np.float64) - self.eye
         depth = seen @ self.ahead
-        safe = np.where(depth > 1e-9, depth, 1.0)
+        safe = 1.0 if self.parallel else np.where(depth > 1e-9, depth, 1.0)
         x = (seen @ self.right) / safe / self.half[0]
         y = (seen @ self.above) / safe / self.half[1]
         return np.stack([(x + 1) * 0.5 * self.width, (1 - y) * 0.5 * self.height], axis=1), depth
 
+    def distance(self, points: Array) -> Array:
+        """How far along its ray each point (n, 3) is."""
+        seen = np.asarray(points, np.float64) - self.eye
+        return np.asarray(seen @ self.ahead if self.parallel else np.linalg.norm(seen, axis=1))
+
     def pixel_at(self, depth: Any) -> Any:
         """How long a pixel's edge is in world units at distances ahead, one or an array."""
-        return depth * (2 * self.half[0] / self.width)
+        return (0.0 * depth + 1.0 if self.parallel else depth) * (2 * self.half[0] / self.width)
 
 
 def view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> View:
@@ -59,8 +71,12 @@ def view(camera: Camera, width: int, height: int, up: tuple[float, float, float]
     if np.linalg.norm(right) < 1e-6:  # straight down: the picture's top is where the next axis points
         right = np.cross(ahead, np.roll(upward, 1))
     right = unit_or(right, np.array([1.0, 0.0, 0.0]))
-    across = tan(radians(min(max(camera.fov, 1.0), 170.0)) / 2) if camera.fov is not None else 18.0 / max(camera.focal, 1.0)
-    return View(eye, right, np.cross(right, ahead), ahead, (across, across * height / width), width, height)
+    if camera.wide is not None:
+        across = camera.wide / 2
+    else:
+        across = tan(radians(min(max(camera.fov, 1.0), 170.0)) / 2) if camera.fov is not None else 18.0 / max(camera.focal, 1.0)
+    half = (across, across * height / width)
+    return View(eye, right, np.cross(right, ahead), ahead, half, width, height, camera.wide is not None)
 
 
 def three(values: Array) -> tuple[float, float, float]:

@@ -7,6 +7,7 @@ from antdsl.bodies.body import turned
 from antdsl.casting.rays import RayScene
 from antdsl.outputs.pictures.actors import item_mesh
 from antdsl.outputs.pictures.camera import three, view
+from antdsl.outputs.pictures.light import sun_over
 from antdsl.outputs.pictures.model import Camera, Crowd, Picture
 from antdsl.outputs.pictures.setting import BELOW
 
@@ -19,6 +20,20 @@ def camera_over(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0
     """A camera that looks down by `slant` degrees and holds every solid, agent and item of the picture."""
     up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
     return camera_holding(_all_points(picture, up), up, aspect=aspect, focal=focal, slant=slant)
+
+
+def camera_on_top(picture: Picture, *, aspect: float = 16 / 9) -> Camera:
+    """A camera straight above with parallel rays, that holds everything at one scale; the picture's right is +x."""
+    up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
+    points = _all_points(picture, up)
+    north = np.array([0.0, 0.0, -1.0]) if abs(up[2]) < 0.5 else np.array([0.0, 1.0, 0.0])
+    right = np.cross(north, up) * -1.0
+    right = right if right @ np.array([1.0, 0.0, 0.0]) > 0 else -right
+    across, along, high = points @ right, points @ north, points @ up
+    wide = 1.04 * max(float(np.ptp(across)), aspect * float(np.ptp(along)), 1e-6)
+    middle = right * (across.min() + across.max()) / 2 + north * (along.min() + along.max()) / 2
+    at = middle + up * (high.max() + 0.5 * wide)
+    return Camera(three(at), three(at - up), up=three(north), wide=wide)
 
 
 def camera_holding(points: Array, up: Array, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
@@ -85,9 +100,10 @@ def _centred(at: Array, aim: Array, points: Array, up: Array, focal: float, aspe
 
 
 def camera_at_eye_level(
-    picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = 26.0
+    picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = 26.0, close: bool = False
 ) -> Camera | None:
-    """A camera a few body lengths from an agent, at the height of its back, with nothing in between and much to see behind it.
+    """A camera a few body lengths from an agent, at the height of its back, with nothing in between and much to see behind it;
+    with `close` so near that the agent fills the picture.
 
     `agent`: an id of `species` (the first crowd where none is named); None takes one with company.
     Gives None when there is no such agent."""
@@ -104,7 +120,7 @@ def camera_at_eye_level(
     solids = RayScene.of(around + [(mesh.vertices, mesh.faces) for mesh in placed])
     best: tuple[float, Camera] | None = None
     for row in rows.tolist():
-        for camera in _around(crowd, row, focal, np.asarray(picture.up, np.float64)):
+        for camera in _around(crowd, row, focal, np.asarray(picture.up, np.float64), close):
             score = _score(crowd, row, camera, solids)
             if best is None or score > best[0]:
                 best = (score, camera)
@@ -123,7 +139,7 @@ def _with_company(crowd: Crowd) -> NDArray[np.int64]:
     return order[: _TRIED * 4 : 4] if len(order) >= _TRIED * 4 else order[:_TRIED]
 
 
-def _around(crowd: Crowd, row: int, focal: float, upright: Array) -> list[Camera]:
+def _around(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -> list[Camera]:
     """Places round one agent, from behind its shoulder and before it first."""
     scale = float(crowd.scale[row])
     orient = np.asarray(crowd.orient, np.float64)[row : row + 1]
@@ -135,8 +151,9 @@ def _around(crowd: Crowd, row: int, focal: float, upright: Array) -> list[Camera
     for angle in (150, -150, 35, -35, 115, -115, 75, -75):
         turn = np.radians(angle)
         level = np.cos(turn) * ahead + np.sin(turn) * side
-        at = position + scale * (3.1 * level + 0.95 * up)
-        made.append(Camera(three(at), three(position + scale * (0.22 * up - 0.9 * level)), focal=focal, up=three(top)))
+        at = position + scale * ((1.5 * level + 0.62 * up) if close else (3.1 * level + 0.95 * up))
+        aim = position + scale * ((0.17 * up) if close else (0.22 * up - 0.9 * level))
+        made.append(Camera(three(at), three(aim), focal=focal, up=three(top)))
     return made
 
 
@@ -158,4 +175,6 @@ def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
     inside = (ahead < 60 * scale) & (places > 0).all(axis=1) & (places < [160, 90]).all(axis=1)
     before, away = inside & (ahead > 0) & (ahead < 1.7 * scale), inside & (ahead >= 1.7 * scale)
     clear = rays.cast(seen.eye[None], seen.ahead[None]).t[0] > 14 * scale
+    up = np.asarray(camera.up or (0.0, 1.0, 0.0), np.float64)
+    clear &= not rays.occluded(target[None] + 0.3 * scale * up, sun_over(up).towards[None].astype(np.float64)).any()
     return float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) - 4.0 * float(before.sum())

@@ -1,6 +1,7 @@
 """Sun, sky, haze and the curve that makes display values of light. Everything is linear light in float32 until `displayed`."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,9 @@ SKY = np.array([0.50, 0.62, 0.84], np.float32)
 BOUNCE = np.array([0.34, 0.28, 0.21], np.float32)
 ZENITH = np.array([0.30, 0.58, 1.05], np.float32)
 HORIZON = np.array([1.12, 1.20, 1.24], np.float32)
-SUN_WIDTH = 0.018  # tangent of the half angle: wider than the real one, for soft edges
+_STEPS = 1 << 14  # of linear values that have bytes of their own: less than half a byte in the darks
+LAMP = np.array([0.95, 0.84, 0.68], np.float32)  # beside the camera
+SUN_WIDTH = 0.03  # tangent of the half angle: wider than the real one, for soft edges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,11 +27,13 @@ class Sun:
     b: Floats
     up: Floats
 
-    def directions(self, turn: Floats, reach: Floats) -> Floats:
-        """Directions (n, 3) to places on the sun's disc: `turn`, `reach` (n,) within 0..1."""
-        angle = turn * np.float32(2 * np.pi)
-        radius = np.sqrt(reach) * np.float32(SUN_WIDTH)
-        return self.towards + (radius * np.cos(angle))[:, None] * self.a + (radius * np.sin(angle))[:, None] * self.b
+    def spots(self, count: int) -> Floats:
+        """Directions (count, 3) to places that cover the sun's disc evenly; those that follow each other lie apart."""
+        k = np.arange(count)
+        angle = k * (np.pi * (3 - np.sqrt(5)))
+        radius = np.sqrt((k + 0.5) / count) * SUN_WIDTH
+        way = self.towards + (radius * np.cos(angle))[:, None] * self.a + (radius * np.sin(angle))[:, None] * self.b
+        return np.asarray(way, np.float32)
 
 
 def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 280.0) -> Sun:
@@ -59,6 +64,14 @@ def sky(direction: Floats, sun: Sun) -> Floats:
     return light
 
 
+def around(direction: Floats, sun: Sun) -> Floats:
+    """What a mirror sees in directions (n, 3): the sky, and ground below the horizon."""
+    high = (direction @ sun.up)[:, None]
+    share = np.sqrt(np.clip(high, 0.0, 1.0))
+    above = HORIZON * (1 - share) + ZENITH * share
+    return np.asarray(BOUNCE + (above - BOUNCE) * np.clip(0.5 + 4 * high, 0.0, 1.0), np.float32)
+
+
 def hazed(colour: Floats, far: Floats, direction: Floats, sun: Sun, reach: float) -> Floats:
     """`colour` seen through `far` of air that hides half at about 0.7 `reach`; looking down there is little of it."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
@@ -77,9 +90,14 @@ def displayed(light: Floats) -> Floats:
 
 def encoded(linear: Floats) -> NDArray[np.uint8]:
     """Display-linear values as sRGB bytes."""
-    low = linear * 12.92
-    high = 1.055 * np.power(np.maximum(linear, 1e-8), 1 / 2.4) - 0.055
-    return np.clip(np.where(linear <= 0.0031308, low, high) * 255 + 0.5, 0, 255).astype(np.uint8)
+    return _bytes().take((np.clip(linear, 0, 1) * np.float32(_STEPS) + np.float32(0.5)).astype(np.int32))
+
+
+@cache
+def _bytes() -> NDArray[np.uint8]:
+    linear = np.arange(_STEPS + 1) / _STEPS
+    display = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.asarray(display * 255 + 0.5, np.uint8)
 
 
 def decoded(display: NDArray[np.floating] | tuple[float, ...]) -> Floats:

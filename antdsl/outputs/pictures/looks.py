@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import Sun, around, decoded
 from antdsl.outputs.pictures.shading_rows import Floats, dots, units
-from antdsl.outputs.pictures.texture_noise import value_noise
+from antdsl.outputs.pictures.texture_noise import grain_noise, value_noise
 
-KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure")
-GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN, FIGURE = range(len(KINDS))
-TRAILED = (GROUND, BOULDER, HILL, FIGURE)  # where a field's colour may lie
+KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light")
+GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN, FIGURE, METAL, LEAF, LIGHT = range(len(KINDS))
+TRAILED = (GROUND, BOULDER, HILL, FIGURE, METAL, LEAF)  # where a field's colour may lie
 
-_SOIL = decoded((0.68, 0.60, 0.48))
+SOIL = decoded((0.68, 0.60, 0.48))
 _DRY = decoded((0.755, 0.70, 0.59))
 _MOSS = decoded((0.56, 0.585, 0.42))
 _ROCK = decoded((0.50, 0.465, 0.42))
@@ -25,6 +25,11 @@ _EARTH = decoded((0.42, 0.33, 0.25))
 _CLAY = decoded((0.78, 0.70, 0.61))
 _PALE = decoded((0.84, 0.775, 0.69))
 _TABLE = decoded((0.80, 0.80, 0.79))
+STEEL, GREEN, LIT = decoded((0.70, 0.71, 0.73)), decoded((0.33, 0.50, 0.17)), decoded((1.0, 0.93, 0.78))
+_VEIN = decoded((0.52, 0.64, 0.30))
+_QUARTZ, _BASALT = decoded((0.86, 0.82, 0.74)), decoded((0.40, 0.36, 0.32))
+_LOOSE = (GROUND, HILL, EDGE)  # what is of grains
+BRIGHT = 2.6  # of a light: several times what the sun makes of white
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +66,20 @@ def surface(
     return _grained(albedo, normal, kind, points, pixel, scales)
 
 
+def soiled(albedo: Floats, normal: Floats, points: Floats, pixel: Floats, scales: Scales) -> Surface:
+    """Loose soil of some colour (n, 3), with its grain."""
+    return _grained(albedo, normal, np.full(len(points), HILL, np.uint8), points, pixel, scales)
+
+
 def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> Surface:
     """Bumps and specks, each size only where a pixel is small enough to show it."""
-    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.5, 0.45], np.float32)[kind]
+    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.8, 0.45, 0.05, 0.25, 0.0], np.float32)[kind]
     for wavelength, height, speck, seed in (
         (2.4, 0.30, 0.10, 5),
         (0.6, 0.34, 0.14, 6),
         (0.14, 0.40, 0.22, 7),
         (0.04, 0.42, 0.34, 8),
+        (0.012, 0.42, 0.30, 11),
     ):
         length = wavelength * scales.grain
         seen = np.clip(length / pixel * 0.4 - 0.5, 0.0, 1.0) * rough
@@ -80,7 +91,36 @@ def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Fl
         slope -= own * dots(slope, own)[:, None]
         normal[here] = own - slope * (seen[here] * np.float32(height * length * 0.5))[:, None]
         albedo[here] *= (1 + seen[here] * value * np.float32(speck))[:, None]
+    _sanded(albedo, normal, kind, points, pixel, scales)
     return Surface(albedo, units(normal))
+
+
+def _sanded(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> None:
+    """Lays grains of sand on soil, coarse ones in patches, each size where a pixel is small enough to show its grains one by
+    one."""
+    loose = np.flatnonzero(np.isin(kind, _LOOSE))
+    for size, share, seed in ((0.11, 0.16, 21), (0.042, 0.42, 22), (0.016, 0.85, 23), (0.006, 1.0, 24)):
+        length = size * scales.grain
+        seen = np.clip(length / pixel[loose] * 0.5 - 0.8, 0.0, 1.0)
+        here = np.flatnonzero(seen > 0.01)
+        if not len(here):
+            continue
+        rows, seen = loose[here], seen[here]
+        if share < 1:
+            patch, _ = value_noise(points[rows], 9 * length, seed + 10)
+            seen = seen * np.clip((patch + 2 * np.float32(share) - 1) * 2 + 0.5, 0.0, 1.0)
+            kept = np.flatnonzero(seen > 0.01)
+            rows, seen = rows[kept], seen[kept]
+        out, way, tone = grain_noise(points[rows], length, seed)
+        bare = normal[rows]
+        way -= bare * dots(way, bare)[:, None]
+        normal[rows] = bare + way * (seen * np.float32(0.42) * out)[:, None]
+        light = 1 + np.float32(0.17) * tone - np.float32(0.30) * out**4
+        albedo[rows] *= (1 + seen * (light - 1))[:, None]
+        # Some grains are quartz, some dark rock.
+        pale, dark = np.clip((tone - 0.84) * 7, 0, 1) * seen, np.clip((-tone - 0.86) * 7, 0, 1) * seen
+        albedo[rows] += (_QUARTZ - albedo[rows]) * (0.5 * pale)[:, None]
+        albedo[rows] += (_BASALT - albedo[rows]) * (0.5 * dark)[:, None]
 
 
 def _mixed(first: Floats, second: Floats, share: Floats) -> Floats:
@@ -89,7 +129,7 @@ def _mixed(first: Floats, second: Floats, share: Floats) -> Floats:
 
 
 def _ground(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    colour = _mixed(_SOIL, _DRY, 0.5 + 0.9 * large)
+    colour = _mixed(SOIL, _DRY, 0.5 + 0.9 * large)
     colour = _mixed(colour, _MOSS, (0.55 * patch - 0.75 * large - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
     return _mixed(colour, _ROCK, (0.86 - upness + 0.10 * patch) * 4.0)
 
@@ -122,11 +162,49 @@ def _edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floa
 
 def _grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
     tone, _ = value_noise(points, scales.grain * 0.9, 9)
-    return _mixed(_mixed(_SOIL, _ROCK, 0.45 - 1.4 * tone), _DRY * 1.1, 1.6 * tone)
+    return _mixed(_mixed(SOIL, _ROCK, 0.45 - 1.4 * tone), _DRY * 1.1, 1.6 * tone)
 
 
 def _figure(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
     return _mixed(_CLAY, _PALE, 0.5 + 0.5 * large + 0.25 * patch)
 
 
-_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure)
+def _metal(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    return 0.30 * STEEL * (1 + 0.08 * patch)[:, None]
+
+
+def _leaf(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    fine, _ = value_noise(points, scales.extent / 90, 12)
+    return _mixed(GREEN * (1 + 0.22 * patch + 0.15 * large)[:, None], _VEIN, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6)
+
+
+def _light(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    return np.broadcast_to(LIT, points.shape)
+
+
+_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure, _metal, _leaf, _light)
+
+
+def glow(kind: NDArray[np.uint8], look: Surface, way: Floats, sun: Sun) -> Floats:
+    """Light (n, 3) that samples seen along `way` send out beside what they scatter: what metal and leaves mirror, light of their
+    own."""
+    light = np.zeros((len(kind), 3), np.float32)
+    for code, colour, least in ((METAL, STEEL, 0.75), (LEAF, np.ones(3, np.float32), 0.04)):
+        here = np.flatnonzero(kind == code)
+        if len(here):
+            normal, ray = look.normal[here], way[here]
+            light[here] = mirrored(normal, ray, sun) * schlick(normal, ray, least)[:, None] * colour
+    light[kind == LIGHT] = LIT * BRIGHT
+    return light
+
+
+def mirrored(normal: Floats, way: Floats, sun: Sun) -> Floats:
+    """What surfaces mirror (n, 3) of sky and ground along rays that come by `way` (n, 3)."""
+    back = np.clip(-dots(normal, way), 0, 1)
+    return around(way + normal * (2 * back)[:, None], sun)
+
+
+def schlick(normal: Floats, way: Floats, least: float) -> Floats:
+    """The share (n,) of light that a surface mirrors: `least` from straight above, all at a grazing angle (Schlick, Computer
+    Graphics Forum 13(3), 1994)."""
+    return np.asarray(least + (1 - least) * (1 - np.clip(-dots(normal, way), 0, 1)) ** 5, np.float32)

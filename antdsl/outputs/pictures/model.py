@@ -1,7 +1,7 @@
 """What a picture is made of: solids, crowds, items, trails, flows, a camera. Plain values; nothing here draws."""
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import NOTHING, PosedBody
 
 Array = NDArray[np.float64]
-Kind = Literal["ground", "stone", "boulder", "hill"]  # a ground that is no floor is drawn as a figure of clay
+# A ground that is no floor is drawn as a figure of clay; a hill is bare soil.
+Kind = Literal["ground", "stone", "boulder", "hill", "metal", "leaf", "light"]
+Look = Literal["metal", "soil", "leaf", "light"]
 Shape = Literal["apple", "ring", "mound", "sphere", "none"]
 
 
@@ -20,7 +23,8 @@ Shape = Literal["apple", "ring", "mound", "sphere", "none"]
 class Solid:
     """A mesh that stands still between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
 
-    `colour`: display (sRGB) values 0..1, one (3,) or one a vertex (n, 3); None takes the look of its `kind`."""
+    `colour`: display (sRGB) values 0..1, one (3,) or one a vertex (n, 3); None, and a vertex that has none (NaN), take the
+    look of its `kind`."""
 
     name: str
     vertices: Array
@@ -46,9 +50,8 @@ class Crowd:
 
     `worn` is a body posed by the clips that agents play, `plays` what each machine of theirs plays, `driven` what else their
     states show, and `feet` where they stand, if that is known; a species whose agents wear different layers is several crowds.
-    Without it `body` says
-    what is drawn. `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to
-    be shown."""
+    Without it `body` says what is drawn. `after`: the same agents, row by row, in the frame after, for motion blur. `ids`,
+    `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to be shown."""
 
     species: str
     position: Array
@@ -65,6 +68,20 @@ class Crowd:
     plays: tuple[MachineClips, ...] = ()
     feet: PlacedFeet | None = None
     driven: Driven = NOTHING
+    after: "Crowd | None" = None
+
+    def poses(self, local: bool = False) -> Poses:
+        """Transforms and channels of all agents in the space of the body that they wear; raises ValueError without one."""
+        if self.worn is None:
+            raise ValueError(f"agents of `{self.species}` wear no body")
+        count = len(self.position)
+        return self.worn.poses(self.plays, count, self.feet_beside(np.arange(count)), driven=self.driven, local=local)
+
+    def posed(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Vertices and unit normals float32[n, v, 3] of some agents in what they wear or its `fine` or `coarse` form, in body
+        lengths along their own axes."""
+        plays = [each.rows(rows) for each in self.plays]
+        return body.posed(plays, len(rows), self.feet_beside(rows), driven=self.driven.rows(rows))
 
     def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> FeetOfBodies | None:
         """The feet of some agents beside their bodies, as `PosedBody.posed` takes them; None where none are known."""
@@ -72,16 +89,41 @@ class Crowd:
             return None
         return self.feet.rows(rows).beside(*(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale)))
 
+    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
+        """Some agents of the crowd, without feelers, which are no agent's by row."""
+
+        def of(array: Any) -> Any:
+            return None if array is None else array[chosen]
+
+        return replace(
+            self,
+            position=self.position[chosen],
+            orient=self.orient[chosen],
+            scale=self.scale[chosen],
+            colour=self.colour[chosen],
+            walked=of(self.walked),
+            ids=of(self.ids),
+            velocity=of(self.velocity),
+            feelers=None,
+            paths=None if self.paths is None else replace(self.paths, places=self.paths.places[chosen]),
+            plays=tuple(each.rows(chosen) for each in self.plays),
+            feet=None if self.feet is None else self.feet.rows(chosen),
+            driven=self.driven.rows(chosen),
+            after=None if self.after is None else self.after.rows(chosen),
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Item:
-    """Food, a nest, anything placed: `left` is the share that is still there, 0..1; the body shrinks with it."""
+    """Food, a nest, anything placed: `left` is the share that is still there, 0..1; the body shrinks with it. With a `look` it is
+    made of that, whatever its shape is by itself."""
 
     name: str
     position: tuple[float, float, float]
     radius: float
     left: float = 1.0
     shape: Shape = "sphere"
+    look: Look | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,27 +152,30 @@ class Arrows:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole on a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees across the width) where that is given."""
+    """A pinhole on a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees across the width) where that is given. With
+    `wide` its rays are parallel, and the picture is so many world units wide."""
 
     at: tuple[float, float, float]
     look_at: tuple[float, float, float]
     focal: float = 35.0
     fov: float | None = None
     up: tuple[float, float, float] | None = None
+    wide: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class LegendRow:
-    """A state's name, colour (display values 0..255) and how many agents are in it."""
+    """A state's name, colour (display values 0..255) and how many agents of its species are in it."""
 
     name: str
     colour: tuple[int, int, int]
     count: int
+    species: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """One frame, ready to be drawn. `up` is the world's up; `legend` and `frame` are written over the picture where given.
+    """One frame, ready to be drawn. `up` is the world's up; `legend`, `frame` and the scales of trails are written beside it.
 
     `grain`: the length that the ground's grain and pebbles go by; None takes the body length of the first crowd."""
 

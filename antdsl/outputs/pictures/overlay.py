@@ -1,4 +1,4 @@
-"""What is written over a drawn picture: paths, velocity and feelers as lines, ids, the legend of states, the frame's number."""
+"""What is written over a drawn picture: agents as marks, paths, velocity and feelers as lines, ids."""
 
 from functools import cache
 
@@ -9,7 +9,7 @@ from PIL import ImageDraw, ImageFont
 
 from antdsl.bodies.body import turned
 from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.model import Arrows, Crowd, LegendRow, Paths, Picture
+from antdsl.outputs.pictures.model import Arrows, Crowd, Paths, Picture
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -29,33 +29,33 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def draw_overlay(
-    image: Image, picture: Picture, view: View, far: NDArray[np.float32], samples: int, show: tuple[str, ...]
+    image: Image, picture: Picture, view: View, far: NDArray[np.float32], show: tuple[str, ...], marks: float
 ) -> Image:
-    """`image` with the lines, ids, legend and frame number that `show` and `picture` ask for, less what is behind ground.
+    """`image` with the lines and ids that `show` asks for, and discs of `marks` pixels for agents, less what is behind ground.
 
-    `far`: distance of the still things per sample, rows first."""
+    `far` (h, w): distance of the still things."""
     lines = [word for word in ("flow", "velocity", "paths", "feelers", "ids") if word in show]
-    if not (lines or picture.legend or picture.frame is not None):
+    if not lines and marks <= 0:
         return image
     canvas = PillowImage.fromarray(image)
+    if marks > 0:
+        _marked(canvas, picture, view, far, marks)
     draw = ImageDraw.Draw(canvas, "RGBA")
-    depth = far.reshape(view.height, samples, view.width, samples)[:, samples // 2, :, samples // 2]
     for flow in picture.flows if "flow" in show else ():
-        _draw_arrows(draw, view, flow, _unhidden(flow.position, view, depth))
+        _draw_arrows(draw, view, flow, _unhidden(flow.position, view, far))
     for crowd in picture.crowds if "paths" in show else ():
         if crowd.paths is not None:
-            _draw_paths(draw, view, crowd.paths, depth)
+            _draw_paths(draw, view, crowd.paths, far)
     for crowd in picture.crowds:
-        seen = _visible(crowd, view, depth)
+        seen = _visible(crowd, view, far)
         if "velocity" in show and crowd.velocity is not None:
             lift = _lifted(crowd)[seen]
             _draw_lines(draw, view, np.stack([lift, lift + _AHEAD * np.asarray(crowd.velocity)[seen]], axis=1), _VELOCITY)
         if "feelers" in show and crowd.feelers is not None and len(crowd.feelers):
             ends = np.asarray(crowd.feelers, np.float64)
-            _draw_lines(draw, view, ends[_unhidden(ends[:, 0], view, depth)], _FEELER)
+            _draw_lines(draw, view, ends[_unhidden(ends[:, 0], view, far)], _FEELER)
         if "ids" in show and crowd.ids is not None:
             _draw_ids(draw, view, crowd, np.flatnonzero(seen)[:_MOST_IDS])
-    _draw_legend(draw, picture, view)
     return np.asarray(canvas)
 
 
@@ -74,7 +74,7 @@ def _unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[
     places, ahead = view.project(points)
     inside = (ahead > 0) & (places >= 0).all(axis=1) & (places[:, 0] < view.width) & (places[:, 1] < view.height)
     column, row = np.where(inside[:, None], places, 0).astype(np.int64).T
-    distance = np.linalg.norm(points - view.eye, axis=1)
+    distance = view.distance(points)
     near = distance <= depth[row, column] * 1.005 + view.pixel_at(np.maximum(ahead, 0)) * 2
     return np.asarray(inside & near)
 
@@ -148,33 +148,23 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray
         )
 
 
-def _draw_legend(draw: ImageDraw.ImageDraw, picture: Picture, view: View) -> None:
-    size = max(10, view.height // 42)
-    gap = size // 2
-    if picture.legend:
-        _draw_states(draw, picture.legend, size, gap)
-    if picture.frame is not None:
-        text = f"frame {picture.frame}"
-        wide = draw.textlength(text, font=font(size))
-        box = (view.width - wide - 3 * gap, gap, view.width - gap, gap + size + 2 * gap)
-        draw.rounded_rectangle(box, gap, fill=(18, 20, 24, 150))
-        draw.text((view.width - wide - 2 * gap, gap + gap * 0.8), text, font=font(size), fill=(255, 255, 255, 240))
-
-
-def _draw_states(draw: ImageDraw.ImageDraw, rows: tuple[LegendRow, ...], size: int, gap: int) -> None:
-    names = max(draw.textlength(row.name, font=font(size)) for row in rows)
-    counts = max(draw.textlength(f"{row.count:,}", font=font(size)) for row in rows)
-    line = int(size * 1.35)
-    right = gap + gap + size + gap + names + 2 * gap + counts + gap
-    draw.rounded_rectangle((gap, gap, right, gap + 2 * gap + line * len(rows)), gap, fill=(18, 20, 24, 150))
-    for k, row in enumerate(rows):
-        top = 2 * gap + k * line
-        draw.ellipse((2 * gap, top + size * 0.1, 2 * gap + size * 0.95, top + size * 1.05), fill=(*row.colour, 255))
-        draw.text((3 * gap + size, top - size * 0.05), row.name, font=font(size), fill=(255, 255, 255, 240))
-        count = f"{row.count:,}"
-        draw.text(
-            (right - gap - draw.textlength(count, font=font(size)), top - size * 0.05),
-            count,
-            font=font(size),
-            fill=(255, 255, 255, 240),
-        )
+def _marked(canvas: PillowImage.Image, picture: Picture, view: View, far: NDArray[np.float32], wide: float) -> None:
+    """A disc `wide` pixels across for each agent that is not hidden, in its colour, those in front over those behind; drawn
+    larger and made smaller, for soft edges."""
+    times = 4 if view.width * view.height <= 1 << 20 else 2
+    sheet = PillowImage.new("RGBA", (view.width * times, view.height * times))
+    draw = ImageDraw.Draw(sheet)
+    found = []
+    for crowd in picture.crowds:
+        seen = _visible(crowd, view, far)
+        places, ahead = view.project(np.where(seen[:, None], _lifted(crowd), 0.0))
+        colour = np.clip(np.nan_to_num(np.asarray(crowd.colour, np.float64)) * 255, 0, 255).round()
+        found.append(np.concatenate([ahead[:, None], places, colour], axis=1)[seen])
+    every = np.concatenate(found or [np.zeros((0, 6))])
+    for _, x, y, *colour in every[np.argsort(-every[:, 0], kind="stable")].tolist():
+        x, y, reach = x * times, y * times, wide * times / 2
+        edge = max(1.0, reach * 0.3)
+        draw.ellipse((x - reach - edge, y - reach - edge, x + reach + edge, y + reach + edge), fill=(20, 20, 20, 255))
+        draw.ellipse((x - reach, y - reach, x + reach, y + reach), fill=(*(int(c) for c in colour), 255))
+    small = sheet.resize((view.width, view.height), PillowImage.Resampling.BOX)
+    canvas.paste(small, (0, 0), small)

@@ -5,51 +5,63 @@ One `Renderer` for a film; `render_frame` for a single picture."""
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.actors import Actors, actors
 from antdsl.outputs.pictures.camera import View, view
 from antdsl.outputs.pictures.light import Sun, encoded, sun_over
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.overlay import draw_overlay
-from antdsl.outputs.pictures.samples import Stage, each, open_share, stage
+from antdsl.outputs.pictures.refining import middles, refined
 from antdsl.outputs.pictures.setting import Setting, setting
-from antdsl.outputs.pictures.shading import Frame, lit_strip
-from antdsl.outputs.pictures.shading_rows import Floats
-from antdsl.outputs.pictures.trails import TrailCloth, dyed
+from antdsl.outputs.pictures.shading import Lighting
+from antdsl.outputs.pictures.stage import Stage, stage
+from antdsl.outputs.pictures.trails import Dyes
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 SHOWN = ("trail", "flow", "feelers", "velocity", "paths", "ids")
-_CONTACT_RAYS = 4
 
 
 @dataclass(slots=True)
 class _Kept:
-    """What one camera saw of what stands still."""
+    """What one camera saw of what stands still, and the colours of fields on it."""
 
     stage: Stage
-    ground: NDArray[np.int64]
-    cloths: dict[tuple[str, float], TrailCloth]
+    dyes: Dyes
 
 
 class Renderer:
     """Draws pictures of one size; while solids and camera stay the same objects and values, their rays are not cast again.
 
-    `samples`: every pixel is the mean of samples × samples rays. `threads`: for the rays (the bits do not depend on it).
-    `least`: bodies that would be shorter than so many pixels are drawn that long, up to three times their size."""
+    Every pixel is one ray through its middle; one in which something ends, or moves, is the mean of 2 · `samples`² and more.
+    `threads`: for the rays (the bits do not depend on it). `least`: bodies that would be shorter than so many pixels are drawn
+    that long, up to `enlarged` times their size. With `marks` they are discs so many pixels wide instead. `blur`: the share of
+    a frame that the shutter is open for."""
 
-    def __init__(self, width: int = 960, height: int = 540, *, samples: int = 2, threads: int = 1, least: float = 7.0) -> None:
+    def __init__(
+        self,
+        width: int = 960,
+        height: int = 540,
+        *,
+        samples: int = 2,
+        threads: int = 1,
+        least: float = 7.0,
+        enlarged: float = 3.0,
+        marks: float = 0.0,
+        blur: float = 0.0,
+    ) -> None:
         if not (1 <= width <= 8192 and 1 <= height <= 8192 and 1 <= samples <= 4):
             raise ValueError("a picture is 1 to 8192 pixels wide and high, with 1 to 4 samples along a pixel's edge")
+        if not 0 <= blur <= 1:
+            raise ValueError("the shutter is open for 0 to 1 of a frame")
         self.width, self.height, self.samples = width, height, samples
-        self.threads, self.least = max(1, threads), least
+        self.threads, self.least, self.enlarged, self.marks, self.blur = max(1, threads), least, enlarged, marks, blur
         self._settings: list[tuple[tuple[int, ...], Setting, tuple[object, ...]]] = []
         self._kept: dict[tuple[object, ...], _Kept] = {}
 
@@ -65,9 +77,11 @@ class Renderer:
         still = self._setting(picture, up)
         scales = Scales(still.extent, _grain(picture, still.extent))
         kept = self._stage(picture, camera, still, seen, sun, scales)
-        cast = actors(picture, seen, self.least, still.rays)
-        image = self._light(picture, kept, cast, still, sun, scales, "trail" in wanted)
-        return draw_overlay(image, picture, seen, kept.stage.far, self.samples, wanted)
+        bodied = picture if self.marks <= 0 else replace(picture, crowds=())
+        cast = actors(bodied, seen, self.least, still.rays, self.blur, self.enlarged)
+        kept.dyes.wet(picture.trails if "trail" in wanted else ())
+        image = self._light(kept, cast, Lighting(cast, still.rays, sun, scales, seen, self.threads))
+        return draw_overlay(image, picture, seen, kept.stage.middle.far.reshape(self.height, self.width), wanted, self.marks)
 
     def _setting(self, picture: Picture, up: Array) -> Setting:
         """The ray scene of the solids; kept with the solids themselves, so that an id is not given to others."""
@@ -82,49 +96,20 @@ class Renderer:
     def _stage(self, picture: Picture, camera: Camera, still: Setting, seen: View, sun: Sun, scales: Scales) -> _Kept:
         key = (id(still), camera, picture.up, scales)
         if key not in self._kept:
-            made = stage(still, seen, self.samples, sun, scales, self.threads)
-            ground = np.flatnonzero(np.isfinite(made.far) & (np.isin(made.kind, looks.TRAILED)))
+            made = stage(still, seen, sun, scales, self.threads)
             # Two cameras in turn (from above, at eye level) keep what they saw.
             self._kept = dict([*self._kept.items()][-1:])
-            self._kept[key] = _Kept(made, ground, {})
+            self._kept[key] = _Kept(made, Dyes(made.middle))
+        else:
+            self._kept[key].stage.stays = True
         return self._kept[key]
 
-    def _light(
-        self, picture: Picture, kept: _Kept, cast: Actors, ground: Setting, sun: Sun, scales: Scales, trail: bool
-    ) -> Image:
+    def _light(self, kept: _Kept, cast: Actors, lighting: Lighting) -> Image:
         still = kept.stage
-        shade = still.shade
-        if cast.size > 0:
-            shade = shade.copy()
-            open_share(still, cast.rays, 1.1 * cast.size, _CONTACT_RAYS, shade, scales, self.threads)
-        frame = Frame(
-            still, self._dyed(picture, kept) if trail else still.albedo, shade, cast, ground.rays, sun, scales, self.threads
-        )
-        image = np.empty((self.height, self.width, 3), np.uint8)
-        parts = [(a, b) for a in range(self.samples) for b in range(self.samples)]
-
-        def fill(rows: tuple[int, int]) -> None:
-            blocks = lit_strip(frame, rows).reshape(rows[1] - rows[0], self.samples, self.width, self.samples, 3)
-            mean = sum((blocks[:, a, :, b] for a, b in parts[1:]), blocks[:, 0, :, 0]) / np.float32(len(parts))
-            image[rows[0] : rows[1]] = encoded(mean)
-
-        each(fill, still.strips(), self.threads)
-        return image
-
-    def _dyed(self, picture: Picture, kept: _Kept) -> Floats:
-        albedo = kept.stage.albedo
-        trails = [trail for trail in picture.trails if len(trail.position) and (trail.strength > 0).any()]
-        if not trails or not len(kept.ground):
-            return albedo
-        colours = albedo[kept.ground]
-        for trail in trails:
-            own = (trail.name, trail.cell)
-            if own not in kept.cloths:
-                kept.cloths[own] = TrailCloth(_places(kept.stage)[kept.ground], trail.cell)
-            colours = dyed(colours, kept.cloths[own].share(trail), trail)
-        albedo = albedo.copy()
-        albedo[kept.ground] = colours
-        return albedo
+        first = middles(still, lighting, kept.dyes)
+        most = 2 * self.samples**2 * (2 if len(cast.rays) > 1 else 1) if self.samples > 1 else 1
+        light = refined(still, lighting, kept.dyes, first, most)
+        return encoded(light.reshape(self.height, self.width, 3))
 
 
 def render_frame(
@@ -149,14 +134,3 @@ def _grain(picture: Picture, extent: float) -> float:
     lengths = [float(np.median(crowd.scale)) for crowd in picture.crowds if len(crowd.scale)]
     length = next((v for v in lengths if v > 0), extent / 250)
     return float(2.0 ** (round(2 * np.log2(min(max(length, extent / 2000), extent / 20))) / 2))
-
-
-def _places(still: Stage) -> Floats:
-    """World places (n, 3) of all samples; sky samples lie at the eye."""
-    parts = []
-    wide = still.view.width * still.samples**2
-    for rows in still.strips():
-        far = still.far[rows[0] * wide : rows[1] * wide]
-        reach = np.where(np.isfinite(far), far, 0)[:, None].astype(np.float64)
-        parts.append((still.view.eye + reach * still.view.rays(*rows, still.samples)).astype(np.float32))
-    return np.concatenate(parts)

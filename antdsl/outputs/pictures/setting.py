@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import vertex_normals
-from antdsl.casting.rays import RayScene
+from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
@@ -37,7 +37,7 @@ class Setting:
     """`rays` over `faces` (m, 3); per vertex a smooth `normal` (n, 3) and `painted` (n, 4: linear colour, whether it holds);
     per face its `kind`. `middle` and `extent` (diagonal) of the solids, `base` the height of the table along `up`."""
 
-    rays: RayScene
+    rays: PictureRays
     faces: NDArray[np.int32]
     normal: Floats
     painted: Floats
@@ -64,6 +64,7 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
         if solid.colour is not None:
             painted = np.ones((len(solid.vertices), 4), np.float32)
             painted[:, :3] = decoded(np.asarray(solid.colour, np.float32))
+            painted[~np.isfinite(painted).all(axis=1)] = 0
         vertices = np.asarray(solid.vertices, np.float64)
         kind = "figure" if solid.kind == "ground" and not floor else solid.kind
         parts.append(Part(vertices, solid.faces, looks.KINDS.index(kind), painted))
@@ -91,10 +92,7 @@ def _assembled(parts: tuple[Part, ...], middle: Array, extent: float, base: floa
     painted = np.concatenate(
         [np.zeros((len(part.vertices), 4), np.float32) if part.painted is None else part.painted for part in parts]
     )
-    # The table is wide: by its coordinates all faces would be widened so far that they stand out over their neighbours.
-    near = max((float(np.abs(part.vertices).max(initial=0.0)) for part in parts if part.kind != looks.TABLE), default=extent)
-    rays = RayScene(vertices, faces, largest=max(near, extent))
-    return Setting(rays, faces, normal, painted, kind, middle, extent, base, up.astype(np.float32), parts)
+    return Setting(PictureRays(vertices, faces), faces, normal, painted, kind, middle, extent, base, up.astype(np.float32), parts)
 
 
 def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:

@@ -1,119 +1,121 @@
-"""The light of one frame's samples: what stands still with the shadows of what moves, what moves itself, sky and haze."""
+"""The light of samples: what stands still with the shadows of what moves, what moves itself, sky and haze."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.rays import Hits, RayScene
+from antdsl.casting.picture_rays import PictureRays, Sights
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.actors import Actors
-from antdsl.outputs.pictures.light import SUN, Sun, ambient, displayed, hazed, sky
+from antdsl.outputs.pictures.camera import View
+from antdsl.outputs.pictures.light import LAMP, SUN, Sun, ambient, hazed, sky
 from antdsl.outputs.pictures.looks import Scales
-from antdsl.outputs.pictures.samples import Stage, screen_places
 from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
-from antdsl.outputs.pictures.texture_noise import dither
+from antdsl.outputs.pictures.stage import Samples
 
 Rows = NDArray[np.int64]
 
 _AIR = 2.2  # extents of the set after which haze hides most
 _FLOOR = 3.2  # extents after which the table is one with the sky
+_LIFT = 2e-5  # extents that rays begin off a surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """One frame to be lit: `albedo` (n, 3) of the stage's samples with trails on, `shade` (h, w) with what moves in it;
-    `ground`: the rays of what stands still."""
+class Lighting:
+    """What lights a frame: `cast` is what moves in it, `ground` what stands still."""
 
-    stage: Stage
-    albedo: Floats
-    shade: Floats
     cast: Actors
-    ground: RayScene
+    ground: PictureRays
     sun: Sun
     scales: Scales
+    view: View
     threads: int
 
 
-def lit_strip(frame: Frame, rows: tuple[int, int]) -> Floats:
-    """Display-linear light (n, 3) of the samples of pixel rows `rows[0]` to `rows[1]`."""
-    still, sun = frame.stage, frame.sun
-    wide = still.view.width * still.samples**2
-    own = slice(rows[0] * wide, rows[1] * wide)
-    direction = still.view.rays(*rows, still.samples)
-    far = still.far[own]
-    hits = frame.cast.rays.cast(np.broadcast_to(still.view.eye, direction.shape), direction, frame.threads)
-    front = np.flatnonzero(hits.t < far)
-    solid = np.isfinite(far)
-    solid[front] = False
-    back = np.flatnonzero(solid)
-    light = np.empty_like(direction)
-    empty = np.flatnonzero(~np.isfinite(far) & ~np.isfinite(hits.t))
-    light[empty] = sky(direction[empty], sun)
-    row, column = (place[back] for place in screen_places(still.view, still.samples, rows))
-    direct = _shadowed(frame, still.sun[own][back], far[back], direction[back], row, column)
-    opened = frame.shade[row // still.samples, column // still.samples]
-    around = ambient(still.upness[own][back]) * opened[:, None]
-    colour = frame.albedo[own][back] * (direct[:, None] * SUN + around)
-    light[back] = _airy(frame, colour, still.kind[own][back], far[back], direction[back])
-    if len(front):
-        colour = _moving(frame, hits, direction, front)
-        light[front] = hazed(colour, hits.t[front], direction[front], sun, _AIR * frame.scales.extent)
-    return displayed(light)
-
-
-def _airy(frame: Frame, colour: Floats, kind: NDArray[np.uint8], far: Floats, direction: Floats) -> Floats:
-    """Haze; the table is lost in it sooner, so that its end is never seen."""
-    extent = frame.scales.extent
-    colour = hazed(colour, far, direction, frame.sun, _AIR * extent)
-    table = np.flatnonzero(kind == looks.TABLE)
-    if len(table):
+def still_light(lighting: Lighting, seen: Samples, own: slice, albedo: Floats, visible: Floats, opened: Floats) -> Floats:
+    """Light (n, 3) of some samples of what stands still, on which the sun falls by `visible` (n,), and the sky by `opened`
+    (n,)."""
+    sun, extent = lighting.sun, lighting.scales.extent
+    far, way = seen.far[own], seen.way[own]
+    direct = seen.sun[own] * visible
+    light = ambient(seen.upness[own]) * opened[:, None] + direct[:, None] * SUN
+    light += lamp(seen.facing[own], direct, opened)
+    light *= albedo
+    light += seen.glow[own] * (0.25 + 0.75 * opened)[:, None]
+    light = hazed(light, far, way, sun, _AIR * extent)
+    table = np.flatnonzero(seen.kind[own] == looks.TABLE)
+    if len(table):  # lost in haze sooner, so that its end is never seen
         fade = 1 - np.exp(-np.square(far[table] / np.float32(_FLOOR * extent)))
-        level = direction[table] - (direction[table] @ frame.sun.up)[:, None] * frame.sun.up
-        colour[table] += (sky(level, frame.sun) - colour[table]) * fade[:, None]
-    return colour
-
-
-def _shadowed(frame: Frame, direct: Floats, far: Floats, direction: Floats, row: Rows, column: Rows) -> Floats:
-    """Sunlight (n,) less what the moving things keep from it."""
-    if frame.cast.size <= 0:
-        return direct
-    lit = np.flatnonzero(direct > 0)
-    start: Floats = frame.stage.view.eye.astype(np.float32) + far[lit, None] * direction[lit]
-    rays = frame.sun.directions(dither(row[lit], column[lit]), dither(row[lit], column[lit], 1))
-    start += rays * np.float32(1e-5 * frame.scales.extent)
-    met = frame.cast.rays.occluded(start, rays, far=frame.cast.tall, threads=frame.threads)
-    direct = direct.copy()
-    direct[lit[met]] = 0
-    return direct
-
-
-def _moving(frame: Frame, hits: Hits, direction: Floats, front: Rows) -> Floats:
-    """Light (n, 3) from the samples that meet something that moves: a dull body with a glint of sun and a bright rim."""
-    mesh, sun = frame.cast.mesh, frame.sun
-    corners = mesh.faces[hits.face[front]]
-    u, v, flat, towards = hits.u[front], hits.v[front], hits.normal[front], direction[front]
-    normal = units(blended(mesh.normal, corners, u, v))
-    normal *= np.where(dots(normal, flat) < 0, np.float32(-1), np.float32(1))[:, None]
-    colour = blended(mesh.colour, corners, u, v)
-    gloss = mesh.gloss[corners[:, 0]]
-    where: Floats = frame.stage.view.eye.astype(np.float32) + hits.t[front, None] * towards
-    where += flat * np.float32(2e-5 * frame.scales.extent)
-    facing = np.clip(normal @ sun.towards, 0, 1)
-    lit = np.flatnonzero(facing > 0)
-    aim = np.broadcast_to(sun.towards, (len(lit), 3))
-    hidden = frame.cast.rays.occluded(where[lit], aim, far=frame.cast.tall, threads=frame.threads)
-    open_to = np.flatnonzero(~hidden)
-    hidden[open_to] = frame.ground.occluded(where[lit[open_to]], aim[open_to], threads=frame.threads)
-    facing[lit[hidden]] = 0
-    upness = normal @ sun.up
-    half = units(sun.towards - towards)
-    shine = gloss * np.clip(dots(normal, half), 0, 1) ** 42 * (facing > 0)
-    rim = gloss * (1 - np.clip(-dots(normal, towards), 0, 1)) ** 4
-    # Undersides see mostly the near ground, which the body keeps dark.
-    near = (0.45 + 0.55 * np.clip(0.6 + 0.8 * upness, 0, 1)) * 1.15
-    around = ambient(upness)
-    light: Floats = colour * (facing[:, None] * SUN + around * near[:, None])
-    light += (shine * 0.7)[:, None] * SUN
-    light += (rim * 0.25)[:, None] * around
+        level = way[table] - (way[table] @ sun.up)[:, None] * sun.up
+        light[table] += (sky(level, sun) - light[table]) * fade[:, None]
+    empty = np.flatnonzero(~np.isfinite(far))
+    light[empty] = sky(way[empty], sun)
     return light
+
+
+def lamp(facing: Floats, direct: Floats, opened: Floats) -> Floats:
+    """Light (n, 3) of a lamp beside the camera, where neither sun nor sky reach: so tunnels and rooms are seen."""
+    dark = np.clip(1.15 - 1.5 * opened, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
+    return np.asarray(LAMP * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
+
+
+def shadowed(lighting: Lighting, seen: Samples, moment: int, spot: Floats) -> Floats:
+    """1 (n,) where nothing that moves is between a sample and a place on the sun's disc at a moment, else 0."""
+    visible = np.ones(len(seen), np.float32)
+    if lighting.cast.size > 0:
+        lit = np.flatnonzero(seen.sun > 0)
+        start = seen.point[lit] + seen.normal[lit] * np.float32(_LIFT * lighting.scales.extent)
+        aim = np.broadcast_to(spot, start.shape)
+        cast = lighting.cast.rays[moment]
+        visible[lit[cast.occluded(start, aim, lighting.cast.tall, lighting.threads)]] = 0
+    return visible
+
+
+def moving_light(lighting: Lighting, hits: Sights, start: Floats, way: Floats, moment: int, spot: Floats) -> Floats:
+    """Light (n, 3) from rays, from `start` along `way` (n, 3), that meet something that moves: a dull body with a coat that
+    mirrors sky and ground, and the sun; metal, which mirrors more; lights."""
+    mesh, sun = lighting.cast.mesh, lighting.sun
+    corners = mesh.faces[hits.face]
+    normal = units(blended(mesh.normal, corners, hits.u, hits.v))
+    normal *= np.where(dots(normal, hits.normal) < 0, np.float32(-1), np.float32(1))[:, None]
+    colour = blended(mesh.colour, corners, hits.u, hits.v)
+    gloss = mesh.gloss[corners[:, 0]]
+    where: Floats = start + hits.t[:, None] * way
+    where += hits.normal * np.float32(_LIFT * lighting.scales.extent)
+    soil = np.flatnonzero(gloss == 0)
+    if len(soil):
+        wide = np.asarray(lighting.view.pixel_at(hits.t[soil]), np.float32) * np.float32(0.6)
+        look = looks.soiled(colour[soil], normal[soil], where[soil], wide, lighting.scales)
+        colour[soil], normal[soil] = look.albedo, look.normal
+    facing = np.clip(normal @ sun.towards, 0, 1)
+    facing *= np.clip((hits.normal @ sun.towards) * 6 + 0.6, 0, 1)
+    _hide(lighting, facing, where, moment, spot)
+    upness = normal @ sun.up
+    half = units(spot - way)
+    shine = (
+        gloss * (0.5 * np.clip(dots(normal, half), 0, 1) ** 60 + 0.12 * np.clip(dots(normal, half), 0, 1) ** 12) * (facing > 0)
+    )
+    # Undersides see mostly the near ground, which the body keeps dark.
+    near = 0.42 + 0.58 * np.clip(0.55 + 0.75 * upness, 0, 1)
+    metal = gloss > 1
+    light: Floats = colour * (facing[:, None] * SUN + ambient(upness) * near[:, None])
+    coat = looks.schlick(normal, way, 0.04) * gloss
+    coat[metal] = looks.schlick(normal[metal], way[metal], 0.8)
+    tint = np.where(metal[:, None], looks.STEEL, np.float32(1))
+    light *= np.where(metal, np.float32(0.3), np.float32(1))[:, None]
+    light += looks.mirrored(normal, way, sun) * (coat * near)[:, None] * tint
+    light += shine[:, None] * SUN
+    light[gloss < 0] = looks.LIT * looks.BRIGHT
+    return hazed(light, hits.t, way, sun, _AIR * lighting.scales.extent)
+
+
+def _hide(lighting: Lighting, facing: Floats, where: Floats, moment: int, spot: Floats) -> None:
+    """Takes the sun from places (n, 3) that anything hides from it."""
+    cast, threads = lighting.cast, lighting.threads
+    lit = np.flatnonzero(facing > 0)
+    aim = np.broadcast_to(spot, (len(lit), 3))
+    hidden = cast.rays[moment].occluded(where[lit], aim, cast.tall, threads)
+    open_to = np.flatnonzero(~hidden)
+    hidden[open_to] = lighting.ground.occluded(where[lit[open_to]], aim[open_to], threads=threads)
+    facing[lit[hidden]] = 0

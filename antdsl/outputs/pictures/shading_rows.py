@@ -28,8 +28,3 @@ def blended(table: Floats, corners: NDArray[np.int32], u: Floats, v: Floats) -> 
     total += table.take(corners[:, 1], axis=0) * u[:, None]
     total += table.take(corners[:, 2], axis=0) * v[:, None]
     return total
-
-
-def wrapped(a: Floats) -> Floats:
-    """The part after the point, within 0..1."""
-    return a - np.floor(a)

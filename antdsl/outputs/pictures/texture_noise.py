@@ -1,12 +1,14 @@
-"""Solid value noise with its gradient, in float32, from one small table: the grain of soil and stone."""
+"""Solid noise in float32, from small tables: smooth values with their gradient, and packed grains. Of these are soil and
+stone."""
 
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.shading_rows import Floats, wrapped
+from antdsl.outputs.pictures.shading_rows import Floats
 
+# Turned, so that no plane across an axis of the world runs along the lattice.
+_TURN = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.0], [0.48, 0.64, 0.60]], np.float32)
 _EDGE = 32  # the pattern repeats after this many wavelengths
 
 
@@ -20,7 +22,7 @@ def _table(seed: int) -> Floats:
 def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, Floats]:
     """Value (n,) within −1..1 and gradient (n, 3), per world unit, at `points` (n, 3); smooth, about one bump a `wavelength`."""
     table = _table(seed)
-    scaled = points * np.float32(1.0 / wavelength)
+    scaled = points @ (_TURN * np.float32(1.0 / wavelength))
     whole = np.floor(scaled)
     part = scaled - whole
     cell = whole.astype(np.int32) & (_EDGE - 1)
@@ -39,10 +41,34 @@ def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, F
     by_y = (v01 - v00) + ((v11 - v10) - (v01 - v00)) * x
     near, far = d00 + (d01 - d00) * y, d10 + (d11 - d10) * y
     gradient = np.stack([(high - low) * a, by_y * b, (near + (far - near) * x) * c], axis=1)
-    return low + (high - low) * x, gradient
+    return low + (high - low) * x, gradient @ _TURN.T
 
 
-def dither(rows: NDArray[np.int64], columns: NDArray[np.int64], turn: int = 0) -> Floats:
-    """A screen pattern within 0..1 whose neighbours differ most (Jimenez, SIGGRAPH course on real-time rendering, 2014)."""
-    x, y = columns + 5.588238 * turn, rows + 5.588238 * turn
-    return wrapped(52.9829189 * wrapped(0.06711056 * x + 0.00583715 * y)).astype(np.float32)
+@lru_cache(maxsize=4)
+def _grains(seed: int) -> Floats:
+    """For each cell of a lattice where in it a grain lies, and its tone."""
+    draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_EDGE**3, 4)).astype(np.float32)
+    draw.setflags(write=False)
+    return draw
+
+
+def grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats, Floats]:
+    """Ground of packed grains at `points` (n, 3), about one a `size` (Worley, SIGGRAPH 1996): how far each is from the middle
+    of its grain (n,), 0..1, the way from there (n, 3), about one long at the rim, and the grain's tone (n,) within −1..1."""
+    table = _grains(seed)
+    scaled = points @ (_TURN * np.float32(1.0 / size))
+    low = np.floor(scaled - np.float32(0.5))
+    cell = low.astype(np.int32)
+    inside = scaled - low
+    nearest = np.full(len(points), np.inf, np.float32)
+    way, tone = np.zeros_like(points), np.zeros(len(points), np.float32)
+    for x in (0, 1):
+        for y in (0, 1):
+            for z in (0, 1):
+                own = ((cell[:, 0] + x) & (_EDGE - 1)) * (_EDGE * _EDGE) + ((cell[:, 1] + y) & (_EDGE - 1)) * _EDGE
+                grain = table.take(own + ((cell[:, 2] + z) & (_EDGE - 1)), axis=0)
+                apart = inside - np.array([x + 0.5, y + 0.5, z + 0.5], np.float32) - grain[:, :3] * np.float32(0.42)
+                square = np.einsum("nc,nc->n", apart, apart)
+                nearer = np.flatnonzero(square < nearest)
+                nearest[nearer], way[nearer], tone[nearer] = square[nearer], apart[nearer], grain[nearer, 3]
+    return np.minimum(np.sqrt(nearest) * np.float32(1.5), 1), way @ (_TURN.T * np.float32(1.5)), tone

@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Trail
 from antdsl.outputs.pictures.shading_rows import Floats
+from antdsl.outputs.pictures.stage import Samples
+from antdsl.outputs.pictures.work import pieces
 
 Array = NDArray[np.float64]
 
@@ -13,44 +15,79 @@ _MOST_VOXELS = 40_000_000
 
 
 class TrailCloth:
-    """Where the samples of a stage lie among a trail's cells: made once a camera, then coloured each frame.
+    """The voxels that a trail's cells lie in, between two corners `low` and `high` (3,): made once a camera, coloured each
+    frame."""
 
-    `points` (n, 3): the places of the samples that lie on ground."""
-
-    def __init__(self, points: Floats, cell: float) -> None:
-        low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+    def __init__(self, low: Array, high: Array, cell: float) -> None:
         self.cell = cell
         while np.prod(np.ceil((high - low) / self.cell) + 4) > _MOST_VOXELS:
             self.cell *= 1.26
         self.low = low - 1.5 * self.cell
         self.shape = tuple(int(v) for v in np.ceil((high - low) / self.cell) + 4)
-        scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
-        whole = np.maximum(np.floor(scaled), 0)
-        self.part = scaled - whole
-        first = whole.astype(np.int32)
-        _, b, c = self.shape
-        self.first = (first[:, 0] * b + first[:, 1]) * c + first[:, 2]
         self._cells: Array | None = None
 
-    def _between(self, voxels: Floats) -> Floats:
-        """Trilinear values at the samples."""
-        _, b, c = self.shape
-        x, y, z = self.part.T
-        rows = []
-        for step in (0, c, b * c, b * c + c):
-            low = voxels.take(self.first + np.int32(step))
-            rows.append(low + (voxels.take(self.first + np.int32(step + 1)) - low) * z)
-        between: Floats = (rows[0] + (rows[1] - rows[0]) * y) * (1 - x) + (rows[2] + (rows[3] - rows[2]) * y) * x
-        return between
-
-    def share(self, trail: Trail) -> Floats:
-        """How much of the ground (n,) the trail covers at the samples, 0..1: the mean of the cells around each, the nearer the
-        more. Cells lie where the ground is and not on a lattice, so each is spread over the eight voxels about it."""
+    def soak(self, trail: Trail) -> None:
+        """Spreads a trail over the voxels. Cells lie where the ground is and not on a lattice, so each is spread over the eight
+        about it."""
         if self._cells is not trail.position:
             self._cells = trail.position
             self._spread = _Spread(trail.position, self.low, self.cell, self.shape)
-            self.weight = np.maximum(self._between(self._spread.onto(np.ones(len(trail.position), np.float32))), 1e-6)
-        return self._between(self._spread.onto(cover(trail))) / self.weight
+            self._weight = self._spread.onto(np.ones(len(trail.position), np.float32))
+        self._scent = self._spread.onto(cover(trail))
+
+    def share(self, points: Floats) -> Floats:
+        """How much of the ground (n,) the trail covers at points (n, 3), 0..1: the nearer a cell, the more it counts."""
+        scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
+        whole = np.clip(np.floor(scaled), 0, np.asarray(self.shape, np.float32) - 2)
+        part = np.clip(scaled - whole, 0, 1)
+        cell = whole.astype(np.int32)
+        _, b, c = self.shape
+        first = (cell[:, 0] * b + cell[:, 1]) * c + cell[:, 2]
+        return self._between(self._scent, first, part) / np.maximum(self._between(self._weight, first, part), 1e-6)
+
+    def _between(self, voxels: Floats, first: NDArray[np.int32], part: Floats) -> Floats:
+        """Trilinear values of voxels."""
+        _, b, c = self.shape
+        x, y, z = part.T
+        rows = []
+        for step in (0, c, b * c, b * c + c):
+            low = voxels.take(first + np.int32(step))
+            rows.append(low + (voxels.take(first + np.int32(step + 1)) - low) * z)
+        between: Floats = (rows[0] + (rows[1] - rows[0]) * y) * (1 - x) + (rows[2] + (rows[3] - rows[2]) * y) * x
+        return between
+
+
+class Dyes:
+    """The colours that fields give to what one camera sees, all of which lies about as its `middle` samples do."""
+
+    def __init__(self, middle: Samples) -> None:
+        self._own, self._kept = middle, middle.trailed
+        points = middle.point[self._kept]
+        if len(points):
+            self._low, self._high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+        self._cloths: dict[tuple[str, float], TrailCloth] = {}
+        self._trails: list[Trail] = []
+
+    def wet(self, trails: tuple[Trail, ...]) -> None:
+        """Takes the trails of a frame."""
+        self._trails = [each for each in trails if len(self._kept) and len(each.position) and (each.strength > 0).any()]
+        for trail in self._trails:
+            cloth = self._cloths.setdefault((trail.name, trail.cell), TrailCloth(self._low, self._high, trail.cell))
+            cloth.soak(trail)
+
+    def coloured(self, seen: Samples) -> Floats:
+        """Colours (n, 3) of samples with the trails on them."""
+        if not self._trails:
+            return seen.albedo
+        rows = self._kept if seen is self._own else seen.trailed
+        colours, points = seen.albedo[rows], seen.point[rows]
+        for trail in self._trails:
+            cloth = self._cloths[trail.name, trail.cell]
+            for own in pieces(len(rows)):
+                colours[own] = dyed(colours[own], cloth.share(points[own]), trail)
+        albedo = seen.albedo.copy()
+        albedo[rows] = colours
+        return albedo
 
 
 class _Spread:
@@ -83,11 +120,20 @@ def robust_full(strength: Array) -> float:
     return float(held[np.searchsorted(np.cumsum(held), 0.3 * held.sum())]) if len(held) else 0.0
 
 
+def full_of(trail: Trail) -> float:
+    """The strength that is drawn strongest."""
+    return trail.full if trail.full is not None else robust_full(trail.strength)
+
+
 def cover(trail: Trail) -> Floats:
-    """Share of the ground (n,) that each cell's scent covers. Scent spans many powers of ten, of which the faint ones lead
-    the way too: the 0.4th power shows a thousandth of the strongest as a sixteenth."""
-    full = trail.full if trail.full is not None else robust_full(trail.strength)
-    share = np.clip(np.asarray(trail.strength, np.float64) / max(full, 1e-30), 0.0, 1.0) ** 0.4
+    """Share of the ground (n,) that each cell's scent covers."""
+    return cover_of(trail.strength, full_of(trail))
+
+
+def cover_of(strength: Array, full: float) -> Floats:
+    """Shares (n,) of the ground that strengths (n,) cover. Scent spans many powers of ten, of which the faint ones lead the
+    way too: the 0.4th power shows a thousandth of the strongest as a sixteenth."""
+    share = np.clip(np.asarray(strength, np.float64) / max(full, 1e-30), 0.0, 1.0) ** 0.4
     return np.asarray(share, np.float32)
 
 

@@ -1,0 +1,79 @@
+"""Rays for pictures: what Open3D says of them in float32, as fast as it says it. What a run does goes by `RayScene` instead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.rays import open3d
+
+_CHUNK = 1 << 17  # rays at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sights:
+    """What each of n rays met: `t` float32[n] lengths of its direction (inf = nothing), `face` int32[n] (-1 = nothing), `u`
+    `v` the weights of the face's second and third corner, `normal` float32[n,3] of the face, unit, towards the ray's origin."""
+
+    t: NDArray[np.float32]
+    face: NDArray[np.int32]
+    u: NDArray[np.float32]
+    v: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+
+class PictureRays:
+    """Triangles (vertices [n,3], faces [m,3]) that a camera's rays are cast at. Places are taken relative to the middle of the
+    mesh before they become float32. The bits do not depend on threads or on which rays are asked about together."""
+
+    def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
+        self.faces = len(faces)
+        if not self.faces:
+            return
+        self.origin = (vertices.min(axis=0).astype(np.float64) + vertices.max(axis=0)) / 2
+        # By one thread, so that the tree is the same on every machine of one kind.
+        self._scene = open3d().t.geometry.RaycastingScene(nthreads=1)
+        points = (vertices - self.origin.astype(vertices.dtype)).astype(np.float32)
+        self._scene.add_triangles(_tensor(points), _tensor(faces.astype(np.uint32)))
+
+    def cast(self, origin: NDArray[Any], direction: NDArray[np.float32], threads: int = 1) -> Sights:
+        """The first hit of each ray from `origin` [n,3] or [3] along `direction` [n,3]."""
+        n = len(direction)
+        t, face = np.full(n, np.inf, np.float32), np.full(n, -1, np.int32)
+        u, v, normal = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
+        for start in range(0, n if self.faces else 0, _CHUNK):
+            own = slice(start, min(start + _CHUNK, n))
+            answer = self._scene.cast_rays(_tensor(self._rays(origin, direction, own)), nthreads=threads)
+            t[own] = answer["t_hit"].numpy()
+            named = answer["primitive_ids"].numpy()
+            face[own] = np.where(np.isfinite(t[own]), named, 0).astype(np.int32) - ~np.isfinite(t[own])
+            u[own], v[own] = answer["primitive_uvs"].numpy().T
+            normal[own] = answer["primitive_normals"].numpy()
+        away = np.einsum("nc,nc->n", normal, direction) > 0
+        normal[away] *= -1
+        return Sights(t, face, u, v, normal)
+
+    def occluded(
+        self, origin: NDArray[Any], direction: NDArray[np.float32], far: float = np.inf, threads: int = 1
+    ) -> NDArray[np.bool_]:
+        """Whether anything lies on each ray before `far` lengths of its direction."""
+        n = len(direction)
+        met = np.zeros(n, np.bool_)
+        for start in range(0, n if self.faces else 0, _CHUNK):
+            own = slice(start, min(start + _CHUNK, n))
+            rays = _tensor(self._rays(origin, direction, own))
+            met[own] = self._scene.test_occlusions(rays, tnear=0.0, tfar=far, nthreads=threads).numpy()
+        return met
+
+    def _rays(self, origin: NDArray[Any], direction: NDArray[np.float32], own: slice) -> NDArray[np.float32]:
+        rays = np.empty((own.stop - own.start, 6), np.float32)
+        np.subtract(origin if origin.ndim == 1 else origin[own], self.origin, out=rays[:, :3], casting="unsafe")
+        rays[:, 3:] = direction[own]
+        return rays
+
+
+def _tensor(array: NDArray[Any]) -> Any:
+    return open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))

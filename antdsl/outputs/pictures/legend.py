@@ -1,0 +1,112 @@
+"""The strip beside a picture: the frame's number, states by species with their colours and counts, fields with a scale of
+numbers."""
+
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+from PIL import ImageDraw
+
+from antdsl.outputs.pictures.light import encoded
+from antdsl.outputs.pictures.looks import SOIL
+from antdsl.outputs.pictures.model import Picture, Trail
+from antdsl.outputs.pictures.overlay import font
+from antdsl.outputs.pictures.trails import cover_of, dyed, full_of
+
+Image = NDArray[np.uint8]
+
+_PAPER, _INK, _SOFT = (28, 30, 34), (238, 238, 234), (164, 166, 168)
+_SHARE = 0.22  # of the picture's width
+_TICKS = (1.0, 0.1, 0.01, 0.001)  # of the strongest
+
+
+def strip_width(picture: Picture, width: int, show: tuple[str, ...]) -> int:
+    """How many pixels of a sheet `width` wide the strip takes: none where there is nothing to tell."""
+    told = picture.legend or (picture.trails and "trail" in show)
+    return min(max(round(_SHARE * width), 120), width // 2) if told else 0
+
+
+def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...]) -> Image:
+    """`image` (h, w, 3) with a strip of `wide` pixels at its right."""
+    if wide <= 0:
+        return image
+    high = image.shape[0]
+    strip = PillowImage.new("RGB", (wide, high), _PAPER)
+    draw = ImageDraw.Draw(strip)
+    trails = [trail for trail in picture.trails if "trail" in show]
+    species = [(name, list(rows)) for name, rows in groupby(picture.legend, key=lambda row: row.species)]
+    lines = 1.6 + sum(1.7 + len(rows) for _, rows in species) + 4.2 * len(trails)
+    size = max(8, min(high // 40, wide // 13, int(high / (1.4 * max(lines, 1)))))
+    edge, line = size, round(size * 1.4)
+    small = _fitting(draw, picture, wide - 2 * edge - round(2.2 * size), size)
+    top = edge
+    if picture.frame is not None:
+        draw.text((edge, top), f"frame {picture.frame}", font=font(size), fill=_SOFT)
+        top += round(1.6 * line)
+    for name, rows in species:
+        if name:
+            count = f"{sum(row.count for row in rows):,}"
+            _line(draw, name, count, (edge, top), wide - edge, size)
+            draw.line((edge, top + line, wide - edge, top + line), fill=(78, 80, 84))
+            top += round(1.25 * line)
+        for row in rows:
+            draw.ellipse((edge, top + size * 0.15, edge + size * 0.9, top + size * 1.05), fill=row.colour)
+            _line(draw, row.name, f"{row.count:,}", (edge + round(1.4 * size), top), wide - edge, small)
+            top += line
+        top += round(0.45 * line)
+    for trail in trails:
+        _scale(strip, draw, trail, (edge, top), wide - edge, size)
+        top += round(4.2 * line)
+    return np.concatenate([image, np.asarray(strip)], axis=1)
+
+
+def _fitting(draw: ImageDraw.ImageDraw, picture: Picture, room: int, size: int) -> int:
+    """The size of letters at which the longest name of a state has its number beside it, if not less than a little smaller."""
+    small = size
+    while small > max(8, round(0.7 * size)) and any(
+        draw.textlength(row.name, font=font(small)) + draw.textlength(f"{row.count:,}", font=font(small)) > room
+        for row in picture.legend
+    ):
+        small -= 1
+    return small
+
+
+def _line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[int, int], right: int, size: int) -> None:
+    """A name at the left, cut short where there is no room, and a number at the right."""
+    left, top = place
+    number = draw.textlength(count, font=font(size))
+    room = right - left - number - size * 0.5
+    while len(name) > 2 and draw.textlength(name, font=font(size)) > room:
+        name = name[:-2].rstrip() + "…"
+    draw.text((left, top), name, font=font(size), fill=_INK)
+    draw.text((right - number, top), count, font=font(size), fill=_INK)
+
+
+def _scale(
+    strip: PillowImage.Image, draw: ImageDraw.ImageDraw, trail: Trail, place: tuple[int, int], right: int, size: int
+) -> None:
+    """A bar in the colours that the field has on level soil, with the strengths that have them."""
+    left, top = place
+    full = full_of(trail)
+    draw.text((left, top), trail.name, font=font(size), fill=_INK)
+    top += round(1.5 * size)
+    wide, high = right - left, round(size * 0.8)
+    share = np.linspace(0, 1, wide).astype(np.float32)
+    row = encoded(dyed(np.tile(SOIL, (wide, 1)).astype(np.float32), share, trail))
+    strip.paste(PillowImage.fromarray(np.tile(row[None], (high, 1, 1))), (left, top))
+    top += high
+    small = max(7, round(size * 0.8))
+    taken = float(right + size)
+    for tick in _TICKS:
+        x = left + float(cover_of(np.array([tick]), 1.0)[0]) * (wide - 1)
+        text = f"{full * tick:.3g}"
+        long = draw.textlength(text, font=font(small))
+        begin = min(max(x - long / 2, left), right - long)
+        if begin + long + size * 0.4 > taken or full <= 0:
+            continue
+        draw.line((x, top, x, top + size * 0.25), fill=_SOFT)
+        draw.text((begin, top + size * 0.3), text, font=font(small), fill=_SOFT)
+        taken = begin
+    if taken - left > size * 1.2:
+        draw.text((left, top + size * 0.3), "0", font=font(small), fill=_SOFT)

@@ -1,0 +1,149 @@
+"""One sample a pixel, then more of those pixels in which something begins, ends or moves (Mitchell, SIGGRAPH 1987)."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.picture_rays import Sights
+from antdsl.outputs.pictures.light import displayed
+from antdsl.outputs.pictures.shading import Lighting, moving_light, shadowed, still_light
+from antdsl.outputs.pictures.shading_rows import Floats
+from antdsl.outputs.pictures.softness import open_share, sunlit
+from antdsl.outputs.pictures.stage import Samples, Stage, spot
+from antdsl.outputs.pictures.trails import Dyes
+from antdsl.outputs.pictures.work import each, pieces
+
+Rows = NDArray[np.int64]
+
+_CONTACT_RAYS = 4  # of every fourth pixel
+_SEEN = 0.03  # difference of two pixels' display values that an eye sees
+_FEWEST, _BUDGET = 4, 1.6  # samples of a refined pixel at least, and of all of them for each pixel of the picture
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class First:
+    """By pixel, of its middle: display-linear `light` (h · w, 3), the same without what moves, `behind`, the open share `opened`
+    of its surroundings, and whether something that moves is in `front`; `swept`: at one of several moments."""
+
+    light: Floats
+    behind: Floats
+    opened: Floats
+    front: NDArray[np.bool_]
+    swept: NDArray[np.bool_]
+
+
+def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
+    """The light of all pixels by their middles."""
+    seen, cast, threads = still.middle, lighting.cast, lighting.threads
+    visible, opened = np.ones(len(seen), np.float32), still.shade
+    if cast.size > 0:
+        visible = sunlit(still.grid, seen.sun, lighting.sun, cast.rays, cast.tall, threads)
+        contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], 1.1 * cast.size, _CONTACT_RAYS, threads)
+        opened = opened * contact
+    albedo = dyes.coloured(seen)
+    behind = np.empty_like(seen.way)
+
+    def fill(own: slice) -> None:
+        behind[own] = displayed(still_light(lighting, seen, own, albedo[own], visible[own], opened[own]))
+
+    each(fill, pieces(len(seen)), threads)
+    light = behind.copy()
+    front, swept = np.zeros(len(seen), np.bool_), np.zeros(len(seen), np.bool_)
+    near = np.flatnonzero(cast.near)
+    every = [before(still, lighting, near, seen.far[near], (0.5, 0.5), moment) for moment in range(len(cast.rays))]
+    kept, hits = every[len(every) // 2]
+    rows = near[kept]
+    front[rows] = True
+    if len(every) > 1:
+        for other, _ in every:
+            swept[near[other]] = True
+    start, way = still.view.rays(rows)
+    place = np.broadcast_to(start, way.shape).astype(np.float32)
+    for own in pieces(len(rows)):
+        part = _some(hits, own)
+        lit = moving_light(lighting, part, place[own], way[own], len(every) // 2, lighting.sun.towards)
+        light[rows[own]] = displayed(lit)
+    return First(light, behind, opened, front, swept)
+
+
+def before(
+    still: Stage, lighting: Lighting, pixels: Rows, far: Floats, place: tuple[float, float], moment: int
+) -> tuple[Rows, Sights]:
+    """Which of the rays through one place in some pixels meet something that moves at a moment, nearer than `far`; what they
+    meet."""
+    start, way = still.view.rays(pixels, *place)
+    hits = lighting.cast.rays[moment].cast(start, way, lighting.threads)
+    kept = np.flatnonzero(hits.t < far)
+    return kept, _some(hits, kept)
+
+
+def _some(hits: Sights, rows: Rows | slice) -> Sights:
+    return Sights(*(getattr(hits, each.name)[rows] for each in fields(Sights)))
+
+
+def refined(still: Stage, lighting: Lighting, dyes: Dyes, first: First, most: int) -> Floats:
+    """Display-linear light (h · w, 3): where one sample is not enough the mean of several, `most` at most."""
+    light = first.light.copy()
+    pixels = _unsettled(still, first)
+    if most == 1 or not len(pixels):
+        return light
+    moments = len(lighting.cast.rays)
+    count = int(np.clip(_BUDGET * len(light) / len(pixels), _FEWEST if moments == 1 else 8, most))
+    count = max(count, min(moments, most))
+    spots = lighting.sun.spots(count)
+    at_edge = still.grid.edge[pixels]
+    edges, others = np.flatnonzero(at_edge), np.flatnonzero(~at_edge)
+    total = np.zeros((len(pixels), 3), np.float32)
+    # The order of moments is not that of places in the pixel.
+    order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
+    for number, moment in enumerate(order.tolist()):
+        one = _Sample(still, lighting, spot(number, count), moment, spots[number])
+        total[edges] += one.lit(dyes, first, still.sampled(number, count, lighting.threads))
+        # Where the surface goes on, what stands still is as it is in the pixel's middle.
+        total[others] += one.before(pixels[others], still.middle.far[pixels[others]], first.behind[pixels[others]])
+    light[pixels] = total / count
+    return light
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sample:
+    """One sample of pixels: where in each, at which moment, by which place on the sun's disc."""
+
+    still: Stage
+    lighting: Lighting
+    place: tuple[float, float]
+    moment: int
+    sunspot: Floats
+
+    def lit(self, dyes: Dyes, first: First, seen: Samples) -> Floats:
+        """Display-linear light (n, 3) of samples of all that stands still, and of what is before it."""
+        visible = shadowed(self.lighting, seen, self.moment, self.sunspot)
+        light = still_light(self.lighting, seen, slice(None), dyes.coloured(seen), visible, first.opened[seen.pixel])
+        return self.before(seen.pixel, seen.far, displayed(light))
+
+    def before(self, pixels: Rows, far: Floats, light: Floats) -> Floats:
+        """The light of pixels less far than which nothing stands still, with what moves before that."""
+        near = np.flatnonzero(self.lighting.cast.near[pixels])
+        rows, hits = before(self.still, self.lighting, pixels[near], far[near], self.place, self.moment)
+        if len(rows):
+            start, way = self.still.view.rays(pixels[near[rows]], *self.place)
+            begin = np.broadcast_to(start, way.shape).astype(np.float32)
+            light = light.copy()
+            light[near[rows]] = displayed(moving_light(self.lighting, hits, begin, way, self.moment, self.sunspot))
+        return light
+
+
+def _unsettled(still: Stage, first: First) -> Rows:
+    """Pixels in which surfaces meet, something moves, or what moves differs from what is beside it."""
+    high, wide = still.view.height, still.view.width
+    found = first.swept.copy().reshape(high, wide)
+    front = first.front.reshape(high, wide)
+    shown = np.sqrt(first.light @ np.array([0.3, 0.6, 0.1], np.float32)).reshape(high, wide)
+    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        step = (front[here] | front[there]) & (np.abs(shown[here] - shown[there]) > _SEEN)
+        step |= front[here] != front[there]
+        found[here] |= step
+        found[there] |= step
+    found.reshape(-1)[still.edges] = True
+    return np.flatnonzero(found)

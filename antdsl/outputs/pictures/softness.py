@@ -1,0 +1,260 @@
+"""Soft edges of shadows and of shade without noise: neighbouring pixels ask in different directions, and share their answers
+where the surface goes on.
+
+Interleaved sampling (Keller and Heidrich, Eurographics Workshop on Rendering, 2001); filters whose weights cancel the pattern."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.picture_rays import PictureRays
+from antdsl.outputs.pictures.camera import View
+from antdsl.outputs.pictures.light import Sun
+from antdsl.outputs.pictures.shading_rows import Floats, dots
+from antdsl.outputs.pictures.work import each, pieces
+
+_FINE = 6  # rays to the sun of a pixel that lies at the edge of a shadow
+_ORDER = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])  # of 4 × 4 pixels: those beside each other differ most
+_NEAR = 2  # pixels within which a shadow's edge is looked for: all sixteen directions are among these
+_ALIKE = 0.8  # cosine between normals of one surface
+_WIDE_TAPS, _NARROW_TAPS = np.array([1, 2, 2, 2, 1], np.float32) / 8, np.array([1, 2, 1], np.float32) / 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """The middles of pixels on what stands still: `point`, `normal` float32 (h · w, 3), `solid` bool (h · w,) where there is
+    something, `edge` where the surface does not go on to a pixel beside; `hair`: how far (world units) rays begin off it."""
+
+    view: View
+    point: Floats
+    normal: Floats
+    solid: NDArray[np.bool_]
+    edge: NDArray[np.bool_]
+    hair: float
+
+    def halved(self) -> "Grid":
+        """Every second pixel of every second row."""
+        high, wide = self.view.height, self.view.width
+        taken = (np.arange(0, high, 2)[:, None] * wide + np.arange(0, wide, 2)).reshape(-1)
+        edge = self._about(1)[::2, ::2].reshape(-1)
+        return Grid(_smaller(self.view), self.point[taken], self.normal[taken], self.solid[taken], edge, self.hair)
+
+    def _about(self, reach: int) -> NDArray[np.bool_]:
+        """Pixels (h, w) with an edge, or the sky, within `reach` pixels."""
+        from scipy.ndimage import maximum_filter
+
+        broken = (self.edge | ~self.solid).reshape(self.view.height, self.view.width)
+        return np.asarray(maximum_filter(broken, 2 * reach + 1))
+
+    def broken(self, pixels: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
+        """Which pixels (n,) are near an edge."""
+        return np.asarray(self._about(reach).reshape(-1)[pixels])
+
+
+def _smaller(view: View) -> View:
+    high, wide = (view.height + 1) // 2, (view.width + 1) // 2
+    return View(view.eye, view.right, view.above, view.ahead, view.half, wide, high, view.parallel)
+
+
+def sunlit(grid: Grid, facing: Floats, sun: Sun, casts: Sequence[PictureRays], far: float, threads: int) -> Floats:
+    """Share (h · w,) of the sun that pixels see: all where they do not face it, `facing` (h · w,) ≤ 0.
+
+    `casts`: what is in the way, at as many moments, over which the answers are spread; `far`: nothing farther off is."""
+    high, wide = grid.view.height, grid.view.width
+    asked = np.flatnonzero(grid.solid & (facing > 0))
+    share = np.ones(high * wide, np.float32)
+    if not len(asked):
+        return share
+    row, column = np.divmod(asked, wide)
+    spots = sun.spots(16)[_ORDER]
+    hidden = np.zeros(high * wide, np.bool_)
+    number = (row % 4) * 4 + column % 4
+    for turn, cast in enumerate(casts):
+        own = slice(None) if len(casts) == 1 else np.flatnonzero(_ORDER[number] % len(casts) == turn)
+        hidden[asked[own]] = _met(grid, asked[own], spots[number[own]], cast, far, threads)
+    share[hidden] = 0
+    mixed = asked[_mixed(hidden.reshape(high, wide)).reshape(-1)[asked]]
+    if not len(mixed):
+        return share
+    row, column = np.divmod(mixed, wide)
+    block = (row % 2) * 2 + column % 2
+    spots = sun.spots(4 * _FINE)
+    met = np.zeros(len(mixed), np.float32)
+    for k in range(_FINE):
+        met += _met(grid, mixed, spots[4 * k + (block + k) % 4], casts[k % len(casts)], far, threads)
+    share[mixed] = 1 - met / _FINE
+    share[mixed] = _filtered(share.reshape(high, wide), mixed, grid, _NARROW_TAPS, facing > 0)
+    return share
+
+
+def _met(grid: Grid, pixels: NDArray[np.int64], way: Floats, cast: PictureRays, far: float, threads: int) -> NDArray[np.bool_]:
+    met = np.zeros(len(pixels), np.bool_)
+
+    def fill(own: slice) -> None:
+        here = pixels[own]
+        start = grid.point[here] + grid.normal[here] * np.float32(grid.hair)
+        met[own] = cast.occluded(start, way[own], far, threads)
+
+    each(fill, pieces(len(pixels)), threads)
+    return met
+
+
+def _mixed(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels near which some are hidden and others are not."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    values = hidden.astype(np.uint8)
+    size = 2 * _NEAR + 1
+    return np.asarray(maximum_filter(values, size) != minimum_filter(values, size))
+
+
+def _filtered(
+    values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None = None
+) -> Floats:
+    """Weighted means (n,) round pixels (n,) of `values` (h, w), of those whose surface goes on there and that are `counted`."""
+    from scipy.ndimage import convolve1d
+
+    even = convolve1d(convolve1d(values, taps, axis=0, mode="nearest"), taps, axis=1, mode="nearest")
+    means = np.asarray(even.reshape(-1)[pixels], np.float32)
+    careful = np.flatnonzero(grid.broken(pixels, len(taps) // 2))
+    means[careful] = _along(values, pixels[careful], grid, taps, counted)
+    return means
+
+
+def _along(values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None) -> Floats:
+    """The same where the surface may end."""
+    high, wide = values.shape
+    row, column = np.divmod(pixels, wide)
+    normal, point = grid.normal[pixels], grid.point[pixels]
+    allowed = _allowed(grid, point)
+    total, weight = np.zeros(len(pixels), np.float32), np.full(len(pixels), 1e-9, np.float32)
+    reach = len(taps) // 2
+    for down in range(-reach, reach + 1):
+        for right in range(-reach, reach + 1):
+            there_row, there_column = row + down, column + right
+            inside = (there_row >= 0) & (there_row < high) & (there_column >= 0) & (there_column < wide)
+            there = np.where(inside, there_row * wide + there_column, pixels)
+            share = np.float32(taps[down + reach] * taps[right + reach]) * (inside & grid.solid[there])
+            if down or right:
+                share *= _goes_on(grid, there, point, normal, allowed)
+                if counted is not None:
+                    share *= counted[there]
+            total += share * values.reshape(-1)[there]
+            weight += share
+    return total / weight
+
+
+def _allowed(grid: Grid, point: Floats) -> Floats:
+    """How far off the plane through a point its neighbours may lie: some pixels' widths there."""
+    depth = np.maximum((point - grid.view.eye.astype(np.float32)) @ grid.view.ahead.astype(np.float32), 0)
+    return np.asarray(6 * grid.view.pixel_at(depth), np.float32)
+
+
+def _goes_on(grid: Grid, there: NDArray[np.int64], point: Floats, normal: Floats, allowed: Floats) -> NDArray[np.bool_]:
+    alike = dots(normal, grid.normal[there]) > _ALIKE
+    alike &= np.abs(dots(grid.point[there] - point, normal)) < allowed
+    return np.asarray(alike)
+
+
+def open_share(grid: Grid, rays: PictureRays, reach: float, count: int, threads: int) -> Floats:
+    """Share (h · w,) of directions over each pixel's surface in which nothing is near, `reach` (world units) at most: of `count`
+    rays a pixel, every second pixel of every second row, filled in between along the surfaces."""
+    high, wide = grid.view.height, grid.view.width
+    small = grid.halved()
+    pixels = np.flatnonzero(small.solid)
+    shade = np.ones(len(small.solid), np.float32)
+    if not len(pixels):
+        return np.ones(high * wide, np.float32)
+    row, column = np.divmod(pixels, small.view.width)
+    shade[pixels] = _opened(small, pixels, _ORDER[(row % 4) * 4 + column % 4], rays, reach, count, threads)
+    shade[pixels] = _filtered(shade.reshape(small.view.height, small.view.width), pixels, small, _WIDE_TAPS)
+    return _filled(grid, small, shade, rays, reach, threads)
+
+
+def _opened(
+    grid: Grid, pixels: NDArray[np.int64], pick: NDArray[np.int64], rays: PictureRays, reach: float, count: int, threads: int
+) -> Floats:
+    directions = _spread(count)
+    opened = np.empty(len(pixels), np.float32)
+
+    def fill(own: slice) -> None:
+        here = pixels[own]
+        normal = grid.normal[here]
+        start = grid.point[here] + normal * np.float32(grid.hair)
+        side, other = _across(normal)
+        met = np.zeros(len(here), np.float32)
+        for ray in range(count):
+            aim = directions[ray * 16 + pick[own]]
+            towards = side * aim[:, :1] + other * aim[:, 1:2] + normal * aim[:, 2:3]
+            length = reach * ((ray + 0.6) / count) ** 1.5  # near things shade more than far ones
+            met += rays.occluded(start, towards, length, threads)
+        opened[own] = 1 - met / count
+
+    each(fill, pieces(len(pixels)), threads)
+    return opened
+
+
+def _filled(grid: Grid, small: Grid, shade: Floats, rays: PictureRays, reach: float, threads: int) -> Floats:
+    """The shade of all pixels from that of every second one; where none of its neighbours has the same surface, by own rays."""
+    high, wide = grid.view.height, grid.view.width
+    full = _between(shade.reshape(small.view.height, small.view.width), high, wide)
+    full[~grid.solid] = 1
+    wanted = np.flatnonzero(grid.solid)
+    wanted = wanted[grid.broken(wanted, 2)]
+    lonely: list[NDArray[np.int64]] = []
+
+    def fill(own: slice) -> None:
+        pixels = wanted[own]
+        row, column = np.divmod(pixels, wide)
+        point, normal = grid.point[pixels], grid.normal[pixels]
+        allowed = 2 * _allowed(grid, point)
+        total, weight = np.zeros(len(pixels), np.float32), np.zeros(len(pixels), np.float32)
+        for down in (0, 1):
+            for right in (0, 1):
+                there_row = np.minimum(row // 2 + down * (row % 2), small.view.height - 1)
+                there_column = np.minimum(column // 2 + right * (column % 2), small.view.width - 1)
+                there = there_row * small.view.width + there_column
+                share = (small.solid[there] & _goes_on(small, there, point, normal, allowed)).astype(np.float32)
+                total += share * shade[there]
+                weight += share
+        full[pixels] = total / np.maximum(weight, 1e-9)
+        lonely.append(pixels[weight == 0])
+
+    each(fill, pieces(len(wanted)), threads)
+    alone = np.sort(np.concatenate(lonely)) if lonely else np.zeros(0, np.int64)
+    if len(alone):
+        full[alone] = _opened(grid, alone, np.zeros(len(alone), np.int64), rays, reach, 16, threads)
+    return full
+
+
+def _between(small: Floats, high: int, wide: int) -> Floats:
+    """Values (h · w,) from those of every second pixel, by straight lines."""
+    rows = np.empty((2 * small.shape[0], small.shape[1]), np.float32)
+    rows[::2] = small
+    rows[1::2] = (small + np.concatenate([small[1:], small[-1:]])) / 2
+    full = np.empty((len(rows), 2 * small.shape[1]), np.float32)
+    full[:, ::2] = rows
+    full[:, 1::2] = (rows + np.concatenate([rows[:, 1:], rows[:, -1:]], axis=1)) / 2
+    return np.ascontiguousarray(full[:high, :wide]).reshape(-1)
+
+
+def _spread(count: int) -> Floats:
+    """Directions (count · 16, 3) over the upper half sphere, denser towards its pole; every 16 in a row differ most."""
+    k = np.arange(count * 16)
+    order = (k % 16) * count + k // 16
+    turn = 2 * np.pi * np.mod(k * 0.6180339887498949, 1.0)
+    height = np.sqrt(1 - (order + 0.5) / len(k) * 0.98)
+    flat = np.sqrt(1 - height * height)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1).astype(np.float32)
+
+
+def _across(normal: Floats) -> tuple[Floats, Floats]:
+    """Two unit axes across each normal (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017)."""
+    x, y, z = normal.T
+    sign = np.where(z >= 0, np.float32(1), np.float32(-1))
+    a = -1 / (sign + z)
+    b = x * y * a
+    first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    return first, np.stack([b, sign + y * y * a, -y], axis=1)

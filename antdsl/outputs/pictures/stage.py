@@ -1,0 +1,174 @@
+"""What a camera sees of a setting, kept from frame to frame while neither moves: the middle of each pixel, and several samples of
+those in which one surface ends before another."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.picture_rays import Sights
+from antdsl.outputs.pictures import looks
+from antdsl.outputs.pictures.camera import View
+from antdsl.outputs.pictures.light import Sun
+from antdsl.outputs.pictures.looks import Scales, surface
+from antdsl.outputs.pictures.setting import Setting, with_litter
+from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
+from antdsl.outputs.pictures.softness import Grid, open_share, sunlit
+from antdsl.outputs.pictures.work import each, pieces
+
+SHADE_RAYS = 6  # of every fourth pixel, each of 16 of which asks in other directions
+_SHADE_REACH = 11  # body lengths within which things shade each other
+_TURNED = 0.86  # cosine between normals from which on they are of two sides of an edge
+_STEP = 4.0  # pixels' widths off its plane from which on a neighbour lies behind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """n samples of what stands still: `pixel` int64, unit `way` (n, 3) and distance `far` of each ray (inf: sky), `point` (n, 3),
+    smooth `normal` and `albedo` (n, 3), `sun`: the cosine of its height over the surface, less what stands before it, `upness`
+    and `facing`: cosines of the normal with up and with the way back, `kind`, and light of its own, `glow` (n, 3), where any."""
+
+    pixel: NDArray[np.int64]
+    way: Floats
+    far: Floats
+    point: Floats
+    normal: Floats
+    albedo: Floats
+    sun: Floats
+    upness: Floats
+    facing: Floats
+    kind: NDArray[np.uint8]
+    glow: Floats
+
+    def __len__(self) -> int:
+        return len(self.pixel)
+
+    @property
+    def trailed(self) -> NDArray[np.int64]:
+        """Samples on which a field's colour may lie."""
+        return np.flatnonzero(np.isfinite(self.far) & np.isin(self.kind, looks.TRAILED))
+
+
+@dataclass(slots=True, eq=False)
+class Stage:
+    """`middle`: one sample a pixel. `edges` (e,): pixels of several surfaces, and `fine`: by sample, those of all of them.
+    `shade` (h · w,): the open share of each pixel's surroundings. One that `stays` for another frame keeps what it samples."""
+
+    setting: Setting
+    view: View
+    middle: Samples
+    grid: Grid
+    shade: Floats
+    edges: NDArray[np.int64]
+    sun: Sun
+    scales: Scales
+    fine: dict[tuple[int, int], Samples] = field(default_factory=dict)
+    stays: bool = False
+
+    def sampled(self, number: int, count: int, threads: int) -> Samples:
+        """Sample `number` of `count` of all pixels at edges."""
+        key = (number, count)
+        made = self.fine.get(key) or self.look(self.edges, number, count, threads)
+        if self.stays and key not in self.fine:
+            self.fine = {known: samples for known, samples in self.fine.items() if known[1] == count} | {key: made}
+        return made
+
+    def look(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> Samples:
+        """Sample `number` of `count` of some pixels, by a ray to the sun of its own."""
+        across, down = spot(number, count)
+        made = _looked(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
+        lit = np.flatnonzero(made.sun > 0)
+        start = made.point[lit] + made.normal[lit] * np.float32(self.grid.hair)
+        aim = np.broadcast_to(self.sun.spots(count)[number], start.shape)
+        made.sun[lit[self.setting.rays.occluded(start, aim, threads=threads)]] = 0
+        return made
+
+
+def spot(number: int, count: int) -> tuple[float, float]:
+    """Where in a pixel sample `number` of `count` lies: the lattice of Roberts' sequence R2, which is even for any count."""
+    return (0.5 + (number + 1) * 0.7548776662466927) % 1.0, (0.5 + (number + 1) * 0.5698402909980532) % 1.0
+
+
+def stage(setting: Setting, view: View, sun: Sun, scales: Scales, threads: int) -> Stage:
+    """Casts and colours everything that stands still."""
+    setting = with_litter(setting, view, scales)
+    middle = _looked(setting, view, np.arange(view.width * view.height), (0.5, 0.5), sun, scales, threads)
+    solid = np.isfinite(middle.far)
+    edge = _edges(view, middle, solid)
+    grid = Grid(view, middle.point, middle.normal, solid, edge, 3e-5 * scales.extent)
+    middle.sun[:] *= sunlit(grid, middle.sun, sun, [setting.rays], np.inf, threads)
+    shade = open_share(grid, setting.rays, _SHADE_REACH * scales.grain, SHADE_RAYS, threads)
+    return Stage(setting, view, middle, grid, shade, np.flatnonzero(edge), sun, scales)
+
+
+def _looked(
+    setting: Setting,
+    view: View,
+    pixels: NDArray[np.int64],
+    place: tuple[float, float],
+    sun: Sun,
+    scales: Scales,
+    threads: int,
+) -> Samples:
+    """Samples of `pixels` at one place in each; the sun is not hidden yet."""
+    n = len(pixels)
+    three = [np.zeros((n, 3), np.float32) for _ in range(5)]
+    way, point, normal, albedo, glow = three
+    far, light, upness, facing = (np.zeros(n, np.float32) for _ in range(4))
+    kind = np.zeros(n, np.uint8)
+
+    def fill(own: slice) -> None:
+        start, towards = view.rays(pixels[own], *place)
+        hits = setting.rays.cast(start, towards, threads)
+        way[own], far[own] = towards, hits.t
+        seen = np.flatnonzero(hits.face >= 0)
+        first = own.start + seen
+        begin = start if start.ndim == 1 else start[seen]
+        where: Floats = begin.astype(np.float32) + hits.t[seen, None] * towards[seen]
+        look, smooth = _surfaces(setting, view, hits, towards[seen], where, seen, scales)
+        point[first], normal[first], albedo[first] = where, smooth, look.albedo
+        upness[first], facing[first] = look.normal @ sun.up, -dots(look.normal, towards[seen])
+        kind[first] = setting.kind[hits.face[seen]]
+        glow[first] = looks.glow(kind[first], look, towards[seen], sun)
+        # A coarse mesh shades its own smooth slopes in steps just where the light grazes: faded out there.
+        grazing = np.clip((smooth @ sun.towards) * 7, 0, 1)
+        light[first] = np.clip(look.normal @ sun.towards, 0, 1) * grazing
+
+    each(fill, pieces(n), threads)
+    return Samples(pixels, way, far, point, normal, albedo, light, upness, facing, kind, glow)
+
+
+def _surfaces(
+    setting: Setting, view: View, hits: Sights, way: Floats, where: Floats, seen: NDArray[np.int64], scales: Scales
+) -> tuple[looks.Surface, Floats]:
+    """The look of the samples that meet something, and the smooth normal without grain."""
+    face = hits.face[seen]
+    corners = setting.faces[face]
+    flat, u, v = hits.normal[seen], hits.u[seen], hits.v[seen]
+    smooth = units(blended(setting.normal, corners, u, v))
+    smooth *= np.where(dots(smooth, flat) < 0, np.float32(-1), np.float32(1))[:, None]
+    pixel = np.asarray(view.pixel_at(hits.t[seen]), np.float32) * np.float32(0.6)
+    # Seen along the ground a pixel covers more of it.
+    pixel /= np.sqrt(np.clip(-dots(flat, way), 0.04, 1.0))
+    painted = blended(setting.painted, corners, u, v)
+    look = surface(setting.kind[face], where, smooth.copy(), setting.up, pixel, scales, painted)
+    return look, np.where((dots(smooth, flat) > 0.1)[:, None], smooth, flat)
+
+
+def _edges(view: View, middle: Samples, solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether another surface begins beside a pixel (h · w,), on either side."""
+    high, wide = view.height, view.width
+    found = np.zeros((high, wide), np.bool_)
+    normal, point = middle.normal.reshape(high, wide, 3), middle.point.reshape(high, wide, 3)
+    kind = np.where(solid, middle.kind, 255).reshape(high, wide)
+    width = np.asarray(view.pixel_at(np.where(solid, middle.far, 0)), np.float32).reshape(high, wide) * _STEP
+    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        apart = np.einsum("abc,abc->ab", normal[here], normal[there]) < _TURNED
+        gap = point[there] - point[here]
+        off = [np.abs(np.einsum("abc,abc->ab", gap, normal[side])) for side in (here, there)]
+        apart |= np.minimum(*off) > np.minimum(width[here], width[there])
+        apart |= kind[here] != kind[there]
+        apart &= (kind[here] != 255) | (kind[there] != 255)
+        found[here] |= apart
+        found[there] |= apart
+    return found.reshape(-1)
