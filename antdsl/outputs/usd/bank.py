@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
@@ -134,7 +135,8 @@ class _Drawn:
 
 def bank_clips(worn: PosedBody) -> list[Played]:
     """What poses of a bank may be of: the clips that the species plays, the one of those who play none, and those to go on."""
-    strides = [Played(name) for name, clip in worn.definition.clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
+    clips = worn.definition.clips.items()
+    strides = [Played(name) for name, clip in clips if clip.loop and clip.stride > 0 and clip.duration > 0]
     return [*(Played(*each) for each in worn.clips), Played(worn.definition.idle), *strides]
 
 
