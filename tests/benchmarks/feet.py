@@ -49,7 +49,8 @@ def row(ground: str, legs: int, speed: float) -> str:
         turned = ((feet.phase - before.phase) % 1.0)[~before.down.all(axis=1)]
         cycles = max(cycles, float(turned.max(initial=0)))
     share = 100 * hung / (stood + hung)
-    return f"| {ground} | {legs} | {stood:,} | {lifted:,} | {slid / leg:.0e} | {off / leg:.0e} | {far} | {share:.2f} % | {cycles:.2f} |"
+    cells = (ground, legs, f"{stood:,}", f"{lifted:,}", f"{slid / leg:.0e}", f"{off / leg:.0e}", far, f"{share:.2f} %")
+    return f"| {' | '.join(map(str, cells))} | {cycles:.2f} |"
 
 
 def cost(count: int) -> str:
@@ -81,8 +82,9 @@ def main() -> None:
         print(cost(asked.cost))
         return
     print(
-        "| ground | legs | feet that stand | lifts | moved, of a leg | off the surface, of a leg | float or sink | hang | cycles a frame |"
+        "| ground | legs | feet that stand | lifts | moved, of a leg | off the surface, of a leg | float or sink | hang |", end=""
     )
+    print(" cycles a frame |")
     print("|---|---|---|---|---|---|---|---|---|")
     for each in GROUNDS:
         print(row(*each), flush=True)
