@@ -46,10 +46,9 @@ def feet_near(body: Definition, spread: float, seed: int = 1, **other: np.ndarra
     return FeetOfBodies(place.astype(np.float32), np.ones(place.shape[:2], np.bool_), **values)
 
 
-def joints(body: Definition, poses: Poses, feet: FeetOfBodies | None = None) -> np.ndarray:
-    """Where joints are, [n, J, 3], in body lengths, moved with the trunk."""
-    places = np.ascontiguousarray(poses.world[..., 3]) @ body.base()[:3, :3].T.astype(np.float32)
-    return places if feet is None else Legs(body).on_trunk(places, feet)
+def joints(body: Definition, poses: Poses) -> np.ndarray:
+    """Where joints are, [n, J, 3], in body lengths."""
+    return np.ascontiguousarray(poses.world[..., 3]) @ body.base()[:3, :3].T.astype(np.float32)
 
 
 def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
@@ -58,7 +57,7 @@ def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
     tilt = lean / np.linalg.norm(lean, axis=1, keepdims=True)
     for feet in (feet_near(body, 0.12), feet_near(body, 0.1, tilt=tilt, rise=np.full(N, -0.1, np.float32))):
         legs, own = Legs(body), legs_of(body)
-        bent = joints(body, legs.bent(rest(body), feet, np.ones(N, np.float32)), feet)
+        bent = joints(body, legs.bent(rest(body), feet, np.ones(N, np.float32)))
         for k, leg in enumerate(body.legs):
             goal = feet.place[:, k] + np.array([0, own.foot[k, 1], 0])
             foot = bent[:, body.rig.joint(leg.foot)]
