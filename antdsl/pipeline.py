@@ -127,12 +127,17 @@ def open_scene(
     if not report.ok:
         return None, report
     setting = with_changed_params(setting, scene, program, choices.changes)
-    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs)
+    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs, unseen=_unseen(scene))
     inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
     made = lowered if raw else passes.optimise(lowered, thorough=thorough)
     return Shot(scene, program, made, setting, inputs, loaded, bodies.definitions), report
+
+
+def _unseen(scene: Scene) -> frozenset[str]:
+    """Things of the world that pictures leave out."""
+    return frozenset(name for name, thing in scene.model.world.items() if getattr(thing, "look", None) == "none")
 
 
 def _read_scene(
