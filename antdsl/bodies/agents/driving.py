@@ -14,18 +14,19 @@ from antdsl.bodies.agents.clip_table import ClipTable
 from antdsl.bodies.agents.layer import TransformGroup
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.agents.spoken import spoken_names
+from antdsl.bodies.agents.varied_bodies import Draws
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
     """Of n agents. `channels` float32[n] by spoken name: the value of a channel of the rig whatever clips say, NaN where clips
     say it. `looks` float32[n, 3] by transform group: unit vectors in the space of the agent (+x ahead, +y up), (1, 0, 0) for
-    who looks straight ahead. `ids` int64[n]: what draws go by. `lean` float32[n, 2]: how much each turns, to the left above 0,
+    who looks straight ahead. `draws`: what bodies differ by. `lean` float32[n, 2]: how much each turns, to the left above 0,
     and climbs, from -1 to 1; None where no clip goes by that."""
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     looks: Mapping[str, Floats] = field(default_factory=dict)
-    ids: NDArray[np.int64] | None = None
+    draws: Draws | None = None
     lean: Floats | None = None
 
     def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Driven:
@@ -33,7 +34,7 @@ class Driven:
         return Driven(
             {name: each[chosen] for name, each in self.channels.items()},
             {name: each[chosen] for name, each in self.looks.items()},
-            None if self.ids is None else self.ids[chosen],
+            None if self.draws is None else self.draws.rows(chosen),
             None if self.lean is None else self.lean[chosen],
         )
 
@@ -66,7 +67,7 @@ def with_looks(
     for name, look in wanted.items():
         turn = _shortest(look @ back.T, back[:, 0])
         for joint, weight in sorted((table.rig.joint(member), weight) for member, weight in groups[name].members):
-            _turned(world, joint, _below(table, joint), _share(turn, weight))
+            _turned(world, joint, table.rig.below(joint), _share(turn, weight))
     return Poses(world, None, poses.channels)
 
 
@@ -86,21 +87,7 @@ def _share(turn: Floats, weight: float) -> Floats:
     return np.ascontiguousarray(normalised(np.ascontiguousarray(part.T)).T)
 
 
-def _below(table: ClipTable, joint: int) -> list[int]:
-    """A joint and all that hang on it."""
-    parents = np.asarray(table.rig.parents)
-    found, reached = [joint], True
-    inside = np.zeros(len(parents), bool)
-    inside[joint] = True
-    while reached:
-        more = np.flatnonzero((parents >= 0) & inside[parents] & ~inside)
-        inside[more] = True
-        found += more.tolist()
-        reached = bool(len(more))
-    return found
-
-
-def _turned(world: Floats, joint: int, moved: list[int], turn: Floats) -> None:
+def _turned(world: Floats, joint: int, moved: NDArray[np.intp], turn: Floats) -> None:
     """Turn some joints [n, J, 3, 4] about the place of one, in place."""
     x, y, z, w = turn.T
     matrix = np.empty((len(turn), 3, 3), np.float32)
