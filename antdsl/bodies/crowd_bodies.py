@@ -21,8 +21,8 @@ from antdsl.bodies.library.table import library_body
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.limits import LAYERS_WORN
-from antdsl.plan.lowering.traversal import inside
-from antdsl.program.model import Channel, ClipTest, Expr, Look, Machine, Play, Program, Species, Wear
+from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
+from antdsl.program.traverse import parts
 from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, LegsData, RoomData
@@ -191,7 +191,8 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
             for clip in (line.clip, *line.ways):
                 want("clip", clip, body.clips, Label(line.span, "played here"))
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
-        for test in _tests(machine):
+    for test in parts(species):
+        if isinstance(test, ClipTest):
             want("mark", test.mark, marks, Label(test.span, "asked for here"))
     if lacks:
         helps = [help if len(lacks) == 1 else f"{name}: {help}" for name, (help, _) in lacks.items()]
@@ -209,12 +210,3 @@ def _shows(machine: Machine) -> Iterator[Wear | Channel | Look]:
     """What states of a machine show beside clips."""
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, (Wear, Channel, Look)))
-
-
-def _tests(machine: Machine) -> Iterator[ClipTest]:
-    """Questions about clips in the changes of a machine."""
-    for state in machine.states:
-        for change in state.transitions:
-            asked: tuple[Expr | None, ...] = (change.condition, change.held, change.after)
-            for expr in asked:
-                yield from (each for each in inside(expr) if isinstance(each, ClipTest)) if expr is not None else ()

@@ -13,7 +13,7 @@ from antdsl.bodies.catalogue import CAPSULES
 from antdsl.bodies.crowd_bodies import clip_data, room_of
 from antdsl.bodies.library.table import BODIES, library_body
 from antdsl.diagnostics import Report
-from antdsl.pipeline import Shot, check_path, open_scene
+from antdsl.pipeline import Shot, check_path, check_scene_text, open_scene
 from antdsl.runtime import bind, step
 from antdsl.scene.crowd_model import BODY_WORDS
 
@@ -218,3 +218,28 @@ def test_a_preview_takes_the_changed_body_over(folder: Path) -> None:
     assert made is not None and report.ok
     assert made.setting.clips["walker"]["walk"].stride == pytest.approx(2.4 / 1.75)
     assert (made.populations["walker"].now["main.clip_turns"] == world.populations["walker"].now["main.clip_turns"]).all()
+
+
+def test_an_editor_is_told_what_the_body_does_not_have(folder: Path) -> None:
+    scene = written(folder, PROGRAM.replace("play walk", "play wlak"))
+    _, _, report = check_scene_text(scene, {scene: scene.read_bytes()})
+    assert [each.message for each in report.errors] == ["`walker.json` has no clip `wlak`"]
+    assert "did you mean `walk`?" in (report.errors[0].help or "") and report.errors[0].span is not None
+    assert str(scene) == report.errors[0].span.source.path
+    scene = written(folder)
+    assert not check_scene_text(scene, {scene: scene.read_bytes()})[2].sorted()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "enter { woken = if clip at nowhere then 1 else 0 }",
+        "steer if clip at nowhere then halt() else coast()",
+        "let there = clip at nowhere; when there -> wave",
+    ],
+)
+def test_marks_are_asked_of_the_body_wherever_a_program_asks(line: str, folder: Path) -> None:
+    program = PROGRAM.replace("play walk;", f"play walk; {line};").replace("size 1.75 m", "size 1.75 m\n  woken = 0")
+    program = program.replace("steer wander();", "") if line.startswith("steer") else program
+    _, report = open_scene(written(folder, program))
+    assert "`walker.json` has no mark `nowhere`" in [each.message for each in report.errors], str(report)

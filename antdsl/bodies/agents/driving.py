@@ -56,7 +56,8 @@ def with_looks(
     table: ClipTable, poses: Poses, looks: Mapping[str, Floats], groups: Mapping[str, TransformGroup], base: NDArray[np.float64]
 ) -> Poses:
     """Poses whose joints of transform groups are turned to look where it is said: each joint of a group turns, with all below
-    it, about its own place by its weight's share of the shortest turn from straight ahead. `base` [3, 3] leads from the body's
+    it, about its own place by its weight's share of the shortest turn from straight ahead, but all that hang on each other by no
+    more than the whole. `base` [3, 3] leads from the body's
     space to that of agents. A group that the body does not have is passed over; `local` is None where anything was turned."""
     wanted = {name: look for name, look in looks.items() if name in groups and len(look)}
     if not wanted:
@@ -66,8 +67,12 @@ def with_looks(
     back = (base / size).T.astype(np.float32)
     for name, look in wanted.items():
         turn = _shortest(look @ back.T, back[:, 0])
+        left = np.ones(len(table.rig.names))  # of the way, when all that a joint hangs on has turned
         for joint, weight in sorted((table.rig.joint(member), weight) for member, weight in groups[name].members):
-            _turned(world, joint, table.rig.below(joint), _share(turn, weight))
+            share, below = min(weight, left[joint]), table.rig.below(joint)
+            if share > 0:
+                left[below] -= share
+                _turned(world, joint, below, _share(turn, share))
     return Poses(world, None, poses.channels)
 
 
