@@ -140,7 +140,7 @@ class Gallery:
         reach = np.ones(len(self.manifest.species))
         for number, species in enumerate(self.manifest.species):
             if species.definition is not None:
-                reach[number] = max(1.0, self._body(number).reach)
+                reach[number] = max(1.0, self.body(number).reach)
         if "species" not in arrays or not len(reach):
             return float(reach.max(initial=1.0))
         return reach[np.clip(np.asarray(arrays["species"], np.int64), 0, len(reach) - 1)]
@@ -206,7 +206,7 @@ class Gallery:
         on the feet that it has."""
         species, rows = self.manifest.species[number], _rows_of(number, arrays)
         ids = np.asarray(arrays["id"])[rows] if "id" in arrays else rows
-        body, count = self._body(number), len(rows)
+        body, count = self.body(number), len(rows)
         return Crowd(
             species=species.name,
             position=np.asarray(arrays["P"], np.float64)[rows],
@@ -226,11 +226,11 @@ class Gallery:
         masks = worn_masks(self.manifest.species[number], arrays, len(crowd.position))
         sets = [int(mask) for mask in np.unique(masks)] or [0]
         if len(sets) == 1:
-            return [replace(crowd, worn=self._body(number, sets[0]))]
+            return [replace(crowd, worn=self.body(number, sets[0]))]
         parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
-        return [replace(crowd.rows(rows), worn=self._body(number, mask)) for mask, rows in parts]
+        return [replace(crowd.rows(rows), worn=self.body(number, mask)) for mask, rows in parts]
 
-    def _body(self, number: int, mask: int = 0) -> PosedBody:
+    def body(self, number: int, mask: int = 0) -> PosedBody:
         """The body that a species has, with the layers of a mask: its own, kept in the cache, or one of the library."""
         species = self.manifest.species[number]
         if (number, mask) not in self._worn:

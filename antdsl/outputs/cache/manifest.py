@@ -133,8 +133,8 @@ class CameraEntry(Part):
 
 class Manifest(Part):
     """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
-    asked for. `static` is the hash of `static.npz`, None where none was kept. `scene_path` leads from the cache's folder to the
-    scene's file, where `way_to` knows one."""
+    asked for; `events` the names that frames count. `static` is the hash of `static.npz`, None where none was kept. `scene_path`
+    leads from the cache's folder to the scene's file, where `way_to` knows one."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -157,6 +157,7 @@ class Manifest(Part):
     meshes: tuple[MeshEntry, ...]
     fields: tuple[FieldEntry, ...]
     items: tuple[ItemsEntry, ...]
+    events: tuple[Word, ...] = ()
     camera: CameraEntry | Literal["fit"] | None = None  # `fit`: one that holds the crowd in the frames that are drawn
 
 
