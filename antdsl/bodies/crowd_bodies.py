@@ -4,7 +4,7 @@ of them: the clips' lengths, strides and marks, and the room that each body take
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
 from antdsl.bodies.library.table import library_body
+from antdsl.bodies.posed_body import COLLISION, own_layer
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.limits import LAYERS_WORN
@@ -135,8 +136,10 @@ def clip_data(clip: Clip, body: Definition) -> ClipData:
 
 
 def room_of(body: Definition) -> RoomData:
-    """The room that a body takes: as long and wide as its box in the rest pose, and never shorter than wide."""
-    least, most = rest_box(body)
+    """The room that a body takes: as long and wide as the box of its layer `collision` in the rest pose, or where it has none of
+    what it always shows, and never shorter than wide."""
+    layer = body.layers.get(COLLISION) or own_layer(body)
+    least, most = rest_box(replace(body, layers={layer.name: layer}))
     corners = np.array([[(least, most)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
     turned = corners @ body.base()[:3, :3].T
     low, high = turned.min(axis=0), turned.max(axis=0)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.bodies.catalogue import CAPSULES
@@ -84,6 +86,13 @@ def test_a_body_takes_the_room_of_its_box(folder: Path) -> None:
     # some 0.5 m wide at the shoulders, and less deep; the middle below half its height
     assert room.width == pytest.approx(0.5 / 1.75, abs=0.03) and room.length == room.width
     assert 0.4 < room.height < 0.55 and abs(room.ahead) < 0.05
+    hat = replace(body.shapes["head"], points=body.shapes["head"].points * 20)
+    hatted = replace(
+        body, shapes={**body.shapes, "hat": hat}, layers={**body.layers, "hat": Layer("hat", (Binding("head", "hat"),))}
+    )
+    assert room_of(hatted) == room, "what is worn takes no room"
+    boxed = replace(hatted, layers={**hatted.layers, "collision": Layer("collision", (Binding("head", "hat"),))})
+    assert room_of(boxed).width > 3 * room.width, "a layer `collision` goes first"
     assert opened(written(folder)).setting.rooms == {"walker": room}
     assert clip_data(body.clips["idle"], body).stride == 0
 
