@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -63,10 +63,11 @@ def with_looks(
     if not wanted:
         return poses
     world = np.array(poses.world, np.float32)
-    size = np.linalg.norm(base[0])
-    back = (base / size).T.astype(np.float32)
+    x, y, z = base[0]
+    axes = (base / np.sqrt((x * x + y * y) + z * z)).astype(np.float32)
     for name, look in wanted.items():
-        turn = _shortest(look @ back.T, back[:, 0])
+        way = [(look[:, 0] * axes[0, k] + look[:, 1] * axes[1, k]) + look[:, 2] * axes[2, k] for k in range(3)]
+        turn = _shortest(way, axes[0])
         left = np.ones(len(table.rig.names))  # of the way, when all that a joint hangs on has turned
         for joint, weight in sorted((table.rig.joint(member), weight) for member, weight in groups[name].members):
             share, below = min(weight, left[joint]), table.rig.below(joint)
@@ -76,11 +77,13 @@ def with_looks(
     return Poses(world, None, poses.channels)
 
 
-def _shortest(way: Floats, ahead: Floats) -> Floats:
-    """The quaternions float32[n, 4] of the shortest turns that bring `ahead` [3] to unit vectors [n, 3]."""
-    found = np.empty((4, len(way)), np.float32)
-    found[:3] = np.cross(np.broadcast_to(ahead, way.shape), way).T
-    found[3] = 1 + way @ ahead
+def _shortest(way: Sequence[Floats], ahead: Floats) -> Floats:
+    """The quaternions float32[n, 4] of the shortest turns that bring `ahead` [3] to unit vectors, x, y and z [n]."""
+    x, y, z = ahead
+    found = np.stack([
+        y * way[2] - z * way[1], z * way[0] - x * way[2], x * way[1] - y * way[0],
+        1 + ((way[0] * x + way[1] * y) + way[2] * z),
+    ]).astype(np.float32)  # fmt: skip
     found[:, found[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: there is no shortest turn
     return np.ascontiguousarray(normalised(found).T)
 
@@ -102,6 +105,8 @@ def _turned(world: Floats, joint: int, moved: NDArray[np.intp], turn: Floats) ->
     pivot = world[:, joint, :, 3].copy()
     part: Any = world[:, moved]
     part[..., 3] -= pivot[:, None]
-    part = np.matmul(matrix[:, None], part)
-    part[..., 3] += pivot[:, None]
-    world[:, moved] = part
+    for row in range(3):
+        a, b, c = (matrix[:, row, k, None, None] for k in range(3))
+        turned = (a * part[:, :, 0] + b * part[:, :, 1]) + c * part[:, :, 2]
+        turned[..., 3] += pivot[:, None, row]
+        world[:, moved, row] = turned
