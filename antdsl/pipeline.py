@@ -198,9 +198,13 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
 def check_scene_text(
     path: Path, texts: Mapping[Path, bytes], *, parsed: Parsed | None = None
 ) -> tuple[Scene | None, Program | None, Report]:
-    """A scene as an editor holds it, with its programs: all of `check_path` but what the meshes themselves would tell. `texts`
-    are the scenes that go before what is on disk: this one, and those that it extends."""
+    """A scene as an editor holds it, with its programs and bodies: all of `check_path` but what the meshes of its world would
+    tell. `texts` are the scenes that go before what is on disk: this one, and those that it extends."""
+    from antdsl.bodies.crowd_bodies import crowd_bodies
+
     scene, program, _, report = _read_scene(path, Choices(), parsed=parsed, data=texts[path], texts=texts)
+    if scene is not None and program is not None and report.ok:
+        report.extend(crowd_bodies(scene, program)[1])
     return scene, program, report
 
 
