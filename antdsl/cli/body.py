@@ -1,4 +1,4 @@
-"""`antdsl body FILE|WORD`: what is in an agent definition: joints, shapes, layers, clips, transform groups, metadata; and
+"""`antdsl body FILE`: what is in an agent definition: joints, shapes, layers, clips, transform groups, metadata; and
 writing it as another kind of file."""
 
 from __future__ import annotations
@@ -11,10 +11,13 @@ import typer
 from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
+    from antdsl.bodies.agents.definition import Definition
 
 
 def body(
-    file: Path = typer.Argument(..., help="A definition file (.json), a glTF or USD file, or a word of the library such as ant."),
+    file: Path = typer.Argument(
+        ..., help="A definition file (.json), a glTF file (.glb, .gltf), a USD file, or a word of the library: ant."
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print it as JSON for other programs, complaints among it."),
     prim: str = typer.Option("", "--prim", metavar="PATH", help="Of a USD file: read what lies at and below this prim."),
     rate: float = typer.Option(
@@ -38,6 +41,7 @@ def body(
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
+    from antdsl.bodies.agents.definition import Definition
     from antdsl.bodies.agents.reading import read_definition
     from antdsl.bodies.library.table import BODIES, library_body
     from antdsl.cli.arguments import grants
@@ -46,8 +50,13 @@ def body(
     from antdsl.diagnostics import Report
     from antdsl.scene.paths import Roots
 
-    roots, word = Roots(file.resolve().parent, grants(root)), str(file)
-    found, report = (library_body(word), Report()) if word in BODIES else read_definition(file, roots, prim=prim, rate=rate)
+    roots = Roots(file.resolve().parent, grants(root))
+    report = Report()
+    found: Definition | None
+    if str(file) in BODIES and not file.exists():
+        found = library_body(str(file))
+    else:
+        found, report = read_definition(file, roots, prim=prim, rate=rate)
     if as_json:
         typer.echo(body_document(found, report), nl=False)
     else:
