@@ -86,7 +86,7 @@ class _Writer:
         whole = {crowd.species: crowd for crowd in picture.crowds}
         for number, species in enumerate(self.gallery.manifest.species):
             if species.name not in self._crowds:
-                self._crowds[species.name] = self._kind(self.stage, self.gallery, species.name, whole[species.name].body)
+                self._crowds[species.name] = self._kind(self.stage, self.gallery, species.name, "ant")
             rows = np.flatnonzero(arrays["species"] == number) if "species" in arrays else np.arange(len(arrays["P"]))
             self._crowds[species.name].frame(frame, whole[species.name], arrays, rows)
         for solid in picture.solids:
@@ -185,12 +185,8 @@ class _CrowdWriter:
                 self._primvar(frame, name, "IntArray" if values.dtype.kind in "iu" else "FloatArray", values[rows])
 
     def _poses(self, crowd: Crowd) -> NDArray[np.int32]:
-        """The moment of its walk that each agent is in, by the way that it has gone."""
-        count = len(self.body.poses)
-        if count == 1 or crowd.walked is None:
-            return np.zeros(len(crowd.position), np.int32)
-        walked = crowd.walked / np.maximum(crowd.scale, 1e-12) / self.body.stride
-        return ((walked % 1.0) * count).astype(np.int32) % count
+        """The moment of its walk that each agent is in."""
+        return np.zeros(len(crowd.position), np.int32)
 
     def _extent(self, crowd: Crowd) -> NDArray[np.float64]:
         if not len(crowd.position):
