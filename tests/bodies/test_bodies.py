@@ -13,6 +13,7 @@ from antdsl.bodies.library.table import BODIES, library_body
 from antdsl.bodies.placed import PLACED, placed, shape_of
 from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
 
+TRUNK = ("root", "thorax", "head", "petiole", "gaster", "gaster_tip")
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -110,9 +111,7 @@ def test_the_room_that_a_body_takes_is_that_of_its_mesh(name: str) -> None:
     """The capsule is as long and wide as what is drawn of the trunk."""
     room, drawn = CAPSULES[name], library_body(name).shapes[name]
     assert drawn.capture is not None
-    trunk = [
-        number for number, joint in enumerate(drawn.capture.names) if joint in ("root", "thorax", "head", "petiole", "gaster")
-    ]
+    trunk = [number for number, joint in enumerate(drawn.capture.names) if joint in TRUNK]
     points = drawn.points[np.isin(drawn.capture.joints[:, 0], trunk)]
     if name == "ant":  # without legs, feelers and the rings that coxae share with the thorax
         points = points[np.abs(points[:, 2]) < 0.13]
