@@ -38,18 +38,18 @@ def shown(population: Population, rows: NDArray[np.intp], setting: Setting) -> d
     if layers:
         mask = np.zeros(len(rows), np.uint64)
         for layer in plan.wears:
-            mask |= np.where(now[f"wear:{layer}"][rows], _bit(layers, layer), np.uint64(0))
+            mask |= np.where(now[f"wear#{layer}"][rows], _bit(layers, layer), np.uint64(0))
         for worn in _by_scene(population, rows, setting, layers):
             mask |= worn
         arrays[f"wears.{name}"] = mask
     for channel in plan.channels:
-        said = now[f"channel:{channel}.said"][rows]
-        arrays[f"channels.{name}.{channel}"] = np.where(said, now[f"channel:{channel}"][rows], np.float32(np.nan))
+        said = now[f"channel#{channel}.said"][rows]
+        arrays[f"channels.{name}.{channel}"] = np.where(said, now[f"channel#{channel}"][rows], np.float32(np.nan))
     for group in plan.looks:
-        parts = [now[f"look:{group}.{axis}"][rows] for axis in _AXES]
+        parts = [now[f"look#{group}.{axis}"][rows] for axis in _AXES]
         arrays[f"looks.{name}.{group}"] = np.stack(parts, axis=1).astype(np.float32)
-    if "lean:turn" in plan.registers:
-        arrays[f"leans.{name}"] = np.stack([now["lean:turn"][rows], now["lean:slope"][rows]], axis=1)
+    if "lean#turn" in plan.registers:
+        arrays[f"leans.{name}"] = np.stack([now["lean#turn"][rows], now["lean#slope"][rows]], axis=1)
     return arrays
 
 
