@@ -76,14 +76,13 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
 
 def worn_crowds(picture: Picture) -> list[tuple[tuple[str, int], Crowd, PosedBody]]:
-    """The crowds of a picture that wear a definition and are not empty: with the species, and which of its bodies."""
+    """The crowds of a picture that are not empty: with the species, and which of its bodies."""
     found, seen = [], dict[str, int]()
     for crowd in picture.crowds:
-        if crowd.worn is not None:
-            which = seen.get(crowd.species, 0)
-            seen[crowd.species] = which + 1
-            if len(crowd.position):
-                found.append(((crowd.species, which), crowd, crowd.worn))
+        which = seen.get(crowd.species, 0)
+        seen[crowd.species] = which + 1
+        if len(crowd.position):
+            found.append(((crowd.species, which), crowd, crowd.worn))
     return found
 
 

@@ -53,6 +53,13 @@ def test_it_tells_joints_as_a_tree_shapes_layers_and_clips(arm: Path) -> None:
     assert printed(str(arm), "--quiet") == ""
 
 
+def test_a_word_is_a_body_of_the_library() -> None:
+    lines = printed("spider").splitlines()
+    assert lines[0] == "body         spider: 1 × 12 mm long, front +x, up +y"
+    assert "layer        close: spider_close by linearskinning" in lines
+    assert len([line for line in lines if line.startswith("leg ")]) == 8
+
+
 def test_metadata_groups_and_marks_are_told(arm: Path) -> None:
     body = arm.parent / "body.json"
     body.write_text(
