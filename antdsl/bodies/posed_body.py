@@ -20,7 +20,8 @@ from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.driving import Driven, with_channels, with_looks
 from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs
-from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
+from antdsl.bodies.agents.poses import Poses, local_transforms
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
@@ -39,7 +40,7 @@ class PosedBody:
     is one so called, else the first that is not called `collision`, and of `layers` beside it; those that it does not have are
     passed over. `fine` is for agents that are large in a picture, `coarse` for those that are small."""
 
-    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]], layers: Sequence[str] = ()) -> None:
+    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | Played], layers: Sequence[str] = ()) -> None:
         self.clips, self.layers, self._whole, self.name = tuple(clips), tuple(layers), definition, definition.name
         self._played = (*self.clips, (definition.idle, ""))
         self._table = clip_table(definition)
@@ -104,6 +105,37 @@ class PosedBody:
         """What its feet stand on; None for a body without legs."""
         return Legs(self._whole) if self._whole.legs else None
 
+    @property
+    def definition(self) -> Definition:
+        """The agent definition itself."""
+        return self._whole
+
+    @property
+    def bindings(self) -> tuple[Binding, ...]:
+        """The bindings of the layers that are drawn, static ones of a layer first."""
+        return self._bindings
+
+    def poses(
+        self,
+        machines: Sequence[MachineClips],
+        count: int,
+        feet: FeetOfBodies | None = None,
+        threads: int = 1,
+        *,
+        driven: Driven = NOTHING,
+        local: bool = False,
+    ) -> Poses:
+        """Transforms and channels of `count` agents that play what their machines say and show what is `driven`, in the
+        definition's space, `local` too; with `feet` legs are bent to where these are, and trunks moved with them."""
+        playing = machines_playing(self._table, self._played, machines, count, driven.lean)
+        poses = posed(self._table, self._definition.groups, playing, local=local, threads=threads)
+        poses = with_channels(self._table, poses, driven.channels)
+        poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])
+        if self.legs is not None and feet is not None:
+            stands = self.legs.kept(self._played, machines, count)
+            poses = self.legs.bent(poses, feet.less(stands), stands)
+        return replace(poses, local=local_transforms(self._table, poses.world)) if local and poses.local is None else poses
+
     def posed(
         self,
         machines: Sequence[MachineClips],
@@ -113,25 +145,13 @@ class PosedBody:
         *,
         driven: Driven = NOTHING,
     ) -> tuple[Floats, Floats]:
-        """Vertices and unit normals float32[n, v, 3] of `count` agents that play what their machines say and show what is
-        `driven`, in body lengths; with `feet` legs are bent to where these are, and trunks moved with them."""
-        playing = machines_playing(self._table, self._played, machines, count)
-        poses = posed(self._table, self._definition.groups, playing, threads=threads)
-        poses = with_channels(self._table, poses, driven.channels)
-        poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])
-        legs = self.legs if feet is not None else None
-        if legs is not None and feet is not None:
-            stands = legs.kept(self._played, machines, count)
-            feet = feet.less(stands)
-            poses = legs.bent(poses, feet, stands)
+        """Vertices and unit normals float32[n, v, 3] of the same agents, in body lengths."""
+        poses = self.poses(machines, count, feet, threads, driven=driven)
         found = [bound(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((count, 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self._taken]
         normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)[:, self._taken]
-        points, normals = points @ self._base.T, normals @ self._turn.T
-        if legs is None or feet is None:
-            return points, normals
-        return legs.on_trunk(points, feet), legs.on_trunk(normals, feet.level())
+        return points @ self._base.T, normals @ self._turn.T
 
 
 def own_layer(definition: Definition) -> Layer:

@@ -44,3 +44,20 @@ def frame_range(text: str | None, flag: str = "--frames"):  # type: ignore[no-un
         return parse_frames(text)
     except BadQuantity as why:
         raise typer.BadParameter(f"`{text}` {why}: {why.help or 'write A..B'}", param_hint=flag) from None
+
+
+def number_set(text: str | None, flag: str) -> frozenset[int] | None:
+    """Whole numbers of a list such as `3,8..12`; None for None."""
+    if text is None:
+        return None
+    found: set[int] = set()
+    for word in text.split(","):
+        first, dots, last = word.strip().partition("..")
+        try:
+            low, high = int(first), int(last if dots else first)
+        except ValueError:
+            low, high = 1, 0
+        if not 0 <= low <= high or high - low > 1_000_000:
+            raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,8..12", param_hint=flag)
+        found.update(range(low, high + 1))
+    return frozenset(found)

@@ -1,38 +1,105 @@
-"""`antdsl body FILE`: what is in an agent definition: joints, shapes, layers, clips, transform groups, metadata."""
+"""`antdsl body FILE`: what is in an agent definition: joints, shapes, layers, clips, transform groups, metadata; and
+writing it as another kind of file."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from antdsl.cli.exits import Exit, Stop
 
+if TYPE_CHECKING:
+    from antdsl.bodies.agents.definition import Definition
+
 
 def body(
-    file: Path = typer.Argument(..., help="A definition file (.json), a glTF file (.glb, .gltf) or a USD file."),
+    file: Path = typer.Argument(
+        ..., help="A definition file (.json), a glTF file (.glb, .gltf), a USD file, or a word of the library: ant."
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print it as JSON for other programs, complaints among it."),
     prim: str = typer.Option("", "--prim", metavar="PATH", help="Of a USD file: read what lies at and below this prim."),
     rate: float = typer.Option(
         0.0, "--rate", min=0.0, max=1000.0, help="Samples a second of animations; 0: the frames of a USD file, 30 of a glTF file."
     ),
+    to: Path = typer.Option(
+        None,
+        "--to",
+        metavar="FILE",
+        show_default=False,
+        help="Write it: a .glb or .gltf file, or a .json definition with the folder of its parts beside it.",
+    ),
+    layer: str = typer.Option(
+        "",
+        "--layer",
+        metavar="NAME",
+        help="Of a .glb or .gltf: the layer whose shapes are written. [default: the one that is drawn]",
+        show_default=False,
+    ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but complaints."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
+    from antdsl.bodies.agents.definition import Definition
     from antdsl.bodies.agents.reading import read_definition
+    from antdsl.bodies.library.table import BODIES, library_body
     from antdsl.cli.arguments import grants
     from antdsl.cli.printing.body_tables import body_document, body_lines
     from antdsl.cli.printing.reports import show, verdict
+    from antdsl.diagnostics import Report
     from antdsl.scene.paths import Roots
 
     roots = Roots(file.resolve().parent, grants(root))
-    found, report = read_definition(file, roots, prim=prim, rate=rate)
+    report = Report()
+    found: Definition | None
+    if str(file) in BODIES and not file.exists():
+        found = library_body(str(file))
+    else:
+        found, report = read_definition(file, roots, prim=prim, rate=rate)
     if as_json:
         typer.echo(body_document(found, report), nl=False)
     else:
         show(report)
         for line in body_lines(found) if found is not None and not quiet else ():
             typer.echo(line)
+    if found is not None and report.ok and to is not None:
+        _written(found, file, to, layer, quiet)
     if not report.ok:
         raise Stop(Exit.FINDINGS if as_json and verdict(report) is not Exit.INPUT_OUTPUT else verdict(report))
+
+
+def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
+    """Write a definition as another kind of file, and say what is left out."""
+    from antdsl.bodies.agents.definition_written import definition_files
+    from antdsl.bodies.agents.gltf_written import write_gltf
+    from antdsl.bodies.posed_body import own_layer
+    from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
+    from antdsl.outputs.cache.npz import write_whole
+
+    kind = to.suffix.lower()
+    if kind not in (".json", ".glb", ".gltf"):
+        raise typer.BadParameter(f"`{to.name}` is none of .json, .glb, .gltf", param_hint="--to")
+    if layer and layer not in body.layers:
+        known = ", ".join(f"`{name}`" for name in body.layers) or "no layer"
+        raise typer.BadParameter(f"the body has no layer `{layer}`: there is {known}", param_hint="--layer")
+    file_to_write(to, "--to")
+    notes: list[str] = []
+    if kind == ".json":
+        files = definition_files(body, to.stem)
+        parts = [path for path in files if path != to.name]
+        folder_to_write(to.parent / to.stem, "--to", *(path.partition("/")[2] for path in parts))
+    else:
+        data, notes = write_gltf(body, body.layers[layer] if layer else own_layer(body), text=kind == ".gltf")
+        files, parts = {to.name: data}, []
+    with keeping_inputs({"--to": to}, {"--to": (to.parent, [to.stem])} if parts else None) as inputs:
+        inputs.append(source)
+    for path in (*parts, to.name):
+        (to.parent / path).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(to.parent / path, files[path], sync=False)
+    if not quiet:
+        typer.echo(
+            f"{to}: " + (f"and {len(parts)} files in {to.parent / to.stem}" if parts else f"{len(files[to.name]):,} bytes")
+        )
+        for note in notes:
+            typer.echo(f"note: {note}")

@@ -1,4 +1,4 @@
-"""`antdsl export CACHE --to FILE`: a cache for other programs, as USD or as a table of keyframes."""
+"""`antdsl export CACHE --to FILE`: a cache for other programs, as USD, glTF, points, tables, arrays or meshes."""
 
 from __future__ import annotations
 
@@ -6,25 +6,37 @@ from pathlib import Path
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, keeping_inputs
+from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 
 
 def export(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
-    to: Path = typer.Option(..., "--to", metavar="FILE", help="Where to: a .usdc (small), .usda (text), .usd or .csv file."),
-    form: str = typer.Option(
-        None, "--as", metavar="WORD", help="Of USD: instances, or xforms (one an agent). [default: instances]", show_default=False
+    to: Path = typer.Option(
+        ...,
+        "--to",
+        metavar="FILE",
+        help="Where to: .usdc (small), .usda (text), .usd, .glb, .gltf, .geo, .csv, .npz, .ply or .obj; `####`: the frame.",
     ),
+    form: str = typer.Option(
+        None,
+        "--as",
+        metavar="WORD",
+        show_default=False,
+        help="USD: instances, xforms, meshes; .csv: keyframes, events; .npz: arrays, poses, volume, events; .ply: meshes, solids",
+    ),
+    ids: str = typer.Option(None, "--ids", metavar="3,8..12", help="Only these agents. [default: all]", show_default=False),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Which frames. [default: all]", show_default=False),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
-    """Write a cache as a USD file (agents, meshes, items, camera; needs the extra [usd]), or keyframes of agents as CSV."""
-    from antdsl.cli.arguments import frame_range
+    """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
+    from antdsl.cli.arguments import frame_range, number_set
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.exports import EXPORTS, export_for
     from antdsl.outputs.gallery import Gallery, NoPicture
+    from antdsl.outputs.numbered_files import NoExport
+    from antdsl.outputs.some_agents import SomeAgents
     from antdsl.scene.geometry.usd import UsdError
 
     export = export_for(to)
@@ -36,23 +48,34 @@ def export(
         raise typer.BadParameter(
             f"`{to.name}` cannot be written as `{word}`: there is {', '.join(export.forms)}", param_hint="--as"
         )
-    file_to_write(to, "--to")
-    between = frame_range(frames)
+    between, chosen = frame_range(frames), number_set(ids, "--ids")
     try:
-        with keeping_inputs({"--to": to}) as inputs:
-            gallery = Gallery(open_cache(cache))
-            inputs += gallery.cache.made_from()
-        there = [f for f in gallery.cache.frames() if between is None or between.first <= f <= between.last]
+        found = open_cache(cache)
+        there = [f for f in found.frames() if between is None or between.first <= f <= between.last]
         if not there:
             raise Stop(Exit.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has")
-        export.forms[word](gallery, there, to)
+        paths = export.paths(word, to, there)
+        if word in export.each:
+            folder_to_write(to.parent, "--to", *(path.name for path in paths))
+            with keeping_inputs({}, {"--to": (to.parent, [path.name for path in paths])}) as inputs:
+                inputs += found.made_from()
+        else:
+            file_to_write(to, "--to")
+            with keeping_inputs({"--to": to}) as inputs:
+                inputs += found.made_from()
+        gallery = Gallery(found if chosen is None else SomeAgents(found.folder, found.manifest, chosen))
+        to.parent.mkdir(parents=True, exist_ok=True)
+        notes = export.forms[word](gallery, there, to)
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
     except NoPicture as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again") from None
-    except UsdError as why:
+    except (UsdError, NoExport) as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", why.help or "") from None
     if not quiet:
-        typer.echo(f"{to}: frames {there[0]}..{there[-1]}, {len(gallery.manifest.species)} species")
+        files = f"{paths[0]} .. {paths[-1].name}" if len(paths) > 1 else str(paths[0])
+        typer.echo(f"{files}: frames {there[0]}..{there[-1]}, {len(gallery.manifest.species)} species")
+        for note in notes or ():
+            typer.echo(f"note: {note}")

@@ -7,21 +7,41 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from antdsl.outputs.csv_export import export_csv
+from antdsl.outputs.events_export import export_csv_events, export_npz_events
 from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.geo_export import export_geo
+from antdsl.outputs.gltf_export import export_gltf
+from antdsl.outputs.mesh_export import export_meshes, export_usd_meshes
+from antdsl.outputs.npz_export import export_arrays
+from antdsl.outputs.numbered_files import numbered
+from antdsl.outputs.poses_export import export_poses
+from antdsl.outputs.solid_export import export_solids, export_volumes
 from antdsl.outputs.usd_export import export_instances, export_xforms
+
+Notes = list[str] | None  # what was left out or is not as it was, in sentences
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
-    """Files of some `endings`. `forms`: by name the functions that write frames of a cache into one; the first is the usual."""
+    """Files of some `endings`. `forms`: by name the functions that write frames of a cache into one; the first is the usual.
+    `each`: the forms that write a file for each frame, with the frame's number before its ending."""
 
     endings: tuple[str, ...]
-    forms: Mapping[str, Callable[[Gallery, list[int], Path], None]]
+    forms: Mapping[str, Callable[[Gallery, list[int], Path], Notes]]
+    each: frozenset[str] = frozenset()
+
+    def paths(self, form: str, path: Path, frames: list[int]) -> list[Path]:
+        """The files that a form writes."""
+        return [numbered(path, frame) for frame in frames] if form in self.each else [path]
 
 
 EXPORTS = (
-    Export((".usdc", ".usda", ".usd"), {"instances": export_instances, "xforms": export_xforms}),
-    Export((".csv",), {"keyframes": export_csv}),
+    Export((".usdc", ".usda", ".usd"), {"instances": export_instances, "xforms": export_xforms, "meshes": export_usd_meshes}),
+    Export((".glb", ".gltf"), {"skinned": export_gltf}),
+    Export((".geo",), {"points": export_geo}, frozenset({"points"})),
+    Export((".csv",), {"keyframes": export_csv, "events": export_csv_events}),
+    Export((".npz",), {"arrays": export_arrays, "poses": export_poses, "volume": export_volumes, "events": export_npz_events}),
+    Export((".ply", ".obj"), {"meshes": export_meshes, "solids": export_solids}, frozenset({"meshes", "solids"})),
 )
 
 

@@ -4,16 +4,14 @@ ground."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
-from typing import Any, cast
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.driving import Driven
-from antdsl.bodies.agents.leg_ik import PlacedFeet
-from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
+from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import body_of
@@ -25,11 +23,12 @@ from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.foot_arrays import feet_of
-from antdsl.outputs.cache.manifest import CameraEntry, MeshEntry, SpeciesEntry
+from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, MeshEntry, SpeciesEntry
 from antdsl.outputs.cache.shown_arrays import driven, layers_of, worn_masks
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
+from antdsl.outputs.following import followed
 from antdsl.outputs.paths import Walks, Window
 from antdsl.outputs.pictures.camera import three
 from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
@@ -50,10 +49,9 @@ class NoPicture(Exception):
 
 
 class Gallery:
-    """Makes pictures of one cache. Each frame is drawn from it alone. With a `window` they
-    hold paths: where each agent is in the frames of so many seconds before and after. `blurred`: they say where agents are in the
-    frame after, too. `full`: by field, the strength that is drawn strongest. Raises NoPicture for a cache without what
-    pictures need, or without such a field."""
+    """Makes pictures of one cache, each of its frame alone. With a `window` they hold paths: where each agent is in the frames of
+    so many seconds before and after. `blurred`: they say where agents are in the frame after, too. `full`: by field, the
+    strength that is drawn strongest. Raises NoPicture for a cache without what pictures need, or without such a field."""
 
     def __init__(
         self,
@@ -142,7 +140,7 @@ class Gallery:
         reach = np.ones(len(self.manifest.species))
         for number, species in enumerate(self.manifest.species):
             if species.definition is not None:
-                reach[number] = max(1.0, self._body(number).reach)
+                reach[number] = max(1.0, self.body(number).reach)
         if "species" not in arrays or not len(reach):
             return float(reach.max(initial=1.0))
         return reach[np.clip(np.asarray(arrays["species"], np.int64), 0, len(reach) - 1)]
@@ -187,24 +185,13 @@ class Gallery:
     def _crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
         made: list[Crowd] = []
         legend: list[LegendRow] = []
-        count = len(arrays["P"])
-        which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(count, np.int16)
-        ids = np.asarray(arrays["id"]) if "id" in arrays else np.arange(count)
+        after = self.cache.frame(frame + 1) if self._blurred and frame + 1 in self.cache.frames() else None
         for number, species in enumerate(self.manifest.species):
-            rows = np.flatnonzero(which == number)
-            crowd = Crowd(
-                species=species.name,
-                position=np.asarray(arrays["P"], np.float64)[rows],
-                orient=np.asarray(arrays["orient"], np.float64)[rows],
-                scale=np.asarray(arrays["pscale"], np.float64)[rows],
-                colour=np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35),
-                ids=ids[rows],
-                velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
-            )
-            whole, masks = self._dressed(crowd, number, frame, arrays)
-            if self._blurred:
-                whole = replace(whole, after=self._after(whole, number, frame + 1))
-            dressed = self._worn_by(whole, number, masks)
+            rows = _rows_of(number, arrays)
+            whole = self._whole(number, frame, arrays)
+            if after is not None:
+                whole = replace(whole, after=followed(whole, self._whole(number, frame + 1, after)))
+            dressed = self._dressed(whole, number, arrays)
             made += [self._with_lines(part, species, number, frame) for each in dressed for part in _parted(each, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
@@ -214,47 +201,42 @@ class Gallery:
                 ]
         return tuple(made), tuple(legend)
 
-    def _dressed(self, crowd: Crowd, number: int, frame: int, arrays: Arrays) -> tuple[Crowd, NDArray[np.uint64]]:
-        """The crowd posed by what the frame says that each plays and shows, over the clip of those who play none, on the feet
-        that the frame has; and the set of layers that each wears, as a mask."""
-        species, count = self.manifest.species[number], len(crowd.position)
-        ids = np.asarray(crowd.ids, np.int64)
-        masks = worn_masks(species, arrays, count)
-        body = self._body(number, int(masks.min()) if count else 0)
-        whole = replace(
-            crowd,
+    def _whole(self, number: int, frame: int, arrays: Arrays) -> Crowd:
+        """All agents of a species, posed by what the frame says that each plays and shows, over the clip of those who play none,
+        on the feet that it has."""
+        species, rows = self.manifest.species[number], _rows_of(number, arrays)
+        ids = np.asarray(arrays["id"])[rows] if "id" in arrays else rows
+        body, count = self.body(number), len(rows)
+        return Crowd(
+            species=species.name,
+            position=np.asarray(arrays["P"], np.float64)[rows],
+            orient=np.asarray(arrays["orient"], np.float64)[rows],
+            scale=np.asarray(arrays["pscale"], np.float64)[rows],
+            colour=np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((count, 3), 0.35),
+            ids=ids,
+            velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
+            worn=body,
             plays=(*body.idling(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
-            feet=feet_of(crowd.species, arrays, count, 0 if body.legs is None else body.legs.count),
-            driven=driven(species, arrays, ids),
+            feet=feet_of(species.name, arrays, count, 0 if body.legs is None else body.legs.count),
+            driven=driven(species, arrays, np.asarray(ids, np.int64)),
         )
-        return whole, masks
 
-    def _worn_by(self, whole: Crowd, number: int, masks: NDArray[np.uint64]) -> list[Crowd]:
-        """A crowd for each set of layers that some wear, in its body."""
+    def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:
+        """A crowd for each set of layers that some wear."""
+        masks = worn_masks(self.manifest.species[number], arrays, len(crowd.position))
         sets = [int(mask) for mask in np.unique(masks)] or [0]
         if len(sets) == 1:
-            return [replace(whole, worn=self._body(number, sets[0]))]
-        return [replace(whole.rows(masks == np.uint64(mask)), worn=self._body(number, mask)) for mask in sets]
+            return [replace(crowd, worn=self.body(number, sets[0]))]
+        parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
+        return [replace(crowd.rows(rows), worn=self.body(number, mask)) for mask, rows in parts]
 
-    def _after(self, crowd: Crowd, number: int, frame: int) -> Crowd | None:
-        """The same agents in the frame after, where the cache has it; one that is gone then stays as it is."""
-        if frame not in self.cache.frames():
-            return None
-        arrays = self.cache.frame(frame)
-        which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(len(arrays["P"]), np.int16)
-        rows = np.flatnonzero(which == number)
-        ids = np.asarray(arrays["id"] if "id" in arrays else np.arange(len(which)))[rows]
-        place, turn, size = (np.asarray(arrays[name], np.float64)[rows] for name in WANTED)
-        then = replace(crowd, position=place, orient=turn, scale=size, ids=ids)
-        return _moved_on(crowd, self._dressed(then, number, frame, arrays)[0])
-
-    def _body(self, number: int, mask: int = 0) -> PosedBody:
+    def body(self, number: int, mask: int = 0) -> PosedBody:
         """The body that a species has, with the layers of a mask: its own, kept in the cache, or one of the library."""
         species = self.manifest.species[number]
         if (number, mask) not in self._worn:
             if number not in self._definitions:
                 self._definitions[number] = self._definition(species)
-            clips = tuple((clip.name, clip.on) for clip in species.clips)
+            clips = tuple(Played(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
             self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
         return self._worn[number, mask]
 
@@ -337,36 +319,9 @@ class Gallery:
         return float(np.median(lengths)) if len(lengths) else None
 
 
-def _moved_on(crowd: Crowd, later: Crowd) -> Crowd:
-    """The crowd's agents as they are later, row by row; those who are not there then as they are now."""
-    own, ids = np.asarray(crowd.ids), np.asarray(later.ids)
-    order = np.argsort(ids, kind="stable")
-    found = order[np.minimum(np.searchsorted(ids, own, sorter=order), len(ids) - 1)] if len(ids) else np.zeros(len(own), np.int64)
-    there = ids[found] == own if len(ids) else np.zeros(len(own), np.bool_)
-    at = np.where(there, found, len(ids) + np.arange(len(own)))
-
-    def both(then: Any, now: Any) -> Any:
-        return np.concatenate([then, now])[at]
-
-    def each(then: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: both(then[name], now[name]) for name in now if name in then}
-
-    feet = crowd.feet
-    if feet is not None and later.feet is not None:
-        feet = PlacedFeet(*(both(getattr(later.feet, part.name), getattr(feet, part.name)) for part in fields(PlacedFeet)))
-    return replace(
-        crowd,
-        position=both(later.position, crowd.position),
-        orient=both(later.orient, crowd.orient),
-        plays=tuple(
-            MachineClips(*(both(getattr(then, name), getattr(now, name)) for name in FIELDS))
-            for then, now in zip(later.plays, crowd.plays, strict=True)
-        ),
-        feet=feet,
-        driven=Driven(
-            each(later.driven.channels, crowd.driven.channels), each(later.driven.looks, crowd.driven.looks), crowd.driven.ids
-        ),
-    )
+def _rows_of(number: int, arrays: Arrays) -> NDArray[np.intp]:
+    """The rows of a species in a frame."""
+    return np.flatnonzero(np.asarray(arrays["species"]) == number) if "species" in arrays else np.arange(len(arrays["P"]))
 
 
 def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:

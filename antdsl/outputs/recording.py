@@ -21,7 +21,7 @@ from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.looks_of_scene import looks_of
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
-from antdsl.runtime import CheckpointError, Options, World, bind, feet_hash, restore, state_hash, step
+from antdsl.runtime import CheckpointError, Options, World, bind, emitted_since, feet_hash, restore, state_hash, step
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.model import Camera, millimetres
 from antdsl.scene.setting import CameraData
@@ -157,7 +157,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     shot, world = recording.shot, recording.world
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
-    maker = FrameMaker(world, shot.program, model.output.attributes, pieces)
+    maker = FrameMaker(world, shot.program, model.output.attributes, pieces, model.output.events)
     kept = KeptBodies.of(shot.bodies, {line.species: line.body for line in model.crowd if line.body is not None})
     manifest = describe(
         world,
@@ -192,6 +192,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
                 _advance(recording, "preroll")
                 watch("preroll", world.frame)
             world.motion.reset()
+            emitted_since(world)  # what was before the first frame is no event of it
             world.timings.clear()
             world.worked.clear()
             _write(recording, writer)

@@ -210,5 +210,6 @@ def _counts(old: World, world: World) -> None:
     world.faults = FaultLog(old.faults.count, old.faults.refused_births, list(old.faults.reported))
     world.watchers = list(old.watchers)
     world.carved = None if old.carved is None else {}
+    world.emitted = None if old.emitted is None else []
     if world.detail is not None and old.detail is not None:
         world.detail.counts = old.detail.counts.copy()

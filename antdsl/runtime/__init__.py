@@ -10,6 +10,7 @@ from antdsl.runtime.binding.bind_world import BindError, bind, set_flow, set_par
 from antdsl.runtime.binding.reuse import Built
 from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, show, solid_state, state
 from antdsl.runtime.digging import dig_again, handed_over
+from antdsl.runtime.emitted import emit_again, emitted_since, event_names
 from antdsl.runtime.faults import Fault, FaultStop, LimitStop
 from antdsl.runtime.feet.state import feet_hash
 from antdsl.runtime.hashing import state_hash
@@ -38,6 +39,9 @@ __all__ = [
     "bind",
     "checkpoint",
     "dig_again",
+    "emit_again",
+    "emitted_since",
+    "event_names",
     "feet_hash",
     "handed_over",
     "restore",

@@ -12,6 +12,7 @@ from antdsl.fields.cells import Cells
 from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed, operands, placed
+from antdsl.runtime import emitted
 from antdsl.runtime.claims import give
 from antdsl.runtime.digging import dig
 from antdsl.runtime.moving.moving_geometry import rest_places
@@ -64,6 +65,7 @@ def raise_events(world: World) -> None:
     for population in world.populations.values():
         for entry in population.effects.drained("emit"):
             event = entry.request.of
+            emitted.note(world, population, entry.rows, event)
             if entry.args[1] is not None:
                 _tell(world, population, entry)
                 continue

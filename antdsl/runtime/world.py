@@ -175,6 +175,18 @@ class Backend(Protocol):
         """Sentences for the user on what is otherwise than asked; none of it changes a result."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Emitted:
+    """Agents that emitted an event: whose species (by name) and id, which event of all that are heard (by name), where it stood
+    (k, 3) mm and the normal of its ground there."""
+
+    species: NDArray[np.int16]
+    id: NDArray[np.int64]
+    event: NDArray[np.int16]
+    place: NDArray[np.float64]
+    normal: NDArray[np.float32]
+
+
 @dataclass(slots=True, eq=False)
 class World:
     """A bound plan under way. `frame` is the number of the frame that stands, and within a step that of the frame it began from;
@@ -209,6 +221,7 @@ class World:
     touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: nobody has asked
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
+    emitted: list[Emitted] | None = None  # since the last hand-over; None: nobody asks
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
     detail: Detail | None = None
     crowded: list[Crowded] = field(default_factory=list)  # lines of the crowd that found no room for all

@@ -318,6 +318,7 @@ class LevelOfDetail(Part):
 class Output(Part):
     attributes: tuple[Annotated[str, BeforeValidator(lambda v: v)], ...] = DEFAULT_ATTRIBUTES
     checkpoint: Annotated[int, BeforeValidator(whole(1, 100_000))] = 50
+    events: tuple[Annotated[str, BeforeValidator(one_of("contact", "emit"))], ...] = ()
 
 
 class StartFrom(Part):

@@ -37,7 +37,7 @@ def test_whoever_joins_is_told_and_shown_everything(live: Live) -> None:
     page.shown(1)
     ops = [message["op"] for message in page.told[:6]]
     assert ops == ["hello", "scene", "texts", "problems", "status", "curves"]
-    page.until(lambda: {"body:ant", "body:ant:fine", "mesh:ground", "mesh:stones", "item:food:apple"} <= page.packets.keys())
+    page.until(lambda: {"rig:forager", "mesh:ground", "mesh:stones", "item:food:apple"} <= page.packets.keys())
     texts = {text["file"]: text["kind"] for text in page.told[2]["texts"]}
     assert texts == {"scene.yaml": "yaml", "forager.ant": "ant", "<steering>": "library"}
     assert page.told[1]["charts"][0]["species"] == "forager" and len(page.told[1]["charts"][0]["boxes"]) > 4

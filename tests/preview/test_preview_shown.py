@@ -279,7 +279,7 @@ def test_all_that_a_scene_has_is_told_and_shown(example: str) -> None:
         for each in columns:
             assert np.isfinite(arrays[f"{each['species']}/column/{each['name']}"]).all() or each["name"] == "max_turn"
         wanted = {f"field:{name}" for name in fields} | {f"flow:{name}" for name in scene["flows"]}
-        wanted |= {f"curve:{name}" for name in scene["curves"]} | {f"body:{each['body']}" for each in scene["species"]}
+        wanted |= {f"curve:{name}" for name in scene["curves"]} | {f"rig:{each['name']}" for each in scene["species"]}
         page.until(lambda: wanted <= page.packets.keys())
         for param in scene["params"]:
             assert param["low"] is None or param["low"] <= param["number"] <= param["high"], param

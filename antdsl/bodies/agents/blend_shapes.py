@@ -34,18 +34,18 @@ def blend_shapes(given: Deformed, shape: Shape, definition: Definition, poses: P
     if len(blend.shapes) != len(blend.channels):
         raise ValueError(f"shape `{shape.name}` has {len(blend.shapes)} blend shapes and {len(blend.channels)} channels for them")
     n = max(len(poses.channels), len(given.points))
-    names = [name for name in blend.attributes if _of(given, name) is not None and _values(shape, name) is not None]
+    names = [name for name in blend.attributes if _of(given, name) is not None and values_of(shape, name) is not None]
     found = {name: _spread(_of(given, name), n) for name in names}
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
         weights = poses.channels[:, definition.rig.channel(channel)]
-        targets, knots = _knots(definition, name)
+        targets, knots = knots_of(definition, name)
         for each in names:
-            if _values(definition.shapes[name], each) is None:
+            if values_of(definition.shapes[name], each) is None:
                 continue
-            has = [k for k, target in enumerate(targets) if _values(target, each) is not None]
-            for k, share in zip(has, _shares(weights, knots[has]), strict=True):
-                here, there = _matched(shape, targets[k], blend.point_id)
-                found[each][:, here] += _difference(shape, targets[k], each, here, there)[..., None] * share
+            has = [k for k, target in enumerate(targets) if values_of(target, each) is not None]
+            for k, share in zip(has, shares_of(weights, knots[has]), strict=True):
+                here, there = matched(shape, targets[k], blend.point_id)
+                found[each][:, here] += difference(shape, targets[k], each, here, there)[..., None] * share
     rest = {name: array.transpose(2, 1, 0) for name, array in found.items() if name not in _OWN}
     points = found["P"].transpose(2, 1, 0) if "P" in found else given.points
     normals = unit(found["N"]).transpose(2, 1, 0) if "N" in found else given.normals
@@ -64,7 +64,7 @@ def _spread(values: Floats | None, n: int) -> Floats:
     return np.ascontiguousarray(np.broadcast_to(wide, (*wide.shape[:2], n)).astype(np.float32))
 
 
-def _knots(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np.float64]]:
+def knots_of(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np.float64]]:
     """An input's primary shape and its in-betweens with their weights, which rise."""
     primary = definition.shapes[name]
     between = primary.between
@@ -82,7 +82,7 @@ def _knots(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np.f
     return [target for _, target in found], np.array([weight for weight, _ in found])
 
 
-def _shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
+def shares_of(weights: Floats, knots: NDArray[np.float64]) -> Floats:
     """How much of the difference of each of K shapes an input of these weights [n] adds, float32[K, n]: of the two that a
     weight lies between what each is near, the base at 0 among them."""
     places = np.sort(np.append(knots, 0.0))
@@ -97,7 +97,7 @@ def _shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
     return shares
 
 
-def _matched(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def matched(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Points of the base and the points of another shape that they become."""
     own, other = base.attributes.get(point_id), target.attributes.get(point_id)
     if own is None or other is None:
@@ -109,15 +109,15 @@ def _matched(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp
     return here, order[place[here]] if len(other) else here
 
 
-def _values(shape: Shape, name: str) -> NDArray[np.generic] | None:
+def values_of(shape: Shape, name: str) -> NDArray[np.generic] | None:
     """An attribute [P, …] of the points of a shape."""
     found: NDArray[np.generic] | None = getattr(shape, _OWN[name]) if name in _OWN else shape.attributes.get(name)
     return found
 
 
-def _difference(base: Shape, target: Shape, name: str, here: NDArray[np.intp], there: NDArray[np.intp]) -> Floats:
+def difference(base: Shape, target: Shape, name: str, here: NDArray[np.intp], there: NDArray[np.intp]) -> Floats:
     """What another shape has more of an attribute than the base at matched points, float32[components, matched]."""
-    mine, others = _values(base, name), _values(target, name)
+    mine, others = values_of(base, name), values_of(target, name)
     assert mine is not None and others is not None
     found = others[there].astype(np.float32) - mine[here].astype(np.float32)
-    return np.ascontiguousarray(found.reshape(len(here), -1).T)
+    return np.ascontiguousarray(found.reshape(len(here), int(np.prod(found.shape[1:]))).T)  # also where none is matched

@@ -67,6 +67,12 @@ class Bricks:
         kept = sum(values.nbytes for values in self.touched.values() if values is not None)
         return self.table.nbytes + self.values.nbytes + self.fresh.nbytes + kept
 
+    def dense(self) -> NDArray[np.float32]:
+        """The distances of all nodes, float32[x, y, z]."""
+        pool = self.values[: self.used * CUBE].reshape(-1, SIDE, SIDE, SIDE)
+        whole = pool[self.table.reshape(self.shape)]
+        return np.ascontiguousarray(whole.transpose(0, 3, 1, 4, 2, 5).reshape(self.nodes))
+
     def begin(self) -> None:
         """Count what is solid and take this as the start."""
         used = self.values[: self.used * CUBE]

@@ -49,6 +49,10 @@ class Volume:
         """Least and greatest distance that is told, mm: deeper inside and farther outside the field is flat."""
         return self.bricks.least, self.bricks.most
 
+    def dense(self) -> NDArray[np.float32]:
+        """The distances at all nodes of the grid, float32[x, y, z] mm; the node (0, 0, 0) is at `low`."""
+        return self.bricks.dense()
+
     @property
     def low(self) -> Floats:
         """Lowest corner of the grid, float64[3] mm: all that is solid lies between `low` and `high`."""

@@ -29,7 +29,7 @@ from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, wri
 from antdsl.outputs.cache.npz import to_bytes, write_whole
 from antdsl.outputs.writer.background import Behind
 from antdsl.outputs.writer.frame_writer import Scribe
-from antdsl.runtime import World, handed_over, snapshot, state
+from antdsl.runtime import World, emitted_since, handed_over, snapshot, state
 from antdsl.whole import PART
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -202,6 +202,7 @@ class CacheWriter:
         write_whole(self.folder / STATIC, data, sync=True)
         write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(data)}))
         world.carved = {}
+        world.emitted = [] if "emit" in maker.events else None
         self._behind = Behind(Scribe(self.folder, snapshot(world), maker, worst).work, self._told)
 
     def put(self, world: World, *jobs: str) -> None:
@@ -209,4 +210,4 @@ class CacheWriter:
 
         An error there or of the disk is raised by what is called next."""
         assert self._behind is not None, "begin comes first"
-        self._behind.hand_over(jobs, state(world, history="checkpoint" in jobs) | handed_over(world))
+        self._behind.hand_over(jobs, state(world, history="checkpoint" in jobs) | handed_over(world) | emitted_since(world))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -60,6 +60,11 @@ class DugSolids:
             kept.surface(name, np.asarray(self._static[f"solid.{name}.offset"]), self._scale, self._cut)
             for name, kept in self._kept.items()
         )
+
+    def volumes(self) -> Iterator[tuple[str, Volume, NDArray[np.float64]]]:
+        """Name, volume and offset (mm) of each solid as it is at the frame looked at last."""
+        for name, kept in self._kept.items():
+            yield name, kept.volume, np.asarray(self._static[f"solid.{name}.offset"])
 
     def _dig(self, frame: int) -> None:
         try:

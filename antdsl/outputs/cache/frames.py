@@ -4,6 +4,7 @@ units."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.outputs.cache.clip_arrays import clips_playing, playing
+from antdsl.outputs.cache.event_arrays import events_of
 from antdsl.outputs.cache.foot_arrays import placed_feet
 from antdsl.outputs.cache.manifest import (
     BodyEntry,
@@ -32,6 +34,7 @@ from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.plan.pair_registers import pair_values
 from antdsl.program.model import Dim, Kind, Program
+from antdsl.runtime.emitted import event_names
 from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import Setting
@@ -42,10 +45,17 @@ _PLAIN = {"P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "
 
 class FrameMaker:
     """Turns a world into the arrays of a frame. `attributes` are names of the scene's `output`; others than the usual are
-    registers."""
+    registers. `events`: the kinds of events that frames have."""
 
-    def __init__(self, world: World, program: Program, attributes: tuple[str, ...], pieces: PieceMaker | None = None) -> None:
-        self.pieces = pieces
+    def __init__(
+        self,
+        world: World,
+        program: Program,
+        attributes: tuple[str, ...],
+        pieces: PieceMaker | None = None,
+        events: tuple[str, ...] = (),
+    ) -> None:
+        self.pieces, self.events = pieces, events
         self.scale = 1.0 / world.setting.unit_mm
         pairs = {name: pair_values(population.plan.registers) for name, population in world.populations.items()}
         self.pairs = {name: {each: slots[each] for each in attributes if each in slots} for name, slots in pairs.items()}
@@ -84,6 +94,7 @@ class FrameMaker:
             for attribute, amount in items.amounts.items():
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
         arrays |= self._moved(world, rows)
+        arrays |= events_of(world, self.events, self.scale)
         return arrays if self.pieces is None else arrays | self.pieces.frame(world)
 
     def _pairs(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
@@ -258,6 +269,7 @@ def describe(
             )
             for name, items in setting.items.items()
         ),
+        events=event_names(world),
         camera=camera,
     )
 
@@ -294,7 +306,7 @@ def _species(
         name=population.name,
         body=body,
         definition=definition,
-        clips=tuple(ClipEntry(name=clip.name, on=clip.on) for clip in population.plan.clips),
+        clips=tuple(ClipEntry(**asdict(clip)) for clip in population.plan.clips),
         playing=tuple(playing(population)),
         wears=layers_worn(population, setting),
         channels=population.plan.channels,

@@ -60,10 +60,16 @@ class BodyEntry(Part):
 
 
 class ClipEntry(Part):
-    """A clip that states play, on the joints of a transform group (empty: all)."""
+    """A clip that states play, on the joints of a transform group (empty: all). `add`: it is added to all others; `left`,
+    `right`, `up`, `down`: what it gives way to as an agent turns, climbs or goes down."""
 
     name: Word
     on: Word = ""
+    add: bool = False
+    left: Word = ""
+    right: Word = ""
+    up: Word = ""
+    down: Word = ""
 
 
 class SpeciesEntry(Part):
@@ -127,8 +133,8 @@ class CameraEntry(Part):
 
 class Manifest(Part):
     """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
-    asked for. `static` is the hash of `static.npz`, None where none was kept. `scene_path` leads from the cache's folder to the
-    scene's file, where `way_to` knows one."""
+    asked for; `events` the names that frames count. `static` is the hash of `static.npz`, None where none was kept. `scene_path`
+    leads from the cache's folder to the scene's file, where `way_to` knows one."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -151,6 +157,7 @@ class Manifest(Part):
     meshes: tuple[MeshEntry, ...]
     fields: tuple[FieldEntry, ...]
     items: tuple[ItemsEntry, ...]
+    events: tuple[Word, ...] = ()
     camera: CameraEntry | Literal["fit"] | None = None  # `fit`: one that holds the crowd in the frames that are drawn
 
 

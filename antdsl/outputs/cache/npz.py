@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import os
 import zipfile
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from antdsl.bounded import TooLarge, open_bounded
 from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
 from antdsl.whole import whole
 
-__all__ = ["ArrayFileError", "parse_npy", "read_npz", "sync_file", "sync_folder", "to_bytes", "write_whole"]
+__all__ = ["ArrayFileError", "parse_npy", "read_npz", "sync_file", "sync_folder", "to_bytes", "to_member", "write_whole"]
 
 FILE_BYTES = 64 * limits.GIB
 _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written
@@ -35,15 +35,35 @@ def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return buffer.getvalue()
 
 
+def to_member(
+    file: zipfile.ZipFile, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], parts: Iterable[NDArray[Any]]
+) -> None:
+    """Add an array of a type and shape to an open NPZ file, from parts that are it end to end, one in memory at a time."""
+    entry = zipfile.ZipInfo(f"{name}.npy", _STAMP)
+    kind = _kind(name, dtype)
+    with file.open(entry, "w", force_zip64=True) as member:
+        member.write(_header(kind, shape))
+        for part in parts:
+            member.write(np.asarray(part, order="C").astype(kind, copy=False).tobytes())
+
+
 def _npy(name: str, array: NDArray[Any]) -> bytes:
     array = np.asarray(array, order="C")
-    kind = array.dtype.newbyteorder("<").str
+    kind = _kind(name, array.dtype)
+    return b"".join((_header(kind, array.shape), array.astype(kind, copy=False).tobytes()))
+
+
+def _kind(name: str, dtype: np.dtype[Any]) -> str:
+    kind = dtype.newbyteorder("<").str
     if kind not in DTYPES:
-        raise ValueError(f"array `{name}` of type {array.dtype} cannot be kept")
-    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {array.shape!r}, }}".encode("ascii")
-    padding = -(len(MAGIC) + 2 + len(header) + 1) % 64
-    header += b" " * padding + b"\n"
-    return b"".join((MAGIC, len(header).to_bytes(2, "little"), header, array.astype(kind, copy=False).tobytes()))
+        raise ValueError(f"array `{name}` of type {dtype} cannot be kept")
+    return kind
+
+
+def _header(kind: str, shape: tuple[int, ...]) -> bytes:
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape!r}, }}".encode("ascii")
+    header += b" " * (-(len(MAGIC) + 2 + len(header) + 1) % 64) + b"\n"
+    return MAGIC + len(header).to_bytes(2, "little") + header
 
 
 def write_whole(path: Path, data: bytes, *, sync: bool) -> None:

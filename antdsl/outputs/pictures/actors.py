@@ -181,23 +181,17 @@ def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part
 
 def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> Part:
     """The bodies of some agents, each posed by what it plays, `size` (n,) long for all agents of the crowd."""
-    local, normal = _points(crowd, body, rows)
     turn, long = _turn(crowd, rows), size[rows].astype(np.float32)[:, None, None]
+    local, normal = crowd.posed(body, rows)
     then = None
     if crowd.after is not None:
-        later, _ = _points(crowd.after, body, rows)
+        later, _ = crowd.after.posed(body, rows)
         then = np.matmul(later * long, _turn(crowd.after, rows)), np.asarray(crowd.after.position, np.float64)[rows]
     bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint[None, :, None]
     colour = bright * tint + body.own[None] * (1 - tint)
     place = np.asarray(crowd.position, np.float64)[rows]
     return _part(np.matmul(local * long, turn), place, then, body.faces, np.matmul(normal, turn), colour, 0.5)
-
-
-def _points(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """Vertices and normals (n, v, 3) of some agents in their body, in body lengths."""
-    plays = [each.rows(rows) for each in crowd.plays]
-    return body.posed(plays, len(rows), crowd.feet_beside(rows), driven=crowd.driven.rows(rows))
 
 
 def _turn(crowd: Crowd, rows: NDArray[np.int64]) -> Floats:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import NOTHING, PosedBody
 
 Array = NDArray[np.float64]
@@ -69,6 +70,25 @@ class Crowd:
     driven: Driven = NOTHING
     after: "Crowd | None" = None
 
+    def poses(self, local: bool = False) -> Poses:
+        """Transforms and channels of all agents in the space of the body that they wear; raises ValueError without one."""
+        if self.worn is None:
+            raise ValueError(f"agents of `{self.species}` wear no body")
+        count = len(self.position)
+        return self.worn.poses(self.plays, count, self.feet_beside(np.arange(count)), driven=self.driven, local=local)
+
+    def posed(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Vertices and unit normals float32[n, v, 3] of some agents in what they wear or its `fine` or `coarse` form, in body
+        lengths along their own axes."""
+        plays = [each.rows(rows) for each in self.plays]
+        return body.posed(plays, len(rows), self.feet_beside(rows), driven=self.driven.rows(rows))
+
+    def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> FeetOfBodies | None:
+        """The feet of some agents beside their bodies, as `PosedBody.posed` takes them; None where none are known."""
+        if self.feet is None:
+            return None
+        return self.feet.rows(rows).beside(*(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale)))
+
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
         """Some agents of the crowd, without feelers, which are no agent's by row."""
 
@@ -91,12 +111,6 @@ class Crowd:
             driven=self.driven.rows(chosen),
             after=None if self.after is None else self.after.rows(chosen),
         )
-
-    def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> FeetOfBodies | None:
-        """The feet of some agents beside their bodies, as `PosedBody.posed` takes them; None where none are known."""
-        if self.feet is None:
-            return None
-        return self.feet.rows(rows).beside(*(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, checkpoint_path, fr
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, Line, line_of, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import sync_file, sync_folder, to_bytes, write_whole
-from antdsl.runtime import World, dig_again, feet_hash, show, solid_state, state_hash
+from antdsl.runtime import World, dig_again, emit_again, feet_hash, show, solid_state, state_hash
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -41,6 +41,7 @@ class Scribe:
         began = time.perf_counter()
         show(self.still, arrays)
         dig_again(self.still, arrays)
+        emit_again(self.still, arrays)
         self.worst = None if self.worst is None else max(self.worst, surface_error(self.still))
         found["surface_error"] = self.worst
         began = _spend(found, "measure", began)
@@ -65,7 +66,9 @@ class Scribe:
         any."""
         began = time.perf_counter()
         dig_again(self.still, arrays)
-        kept = {name: array for name, array in arrays.items() if not name.endswith(".carved")} | solid_state(self.still)
+        kept = {name: array for name, array in arrays.items() if not name.endswith((".carved", ".emitted"))} | solid_state(
+            self.still
+        )
         whole = {"frame": arrays["frame"], **{f"world.{name}": array for name, array in kept.items()}}
         whole |= {} if self.worst is None else {SURFACE_ERROR: np.array(self.worst)}
         frame, data = int(arrays["frame"]), to_bytes(whole)

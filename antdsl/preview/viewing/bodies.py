@@ -4,37 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.bodies.catalogue import BODIES, body, body_of
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.catalogue import body_of
+from antdsl.bodies.library.table import BODIES, library_body
 from antdsl.bodies.placed import placed, shape_of
 from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import Packets, Seen
 
 
-def body_name(shot: Shot, species: str) -> str:
-    """The body that the scene asks for, else one that suits the name."""
+def body_of_species(shot: Shot, species: str) -> Definition:
+    """The body of a species: its own file's, else the one of the library that the scene asks for, or that suits the name."""
+    own = shot.bodies.get(species)
+    if own is not None:
+        return own
     asked = next((line.body for line in shot.scene.model.crowd if line.species == species), None)
-    return asked if asked in BODIES else body_of(species)
-
-
-class Bodies:
-    """The slots `body:NAME`, for crowds, and `body:NAME:fine`, for close-ups."""
-
-    def __init__(self) -> None:
-        self._given: set[str] = set()
-
-    def packets(self, seen: Seen) -> Packets:
-        for name in sorted({body_name(seen.shot, species) for species in seen.world.populations} - self._given):
-            self._given.add(name)
-            for slot, fine in ((f"body:{name}", False), (f"body:{name}:fine", True)):
-                made = body(name, fine)
-                arrays = {
-                    "poses": made.poses.astype(np.float32),
-                    "normal": made.normals.astype(np.float32),
-                    "face": made.faces.astype(np.uint32),
-                    "tint": made.tint.astype(np.float32),
-                }
-                yield slot, pack(slot, arrays, stride=float(made.stride), poses=len(made.poses))
+    return library_body(asked if asked in BODIES else body_of(species))
 
 
 class ItemBodies:

@@ -9,7 +9,6 @@ import numpy as np
 
 from antdsl.outputs.feelers import feelers_of
 from antdsl.preview.session import Session, silenced
-from antdsl.preview.viewing.bodies import body_name
 from antdsl.preview.viewing.fields import full
 from antdsl.preview.viewing.names import Names, text_of
 from antdsl.preview.viewing.units import base, colourable, unit_for, worth
@@ -85,7 +84,6 @@ def _species(session: Session, names: Names, population: Population) -> dict[str
     felt = feelers_of(shot.program, name, world.params, world.setting.unit_mm, world.dt)
     return {
         "name": name,
-        "body": body_name(shot, name),
         "attributes": [{"name": each.name, "unit": unit_for(each)} for each in declared],
         "machines": [
             {"name": machine.name, "states": list(machine.states), "colours": [list(colour) for colour in machine.colours]}

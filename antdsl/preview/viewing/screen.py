@@ -15,7 +15,7 @@ from antdsl.preview.requests import EVERYBODY
 from antdsl.preview.session import Session
 from antdsl.preview.viewing import messages
 from antdsl.preview.viewing.agents import Agents
-from antdsl.preview.viewing.bodies import Bodies, ItemBodies
+from antdsl.preview.viewing.bodies import ItemBodies
 from antdsl.preview.viewing.charts import Charts
 from antdsl.preview.viewing.curves import Told
 from antdsl.preview.viewing.fields import Fields
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 # One of each is made; the ground comes first, what takes long to make last.
-VIEWS: tuple[Callable[[], View], ...] = (Meshes, Solids, Bodies, Rigs, Agents, Paths, Curves, Fields, Flows, ItemBodies)
+VIEWS: tuple[Callable[[], View], ...] = (Meshes, Solids, Rigs, Agents, Paths, Curves, Fields, Flows, ItemBodies)
 _FRAME_EVERY = 1 / 60  # seconds
 _TOLD_EVERY = 0.1  # the same of status and curves while it plays
 _RATE_OVER = 1.0  # seconds of steps that the rate is measured over

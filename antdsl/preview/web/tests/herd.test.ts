@@ -58,15 +58,16 @@ describe("a herd between two frames", () => {
     expect(at).toEqual({ x: 0, y: 1, z: 0 });
   });
 
-  test("walks as many cycles as the way is long, and never so many that legs seem to go back", () => {
-    const ants = herd(frame([1], [0, 0, 0]));
-    const cycles = () => (ants.rows.gait[1] as number) - (ants.rows.gait[0] as number);
-    ants.take(frame([1], [0.25, 0, 0]), 1, false);
-    expect(cycles()).toBeCloseTo(0.25);
-    ants.take(frame([1], [20, 0, 0]), 1, false);
-    expect(cycles()).toBeCloseTo(0.45);
-    ants.take(frame([1], [20, 0, 0]), 1, false);
-    expect(cycles()).toBeCloseTo(0);
+  test("idles by the clock of the frame, each from a start of its own", () => {
+    const ants = herd(frame([1, 2], [0, 0, 0, 0, 0, 0]));
+    ants.acting({ machines: [], loops: [true], legs: 0, idle: [0, 2] });
+    const turn = (row: number) => ants.plays.data[12 * row + 3] as number;
+    expect(turn(0)).toBeCloseTo(0.618, 3);
+    expect(turn(1)).toBeCloseTo(0.236, 3);
+    ants.clock = 1;
+    ants.take(frame([1, 2], [0, 0, 0, 0, 0, 0]), 1, false);
+    expect(turn(0)).toBeCloseTo(0.118, 3);
+    expect((ants.plays.data[2] as number) - turn(0)).toBeCloseTo(-0.5, 3); // through the end of the clip
   });
 
   test("has columns of its own species", () => {
@@ -117,19 +118,11 @@ describe("the normals of a mesh", () => {
   });
 });
 
-test("a speck is as long and wide as the body, without its legs", () => {
-  const body = {
-    poses: Float32Array.of(-2, 0, 0, 4, 1, 0, 1, 0.5, 3, 0, 0, 99),
-    count: 1,
-    normal: new Float32Array(12),
-    face: new Uint32Array(0),
-    tint: Float32Array.of(1, 1, 1, 0.1),
-  };
-  const made = speck(body);
-  const along = (axis: number) => [...made.poses].filter((_, k) => k % 3 === axis);
+test("a speck is as long and wide as the trunk that it stands for", () => {
+  const made = speck(Float32Array.of(-2, 0, 0, 4, 1, 0, 1, 0.5, 3));
+  const along = (axis: number) => [...made.position].filter((_, k) => k % 3 === axis);
   expect([Math.min(...along(0)), Math.max(...along(0))]).toEqual([-2, 4]);
   expect([Math.min(...along(1)), Math.max(...along(1))]).toEqual([expect.closeTo(0.3), 1]);
   expect(Math.max(...along(2))).toBeCloseTo(1.5 + 1.5 * 1.25);
-  expect(made.count).toBe(1);
-  expect(Math.max(...made.face)).toBe(made.poses.length / 3 - 1);
+  expect(Math.max(...made.face)).toBe(made.position.length / 3 - 1);
 });

@@ -1,15 +1,15 @@
-// Bodies: one call to draw for each species. Poses of the walk lie in a texture; turning and the way between two frames is done
-// where it is drawn. Below each body lies a soft shadow, so that it stands on its ground. Those near by are drawn in full.
+// Bodies: one call to draw for each species. They are posed by what they play, and turned and moved between two frames, where
+// they are drawn. Below each body lies a soft shadow, so that it stands on its ground. Those near by are drawn in full.
 
 import * as THREE from "three";
-import type { NumberArray, Packet } from "../protocol";
+import type { Packet } from "../protocol";
 import { shadowMaterial, square } from "./bodyshaders";
 import { Close } from "./close";
 import { Figure, type Form } from "./figure";
 import type { Herd } from "./herd";
 import type { Herds } from "./herds";
 import { forgetRig, type Rigged, rigOf } from "./rig";
-import { changed, rowAttributes, type Shape } from "./shapes";
+import { changed, rowAttributes } from "./shapes";
 import { speck } from "./speck";
 import type { Stage } from "./stage";
 
@@ -20,8 +20,7 @@ const MANY = 2000;
 type Level = "fine" | "low" | "speck";
 
 export class Bodies {
-  private readonly shapes = new Map<string, Map<Level, Form>>(); // by the names of plain bodies
-  private readonly rigs = new Map<string, { made: Rigged; levels: Map<Level, Form> }>(); // by species
+  private readonly rigs = new Map<string, { made: Rigged; levels: Record<Level, Form> }>(); // by species
   private readonly drawn = new Map<string, Drawn>();
 
   constructor(
@@ -33,21 +32,15 @@ export class Bodies {
     stage.add(() => this.place());
   }
 
-  /** `rig:SPECIES`: a body that is posed by what agents play; without arrays, that there is none any more. */
-  takeRig(packet: Packet): void {
+  /** `rig:SPECIES`: the body of a species. */
+  take(packet: Packet): void {
     const species = packet.slot.slice(packet.slot.indexOf(":") + 1);
     const made = rigOf(packet);
     const before = this.rigs.get(species);
-    this.rigs.delete(species);
-    if (made) {
-      const levels = new Map<Level, Form>([
-        ["low", made.low],
-        ["fine", made.fine],
-        ["speck", speck({ poses: made.low.rest, tint: new Float32Array(made.low.rest.length / 3).fill(1) })],
-      ]);
-      this.rigs.set(species, { made, levels });
-    }
-    this.herds.playing(species, made?.low.rig.machines ?? [], made?.low.rig.loops ?? []);
+    const { low, fine } = made;
+    const still = speck(low.trunk.length ? low.trunk : low.rest);
+    this.rigs.set(species, { made, levels: { low, fine, speck: still } });
+    this.herds.acting(species, low.rig);
     this.drawn.get(species)?.forget();
     if (before) forgetRig(before.made);
     this.refresh();
@@ -57,19 +50,6 @@ export class Bodies {
   /** What one agent is drawn by, with its place among those that are: for tests. */
   posed(species: string, row: number): { figure: Figure; place: number } | null {
     return this.drawn.get(species)?.posed(row) ?? null;
-  }
-
-  /** `body:NAME`, or `body:NAME:fine` for close-ups. */
-  take(packet: Packet): void {
-    const [, name = "", fine] = packet.slot.split(":");
-    const shape = shapeOf(packet);
-    const levels = this.shapes.get(name) ?? new Map<Level, Form>();
-    levels.set(fine ? "fine" : "low", shape);
-    if (!fine) levels.set("speck", speck(shape));
-    this.shapes.set(name, levels);
-    this.herds.walk(name, Number(packet.header.stride) || 1);
-    for (const each of this.drawn.values()) each.forget();
-    this.stage.wake();
   }
 
   /** Colours were changed: hand them over again. */
@@ -93,12 +73,11 @@ export class Bodies {
     const kind = this.stage.software || this.stage.slow ? "software" : "hardware";
     const crowd = this.herds.count;
     for (const each of this.drawn.values()) {
-      const levels = this.rigs.get(each.herd.species.name)?.levels ?? this.shapes.get(each.herd.species.body);
+      const levels = this.rigs.get(each.herd.species.name)?.levels;
       if (!levels) continue;
       const level: Level = crowd > CROWD[kind] ? "speck" : "low";
-      const form = levels.get(level);
-      if (form) each.show(form, this.herds.t, level !== "speck");
-      each.close.show(levels.get("fine"), this.herds.t);
+      each.show(levels[level], this.herds.t, level !== "speck");
+      each.close.show(levels.fine, this.herds.t);
     }
     return false;
   }
@@ -147,7 +126,7 @@ class Drawn {
     const { figure, herd } = this;
     if (form !== figure.form || this.version !== herd.rows.version) this.build(form);
     figure.uniforms.least.value = herd.count > MANY ? 4 : 6; // px: so long a body is seen from however far
-    figure.show(herd.count, t, herd.plays, null);
+    figure.show(herd.count, t, herd, null);
     this.shadow.geometry.instanceCount = herd.count;
     this.shadow.visible = shadow && herd.count > 0;
   }
@@ -171,17 +150,4 @@ class Drawn {
     this.version = this.herd.rows.version;
     this.refresh();
   }
-}
-
-function shapeOf(packet: Packet): Shape {
-  const take = (name: string) => packet.arrays.get(name) as NumberArray;
-  const normal = take("normal") as Float32Array;
-  const poses = take("poses") as Float32Array;
-  return {
-    poses,
-    count: poses.length / normal.length,
-    normal,
-    face: Uint32Array.from(take("face")),
-    tint: take("tint") as Float32Array,
-  };
 }

@@ -11,7 +11,7 @@ attribute vec4 headA;
 attribute vec4 headB;
 attribute vec4 upA;
 attribute vec4 upB;
-attribute vec3 gait;
+attribute float size;
 attribute vec4 tone;
 uniform float t;
 uniform float focal;
@@ -29,20 +29,14 @@ void stand() {
   ahead = normalize(ahead);
   turned = mat3(ahead, up, cross(ahead, up));
   float depth = max(-(modelViewMatrix * vec4(here, 1.0)).z, 1e-6);
-  bodyLength = max(gait.z, least * depth / focal);
+  bodyLength = max(size, least * depth / focal);
 }`;
 
-/** Poses of the walk of a plain body: every vertex at each moment. */
-const WALK = /* glsl */ `
-attribute float tint;
-uniform highp sampler2D poses;
-uniform float moments;
-vec4 painted() { return vec4(limb, clamp(tint * 1.1, 0.0, 1.0)); }
+/** As it is at rest, in the agent's colour. */
+const STILL = /* glsl */ `
+vec4 painted() { return vec4(1.0); }
 void posed(out vec3 place, out vec3 across) {
-  float at = fract(mix(gait.x, gait.y, t)) * moments;
-  float first = min(floor(at), moments - 1.0);
-  float next = mod(first + 1.0, moments);
-  place = mix(texelFetch(poses, ivec2(gl_VertexID, int(first)), 0).xyz, texelFetch(poses, ivec2(gl_VertexID, int(next)), 0).xyz, at - first);
+  place = position;
   across = normal;
 }`;
 
@@ -74,7 +68,6 @@ void posed(out vec3 place, out vec3 across) {
 }`;
 
 const BODY_VERTEX = /* glsl */ `
-uniform vec3 limb;
 varying vec3 vNormal;
 varying vec3 vTone;
 varying vec3 vToward;
@@ -168,20 +161,7 @@ void main() {
 
 /** What the shaders of bodies, shadows and rings are told beside the rows. */
 export type Uniforms = Record<
-  | "t"
-  | "focal"
-  | "least"
-  | "poses"
-  | "moments"
-  | "sun"
-  | "worldUp"
-  | "limb"
-  | "firstRow"
-  | "secondRow"
-  | "thirdRow"
-  | "bones"
-  | "perRow"
-  | "shade",
+  "t" | "focal" | "least" | "sun" | "worldUp" | "firstRow" | "secondRow" | "thirdRow" | "bones" | "perRow" | "shade",
   THREE.IUniform
 >;
 
@@ -190,11 +170,8 @@ export function standing(stage: Stage): Uniforms {
     t: { value: 1 },
     focal: { value: 1 },
     least: { value: 6 },
-    poses: { value: null },
-    moments: { value: 1 },
     sun: { value: stage.sun },
     worldUp: { value: stage.up },
-    limb: { value: stage.palette.limb },
     firstRow: { value: null },
     secondRow: { value: null },
     thirdRow: { value: null },
@@ -204,9 +181,9 @@ export function standing(stage: Stage): Uniforms {
   };
 }
 
-/** `skinned`: for meshes that follow bones, else for plain bodies. */
+/** `skinned`: for meshes that follow bones, else for such as are drawn as they are. */
 export function bodyMaterial(uniforms: Uniforms, skinned: boolean): THREE.ShaderMaterial {
-  const vertexShader = BODY_VERTEX.replace("POSE\n", `${skinned ? SKIN : WALK}\n`);
+  const vertexShader = BODY_VERTEX.replace("POSE\n", `${skinned ? SKIN : STILL}\n`);
   return new THREE.ShaderMaterial({ vertexShader, fragmentShader: BODY_FRAGMENT, uniforms, side: THREE.DoubleSide });
 }
 

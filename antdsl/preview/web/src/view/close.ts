@@ -37,8 +37,7 @@ export class Close {
     this.figure.form = null;
   }
 
-  show(form: Form | undefined, t: number): void {
-    if (!form) return;
+  show(form: Form, t: number): void {
     if (form !== this.figure.form) this.build(form);
     const before = this.chosen;
     this.chosen = this.near(t);
@@ -55,7 +54,7 @@ export class Close {
     });
     if (!hidden) this.marked();
     for (const attribute of this.attributes.values()) changed(attribute, this.chosen.length);
-    this.figure.show(this.chosen.length, t, herd.plays, this.chosen);
+    this.figure.show(this.chosen.length, t, herd, this.chosen);
   }
 
   dispose(): void {

@@ -9,6 +9,7 @@ import type { Stage } from "./stage";
 
 const EASE = 160; // ms in which a rider's look has come most of the way
 const FROM = new THREE.Vector3(0.2, 0.72, 0.8); // where one looks from at first, with y up
+const UP = new THREE.Vector3(0, 1, 0);
 const AROUND = 0.22; // of what one looks at is left free around it
 const WIDE = 16 / 9; // of the pictures that the scene's camera is meant for
 const ENOUGH = 0.5; // of the agents are seen by the scene's camera: it is a good one to begin with
@@ -57,6 +58,29 @@ export class Eye {
   all(): void {
     this.first = null;
     this.fit(this.stage.low, this.stage.high);
+  }
+
+  /** See all agents, from where one looks at them or from straight above. */
+  crowd(fromAbove: boolean): void {
+    this.first = null;
+    const { camera, up } = this.stage;
+    const box = new THREE.Box3();
+    let long = 0;
+    for (const herd of this.herds.byName.values()) {
+      for (let row = 0; row < herd.count; row++) {
+        herd.place(row, this.herds.t, this.here);
+        box.expandByPoint(this.here);
+        long = Math.max(long, herd.size(row));
+      }
+    }
+    if (box.isEmpty()) return;
+    const way = camera.position.clone().sub(this.controls.target).normalize();
+    if (fromAbove) {
+      const aside = new THREE.Vector3(0, 0, 1).applyQuaternion(new THREE.Quaternion().setFromUnitVectors(UP, up));
+      way.copy(up).addScaledVector(aside, 1e-3); // so that it is told what is up in the picture
+    }
+    box.expandByScalar(long);
+    this.fit(box.min, box.max, way.normalize());
   }
 
   /** See what the scene's own camera sees, from as far as it takes in a view of another shape. Whether the scene has one. */
@@ -120,13 +144,11 @@ export class Eye {
     else this.fit(box.min, box.max);
   }
 
-  /** See all between two corners, from where the way up is up. */
-  private fit(low: THREE.Vector3, high: THREE.Vector3): void {
+  /** See all between two corners, from the way that `from` says. */
+  private fit(low: THREE.Vector3, high: THREE.Vector3, from = this.usual()): void {
     const { stage } = this;
     const { camera } = stage;
     const centre = low.clone().add(high).multiplyScalar(0.5);
-    const turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), stage.up);
-    const from = FROM.clone().normalize().applyQuaternion(turn);
     camera.position.copy(centre).add(from);
     camera.lookAt(centre);
     const back = camera.quaternion.clone().invert();
@@ -145,6 +167,11 @@ export class Eye {
     if (this.store.now.camera !== "orbit") this.store.set("camera", "orbit");
     this.controls.update();
     stage.wake();
+  }
+
+  /** Where one looks from at first, with the way up as the scene has it. */
+  private usual(): THREE.Vector3 {
+    return FROM.clone().normalize().applyQuaternion(new THREE.Quaternion().setFromUnitVectors(UP, this.stage.up));
   }
 
   /** Go near the agent that is followed. */

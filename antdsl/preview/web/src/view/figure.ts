@@ -1,11 +1,10 @@
-// Many bodies of one shape, drawn in one call: a plain one that walks by itself, or one that follows the bones of a rig.
+// Many bodies of one shape, drawn in one call: one that follows the bones of a rig, or one that is drawn as it is.
 
 import * as THREE from "three";
 import { bodyMaterial, standing, type Uniforms } from "./bodyshaders";
-import type { Plays } from "./plays";
-import { Poser } from "./poser";
+import { type Acting, Poser } from "./poser";
 import type { Skin } from "./rig";
-import { bodyGeometry, pose, type Shape } from "./shapes";
+import { bodyGeometry, type Shape } from "./shapes";
 import type { Stage } from "./stage";
 
 export type Form = Shape | Skin;
@@ -39,18 +38,17 @@ export class Figure {
     this.mesh.material.dispose();
     this.mesh.material = bodyMaterial(this.uniforms, skinned);
     if (skinned) this.uniforms.bones.value = form.bones;
-    else pose(this.uniforms, form);
   }
 
-  /** Draw so many, `t` of the way to the frame, posed by what they play: the first rows, or the `chosen` ones. */
-  show(count: number, t: number, plays: Plays, chosen: readonly number[] | null): void {
+  /** Draw so many, `t` of the way to the frame, posed by what they do: the first rows, or the `chosen` ones. */
+  show(count: number, t: number, acting: Acting, chosen: readonly number[] | null): void {
     const { mesh, uniforms, poser } = this;
     mesh.geometry.instanceCount = count;
     mesh.visible = count > 0;
     uniforms.t.value = t;
     uniforms.focal.value = this.stage.focal;
     if (!poser || count === 0) return;
-    poser.pose(plays, count, t, chosen);
+    poser.pose(acting, count, t, chosen);
     [uniforms.firstRow.value, uniforms.secondRow.value, uniforms.thirdRow.value] = poser.textures;
     uniforms.perRow.value = poser.agentsInARow;
   }
@@ -60,7 +58,6 @@ export class Figure {
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();
     this.poser?.dispose();
-    (this.uniforms.poses.value as THREE.Texture | null)?.dispose();
   }
 }
 

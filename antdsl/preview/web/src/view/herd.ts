@@ -1,9 +1,10 @@
 // The agents of one species as they are shown: where each was and is, row by row, for what draws between the two.
 
 import type { NumberArray, Packet, Species } from "../protocol";
-import { Plays } from "./plays";
+import { Feet } from "./feet";
+import { NONE, Plays } from "./plays";
 
-/** What is drawn of an agent: one row in each array. Places in mm, turns as signed bytes, gait in cycles of the walk. */
+/** What is drawn of an agent: one row in each array. Places and sizes in mm, turns as signed bytes. */
 export class Rows {
   placeA = new Float32Array(0);
   placeB = new Float32Array(0);
@@ -11,7 +12,7 @@ export class Rows {
   headB = new Int8Array(0);
   upA = new Int8Array(0);
   upB = new Int8Array(0);
-  gait = new Float32Array(0); // from, to, size
+  size = new Float32Array(0);
   tone = new Uint8Array(0); // display colour and a fourth
   version = 0; // changes when the arrays are other ones
 
@@ -23,7 +24,8 @@ export class Rows {
   reserve(count: number): void {
     if (count <= this.capacity) return;
     const room = Math.ceil(count * 1.3) + 8;
-    for (const name of ["placeA", "placeB", "gait"] as const) this[name] = new Float32Array(room * 3);
+    for (const name of ["placeA", "placeB"] as const) this[name] = new Float32Array(room * 3);
+    this.size = new Float32Array(room);
     for (const name of ["headA", "headB", "upA", "upB"] as const) this[name] = new Int8Array(room * 4);
     this.tone = new Uint8Array(room * 4);
     this.version++;
@@ -32,21 +34,35 @@ export class Rows {
   /** Take a row of another herd's. */
   copy(row: number, from: Rows, other: number): void {
     for (let axis = 0; axis < 3; axis++) {
-      for (const name of ["placeA", "placeB", "gait"] as const)
-        this[name][3 * row + axis] = from[name][3 * other + axis] as number;
+      for (const name of ["placeA", "placeB"] as const) this[name][3 * row + axis] = from[name][3 * other + axis] as number;
       for (const name of ["headA", "headB", "upA", "upB"] as const)
         this[name][4 * row + axis] = from[name][4 * other + axis] as number;
     }
+    this.size[row] = from.size[other] as number;
   }
+}
+
+const GOLDEN = (Math.sqrt(5) - 1) / 2; // multiples of it are spread evenly over a turn
+
+/** What a species can do with its body: the machines that play clips, which clips begin again when they are over, how many legs
+ * it stands on. */
+export interface Acts {
+  machines: string[];
+  loops: boolean[];
+  legs: number;
+  idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
 }
 
 export class Herd {
   readonly rows = new Rows();
   readonly plays = new Plays();
+  readonly feet = new Feet();
+  clock = 0; // seconds from frame 0
+  private machines: string[] = [];
+  private idle: Acts["idle"] = null;
   ids: NumberArray = new Int32Array(0);
   arrays: Packet["arrays"] = new Map();
   count = 0;
-  stride = 1; // body lengths walked in a cycle
   private readonly was = new Rows(); // the rows before, while they are matched
   private from = new Int32Array(0); // the row before of each row, -1 of who is new
 
@@ -66,7 +82,7 @@ export class Herd {
     const { rows, was } = this;
     if (known > 0) {
       was.reserve(known);
-      for (const key of ["placeA", "placeB", "gait"] as const) was[key].set(rows[key].subarray(0, 3 * known));
+      for (const key of ["placeA", "placeB"] as const) was[key].set(rows[key].subarray(0, 3 * known));
       for (const key of ["headA", "headB", "upA", "upB"] as const) was[key].set(rows[key].subarray(0, 4 * known));
     }
     rows.reserve(count);
@@ -85,19 +101,33 @@ export class Herd {
       this.from[row] = before;
       this.stand(row, before, t, place, head, up, size ? (size[row] as number) : 1);
     }
-    this.play(t);
+    this.act(t);
   }
 
-  /** The machines of this species that play clips, and which clips begin again when they are over. */
-  playing(machines: string[], loops: boolean[]): void {
-    this.plays.begin(machines, loops);
+  /** What it can do with its body is other than before. */
+  acting({ machines, loops, legs, idle }: Acts): void {
+    this.machines = machines;
+    this.idle = idle;
+    this.plays.begin(idle ? ["", ...machines] : machines, loops);
+    this.feet.begin(legs);
     this.from.fill(-1);
-    this.play(1);
+    this.act(1);
   }
 
-  private play(t: number): void {
-    const told = this.plays.machines.map((machine) => this.column(`plays/${machine}`));
-    this.plays.take(told, this.count, this.from, t);
+  private act(t: number): void {
+    const told = this.machines.map((machine) => this.column(`plays/${machine}`));
+    this.plays.take(this.idle ? [this.idling(...this.idle), ...told] : told, this.count, this.from, t);
+    this.feet.take(this.column("feet"), this.column("stance"), this.count, this.from, t);
+  }
+
+  /** What agents play where no machine says otherwise: each from a start of its own, by the clock of the frame. */
+  private idling(clip: number, seconds: number): Uint16Array {
+    const made = new Uint16Array(6 * this.count);
+    for (let row = 0; row < this.count; row++) {
+      const turns = (this.ids[row] as number) * GOLDEN + this.clock / seconds;
+      made.set([clip, NONE, Math.round((turns - Math.floor(turns)) * 65535), 0, 65535, 0], 6 * row);
+    }
+    return made;
   }
 
   private stand(
@@ -131,12 +161,7 @@ export class Herd {
       rows.headA[k] = leapt ? (rows.headB[k] as number) : mixed(was.headA[o] as number, was.headB[o] as number, t);
       rows.upA[k] = leapt ? (rows.upB[k] as number) : mixed(was.upA[o] as number, was.upB[o] as number, t);
     }
-    const from = before < 0 ? (row * 0.618) % 1 : (was.gait[3 * before + 1] as number) % 1; // not all in step
-    const back = before < 0 || leapt ? 0 : ((was.gait[3 * before + 1] as number) - (was.gait[3 * before] as number)) * (1 - t);
-    const cycles = leapt ? 0 : Math.min(far / (size * this.stride), 0.45); // faster than the eye: legs would seem to go back
-    rows.gait[3 * row] = from - back;
-    rows.gait[3 * row + 1] = from + cycles;
-    rows.gait[3 * row + 2] = size;
+    rows.size[row] = size;
   }
 
   /** The row of an agent, or -1: rows stand by id. */
@@ -173,7 +198,7 @@ export class Herd {
   }
 
   size(row: number): number {
-    return this.rows.gait[3 * row + 2] as number;
+    return this.rows.size[row] as number;
   }
 }
 

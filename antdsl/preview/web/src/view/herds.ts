@@ -2,7 +2,7 @@
 
 import type { Packet, Scene } from "../protocol";
 import type { Store } from "../store";
-import { Herd } from "./herd";
+import { type Acts, Herd } from "./herd";
 import type { Stage } from "./stage";
 
 const LONGEST = 300; // ms that the way from one frame to the next takes at most
@@ -13,8 +13,7 @@ export class Herds {
   light = false;
   t = 1; // how far between the last two frames
   packet: Packet | null = null;
-  private readonly strides = new Map<string, number>();
-  private readonly rigs = new Map<string, { machines: string[]; loops: boolean[] }>();
+  private readonly acts = new Map<string, Acts>();
   private arrived = 0;
   private lasts = 40; // ms between two frames, as they have come lately
   private readonly listeners: (() => void)[] = [];
@@ -48,25 +47,19 @@ export class Herds {
     return sum;
   }
 
-  /** How far a body walks in a cycle, in its lengths. */
-  walk(body: string, stride: number): void {
-    this.strides.set(body, stride);
-    for (const herd of this.byName.values()) if (herd.species.body === body) herd.stride = stride;
-  }
-
-  /** What a species plays. */
-  playing(species: string, machines: string[], loops: boolean[]): void {
-    this.rigs.set(species, { machines, loops });
-    this.byName.get(species)?.playing(machines, loops);
+  /** What a species can do with its body. */
+  acting(species: string, acts: Acts): void {
+    this.acts.set(species, acts);
+    this.byName.get(species)?.acting(acts);
   }
 
   private people(scene: Scene): void {
     this.byName.clear();
     for (const species of scene.species) {
       const herd = new Herd(species);
-      herd.stride = this.strides.get(species.body) ?? 1;
-      const rig = this.rigs.get(species.name);
-      if (rig) herd.playing(rig.machines, rig.loops);
+      const acts = this.acts.get(species.name);
+      herd.clock = this.frame / scene.fps;
+      if (acts) herd.acting(acts);
       if (this.packet) herd.take(this.packet, 1, true);
       this.byName.set(species.name, herd);
     }
@@ -82,7 +75,10 @@ export class Herds {
     const leap = this.packet === null || on < 0 || on > Math.max(fps, 24) || document.hidden;
     const gap = now - this.arrived;
     if (!leap && on > 0) this.lasts += (Math.min(Math.max(gap, 8), LONGEST) - this.lasts) * 0.25;
-    for (const herd of this.byName.values()) herd.take(packet, this.t, leap);
+    for (const herd of this.byName.values()) {
+      herd.clock = frame / fps;
+      herd.take(packet, this.t, leap);
+    }
     this.frame = frame;
     this.light = packet.header.light === true;
     this.packet = packet;

@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 
-const NAMES = ["backdrop", "ground", "shape", "obstacle", "earth", "sky", "shade", "sunlight", "mark", "ink", "limb"] as const;
+const NAMES = ["backdrop", "ground", "shape", "obstacle", "earth", "sky", "shade", "sunlight", "mark", "ink"] as const;
 type Name = (typeof NAMES)[number];
 
 export class Palette {
@@ -16,7 +16,6 @@ export class Palette {
   readonly sunlight = new THREE.Color();
   readonly mark = new THREE.Color();
   readonly ink = new THREE.Color();
-  readonly limb = new THREE.Color();
   dark = true;
   private readonly probes = new Map<Name, HTMLElement>();
   private readonly listeners: (() => void)[] = [];

@@ -1,63 +1,78 @@
-// How agents are posed: one pixel for each bone of each agent, which is the matrix that its vertices go by. What is played is
-// blended joint by joint as antdsl/bodies/agents/machine_clips.py says: the two clips of a machine to their mean, and each
-// machine over those before it. All rotations go by normalised linear interpolation on the shorter way.
+// How agents are posed, pass by pass, one pixel for each joint, leg or bone of each agent:
+// - joints: what is played, blended joint by joint as antdsl/bodies/agents/machine_clips.py says: the two clips of a machine to
+//   their mean, each machine over those before it; all rotations by normalised linear interpolation on the shorter way;
+// - legs: where hip, knee and foot of each leg are; then how each leg is bent so that its foot is where it stands, by two-bone
+//   inverse kinematics as antdsl/bodies/agents/leg_ik.py says;
+// - bones: the matrix that the vertices of a mesh go by.
 
+import { STANCE } from "./feet";
 import { TEXELS } from "./plays";
 import { WIDE } from "./rig";
 
 export const POSE_VERTEX = /* glsl */ `
 void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }`;
 
-export const POSE_FRAGMENT = /* glsl */ `
+const COMMON = /* glsl */ `
 precision highp float;
 precision highp int;
 precision highp sampler2D;
 layout(location = 0) out vec4 first;
 layout(location = 1) out vec4 second;
 layout(location = 2) out vec4 third;
-uniform sampler2D samples;
 uniform sampler2D table;
-uniform sampler2D bones;
-uniform sampler2D plays;
-uniform int joints;
-uniform int texels;
-uniform int boneCount;
-uniform int machines;
-uniform int clips;
-uniform int groups;
 uniform int perRow;
 uniform int count;
+uniform int items;
+uniform int joints;
+uniform int legs;
 uniform float t;
 uniform mat3 base;
-
-struct Joint { vec3 move; vec4 turn; vec3 scale; vec3 shear; };
+int agent;
+int item;
 
 vec4 at(sampler2D list, int number) { return texelFetch(list, ivec2(number % ${WIDE}, number / ${WIDE}), 0); }
 vec4 unit(vec4 q) { float square = dot(q, q); return square > 0.0 ? q * inversesqrt(square) : vec4(0.0, 0.0, 0.0, 1.0); }
+ivec2 place(int number, int many) { return ivec2((agent % perRow) * many + number, agent / perRow); }
+bool outside() {
+  ivec2 here = ivec2(gl_FragCoord.xy);
+  agent = here.y * perRow + here.x / items;
+  item = here.x % items;
+  return here.x >= perRow * items || agent >= count;
+}`;
 
-Joint sampled(int row, int joint) {
-  int k = (row * joints + joint) * texels;
+export const JOINTS = /* glsl */ `
+${COMMON}
+layout(location = 3) out vec4 fourth;
+uniform sampler2D samples;
+uniform sampler2D plays;
+uniform int texels;
+uniform int machines;
+uniform int clips;
+uniform int groups;
+
+struct Joint { vec3 move; vec4 turn; vec3 scale; vec3 shear; };
+
+Joint sampled(int row) {
+  int k = (row * joints + item) * texels;
   Joint made = Joint(at(samples, k).xyz, at(samples, k + 1), vec3(1.0), vec3(0.0));
   if (texels > 2) made.scale = at(samples, k + 2).xyz;
   if (texels > 3) made.shear = at(samples, k + 3).xyz;
   return made;
 }
 
-Joint between(Joint a, Joint b, float share) {
-  return Joint(mix(a.move, b.move, share), unit(mix(a.turn, b.turn, share)), mix(a.scale, b.scale, share), mix(a.shear, b.shear, share));
-}
-
-Joint played(vec4 clip, float turn, int joint) {
+Joint played(vec4 clip, float turn) {
   float last = clip.y - 1.0;
   float moment = (clip.z > 0.5 ? fract(turn) : clamp(turn, 0.0, 1.0)) * last;
   float whole = min(floor(moment), max(last - 1.0, 0.0));
   int row = int(clip.x + whole + 0.5);
-  return between(sampled(row, joint), sampled(min(row + 1, int(clip.x + last + 0.5)), joint), moment - whole);
+  Joint a = sampled(row), b = sampled(min(row + 1, int(clip.x + last + 0.5)));
+  float s = moment - whole;
+  return Joint(mix(a.move, b.move, s), unit(mix(a.turn, b.turn, s)), mix(a.scale, b.scale, s), mix(a.shear, b.shear, s));
 }
 
-/** How much of a clip there is at a joint. */
-float share(vec4 clip, float weight, int joint) {
-  return clip.x < 0.0 || weight <= 0.0 ? 0.0 : weight * at(table, groups + int(clip.w + 0.5) * joints + joint).x;
+/** How much of a clip there is at the joint. */
+float share(vec4 clip, float weight) {
+  return clip.x < 0.0 || weight <= 0.0 ? 0.0 : weight * at(table, groups + int(clip.w + 0.5) * joints + item).x;
 }
 
 vec4 clipOf(float number) { return number > 65534.5 ? vec4(-1.0, 1.0, 0.0, 0.0) : at(table, clips + int(number + 0.5)); }
@@ -69,19 +84,20 @@ void add(inout Joint sum, Joint more, float part) {
   sum.turn += more.turn * (dot(sum.turn, more.turn) < 0.0 ? -part : part);
 }
 
-Joint blended(int agent, int joint) {
-  Joint pose = sampled(0, joint);
+void main() {
+  if (outside()) discard;
+  Joint pose = sampled(0);
   pose.turn = unit(pose.turn);
   for (int machine = 0; machine < machines; machine++) {
     int k = (agent * machines + machine) * ${TEXELS};
     vec4 a = at(plays, k), b = at(plays, k + 1), c = at(plays, k + 2);
     vec4 clip = clipOf(a.x), before = clipOf(a.y);
-    float clipShare = share(clip, mix(b.z, b.w, t), joint), beforeShare = share(before, mix(c.x, c.y, t), joint);
+    float clipShare = share(clip, mix(b.z, b.w, t)), beforeShare = share(before, mix(c.x, c.y, t));
     float total = clipShare + beforeShare;
     if (total < 1e-6) continue;
     Joint mean = Joint(vec3(0.0), vec4(0.0), vec3(0.0), vec3(0.0));
-    if (beforeShare > 0.0) add(mean, played(before, mix(b.x, b.y, t), joint), beforeShare / total);
-    if (clipShare > 0.0) add(mean, played(clip, mix(a.z, a.w, t), joint), clipShare / total);
+    if (beforeShare > 0.0) add(mean, played(before, mix(b.x, b.y, t)), beforeShare / total);
+    if (clipShare > 0.0) add(mean, played(clip, mix(a.z, a.w, t)), clipShare / total);
     mean.turn = unit(mean.turn);
     float over = min(total, 1.0);
     Joint sum = Joint(pose.move * (1.0 - over), pose.turn * (1.0 - over), pose.scale * (1.0 - over), pose.shear * (1.0 - over));
@@ -89,31 +105,182 @@ Joint blended(int agent, int joint) {
     sum.turn = unit(sum.turn);
     pose = sum;
   }
-  return pose;
+  first = vec4(pose.move, 0.0);
+  second = pose.turn;
+  third = vec4(pose.scale, 0.0);
+  fourth = vec4(pose.shear, 0.0);
+}`;
+
+const LOCAL = /* glsl */ `
+uniform sampler2D moves;
+uniform sampler2D turns;
+uniform sampler2D scales;
+uniform sampler2D shears;
+uniform int texels;
+
+int parent(int joint) { return int(round(at(table, joint).x)); }
+
+mat4 local(int joint) {
+  ivec2 here = place(joint, joints);
+  vec4 q = texelFetch(turns, here, 0);
+  vec3 x = vec3(1.0 - 2.0 * (q.y * q.y + q.z * q.z), 2.0 * (q.x * q.y + q.w * q.z), 2.0 * (q.x * q.z - q.w * q.y));
+  vec3 y = vec3(2.0 * (q.x * q.y - q.w * q.z), 1.0 - 2.0 * (q.x * q.x + q.z * q.z), 2.0 * (q.y * q.z + q.w * q.x));
+  vec3 z = cross(x, y);
+  if (texels > 2) {
+    vec3 scale = texelFetch(scales, here, 0).xyz;
+    vec3 shear = texels > 3 ? texelFetch(shears, here, 0).xyz : vec3(0.0);
+    z = (z + x * shear.y + y * shear.z) * scale.z;
+    y = (y + x * shear.x) * scale.y;
+    x *= scale.x;
+  }
+  return mat4(vec4(x, 0.0), vec4(y, 0.0), vec4(z, 0.0), vec4(texelFetch(moves, here, 0).xyz, 1.0));
+}`;
+
+/** Hip, knee and foot of each leg by the clips. */
+export const LEGS = /* glsl */ `
+${COMMON}
+${LOCAL}
+uniform int legAt;
+void main() {
+  if (outside()) discard;
+  ivec3 leg = ivec3(round(at(table, legAt + 2 * item).xyz));
+  vec4 foot = vec4(0.0), knee = vec4(0.0), hip = vec4(0.0);
+  int joint = leg.z;
+  for (int depth = 0; depth < 256 && joint >= 0; depth++) {
+    if (joint == leg.z) foot.w = 1.0;
+    if (joint == leg.y) knee.w = 1.0;
+    if (joint == leg.x) hip.w = 1.0;
+    mat4 m = local(joint);
+    foot = m * foot;
+    knee = m * knee;
+    hip = m * hip;
+    joint = parent(joint);
+  }
+  first = hip;
+  second = knee;
+  third = foot;
+}`;
+
+const STANCES = /* glsl */ `
+uniform sampler2D hips;
+uniform sampler2D knees;
+uniform sampler2D stances;
+uniform float unitLength;
+vec4 stance(int number) { return at(stances, agent * (2 * legs + ${STANCE}) + number); }
+vec3 upward() { return vec3(base[0].y, base[1].y, base[2].y) * unitLength; }
+vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }`;
+
+const REACH = /* glsl */ `
+uniform sampler2D feet;
+uniform float straight;
+uniform float folded;
+uniform float sunk;
+uniform float plane;
+float stands() { vec4 s = stance(2); return mix(s.x, s.y, t); }
+vec3 goal(int leg) {
+  vec4 a = stance(${STANCE} + 2 * leg), b = stance(${STANCE} + 2 * leg + 1);
+  return (mix(a.xyz, b.xyz, t) * base) * unitLength * unitLength;
 }
 
-mat4 local(Joint of) {
-  vec4 q = of.turn;
-  mat3 turn = mat3(
-    1.0 - 2.0 * (q.y * q.y + q.z * q.z), 2.0 * (q.x * q.y + q.w * q.z), 2.0 * (q.x * q.z - q.w * q.y),
-    2.0 * (q.x * q.y - q.w * q.z), 1.0 - 2.0 * (q.x * q.x + q.z * q.z), 2.0 * (q.y * q.z + q.w * q.x),
-    2.0 * (q.x * q.z + q.w * q.y), 2.0 * (q.y * q.z - q.w * q.x), 1.0 - 2.0 * (q.x * q.x + q.y * q.y));
-  vec3 x = turn[0], y = turn[1] + turn[0] * of.shear.x, z = turn[2] + turn[0] * of.shear.y + turn[1] * of.shear.z;
-  return mat4(vec4(x * of.scale.x, 0.0), vec4(y * of.scale.y, 0.0), vec4(z * of.scale.z, 0.0), vec4(of.move, 1.0));
+/** How far the body comes down so that feet that stand are in reach. */
+float sinks() {
+  float most = 0.0;
+  vec3 up = upward();
+  for (int leg = 0; leg < legs; leg++) {
+    float stood = mix(stance(${STANCE} + 2 * leg).w, stance(${STANCE} + 2 * leg + 1).w, t);
+    ivec2 here = place(leg, legs);
+    vec3 hip = texelFetch(hips, here, 0).xyz, knee = texelFetch(knees, here, 0).xyz, foot = texelFetch(feet, here, 0).xyz;
+    float reach = (length(knee - hip) + length(foot - knee)) * straight;
+    vec3 way = goal(leg) - hip;
+    float high = dot(way, up);
+    float level = max(reach * reach - max(dot(way, way) - high * high, 0.0), 0.0);
+    most = max(most, stood * clamp(-sqrt(level) - high, 0.0, sunk * reach));
+  }
+  return most * stands();
+}`;
+
+/** How each leg is bent: the turn of the shank about the knee, of the whole about the hip, and how far the foot is moved. */
+export const BENT = /* glsl */ `
+${COMMON}
+${STANCES}
+${REACH}
+uniform int legAt;
+
+vec4 onto(vec3 a, vec3 b) { return unit(vec4(cross(a, b), max(1.0 + dot(a, b), 1e-6))); }
+
+void main() {
+  if (outside()) discard;
+  ivec2 here = place(item, legs);
+  float sink = sinks();
+  vec3 down = upward() * sink;
+  vec3 hip = texelFetch(hips, here, 0).xyz - down, knee = texelFetch(knees, here, 0).xyz - down;
+  vec3 foot = texelFetch(feet, here, 0).xyz - down;
+  vec3 to = foot + (goal(item) - foot) * stands();
+  vec3 thigh = hip - knee, shank = foot - knee, way = to - hip;
+  float a = max(length(thigh), 1e-6 * unitLength), b = max(length(shank), 1e-6 * unitLength);
+  float far = clamp(length(way), abs(a - b) * folded, (a + b) * straight);
+  float before = clamp(dot(thigh, shank) / (a * b), -1.0, 1.0);
+  float now = clamp((a * a + b * b - far * far) / (2.0 * a * b), -1.0, 1.0);
+  vec3 axis = cross(thigh, shank), rest = at(table, legAt + 2 * item + 1).xyz;
+  if (length(axis) <= plane * a * b) axis = rest - thigh * (dot(rest, thigh) / max(dot(thigh, thigh), 1e-20));
+  axis /= max(length(axis), 1e-12);
+  float sine = sqrt(1.0 - before * before), less = sqrt(1.0 - now * now);
+  float cosine = sqrt(max(0.5 + 0.5 * (now * before + less * sine), 1e-12)); // of half the angle between the two
+  second = unit(vec4(axis * (less * before - now * sine) / (2.0 * cosine), cosine));
+  vec3 reached = knee + turned(second, shank) - hip;
+  first = onto(reached / max(length(reached), 1e-12), way / max(length(way), 1e-12));
+  third = vec4(hip + turned(first, reached) - foot, sink);
+}`;
+
+export const BONES = /* glsl */ `
+${COMMON}
+${LOCAL}
+${STANCES}
+uniform sampler2D bones;
+uniform sampler2D legTurns;
+uniform sampler2D kneeTurns;
+uniform sampler2D footMoves;
+
+mat4 turn(mat4 m, vec4 q, vec3 about) {
+  return mat4(vec4(turned(q, m[0].xyz), 0.0), vec4(turned(q, m[1].xyz), 0.0), vec4(turned(q, m[2].xyz), 0.0),
+    vec4(turned(q, m[3].xyz - about) + about, 1.0));
+}
+
+/** A joint's matrix with the legs bent; \`part\`: 0 none of a leg, else 3 times the leg and 1 thigh, 2 shank, 3 foot. */
+mat4 standing(mat4 m, int part) {
+  vec3 down = upward() * texelFetch(footMoves, place(0, legs), 0).w;
+  m[3].xyz -= down;
+  if (part == 0) return m;
+  ivec2 here = place((part - 1) / 3, legs);
+  int piece = (part - 1) % 3;
+  if (piece == 2) {
+    m[3].xyz += texelFetch(footMoves, here, 0).xyz;
+    return m;
+  }
+  vec3 hip = texelFetch(hips, here, 0).xyz - down, knee = texelFetch(knees, here, 0).xyz - down;
+  if (piece == 1) m = turn(m, texelFetch(kneeTurns, here, 0), knee);
+  return turn(m, texelFetch(legTurns, here, 0), hip);
 }
 
 void main() {
-  ivec2 here = ivec2(gl_FragCoord.xy);
-  int agent = here.y * perRow + here.x / boneCount;
-  if (here.x >= perRow * boneCount || agent >= count) discard;
-  int bone = 4 * (here.x % boneCount);
-  mat4 made = transpose(mat4(at(bones, bone + 1), at(bones, bone + 2), at(bones, bone + 3), vec4(0.0, 0.0, 0.0, 1.0)));
-  int joint = int(round(at(bones, bone).x));
+  if (outside()) discard;
+  int bone = 4 * item;
+  vec4 own = at(bones, bone);
+  mat4 made = mat4(1.0);
+  int joint = int(round(own.x));
   for (int depth = 0; depth < 256 && joint >= 0; depth++) {
-    made = local(blended(agent, joint)) * made;
-    joint = int(round(at(table, joint).x));
+    made = local(joint) * made;
+    joint = parent(joint);
   }
-  mat4 whole = transpose(mat4(base) * made);
+  if (legs > 0) made = standing(made, int(round(own.y)));
+  made = mat4(base) * made * transpose(mat4(at(bones, bone + 1), at(bones, bone + 2), at(bones, bone + 3), vec4(0.0, 0.0, 0.0, 1.0)));
+  if (legs > 0) {
+    vec4 a = stance(0), b = stance(1), now = mix(a, b, t);
+    vec4 tilt = unit(vec4(now.yzw, sqrt(max(1.0 - dot(now.yzw, now.yzw), 0.0))));
+    made = turn(made, tilt, vec3(0.0));
+    made[3].y += now.x;
+  }
+  mat4 whole = transpose(made);
   first = whole[0];
   second = whole[1];
   third = whole[2];

@@ -17,15 +17,22 @@ export interface Rig {
   groups: number;
   machines: string[];
   loops: boolean[];
+  idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
+  legs: number;
+  legAt: number; // in the table: of each leg hip, knee and foot as joints, and the axis of a straight knee
+  length: number; // of the body, in the definition's units
+  bending: { straight: number; folded: number; sunk: number; plane: number }; // as antdsl/bodies/agents/leg_ik.py has them
 }
 
-/** A mesh that follows a rig. `list`: of each bone its joint and the three rows of what takes a point of rest to it. */
+/** A mesh that follows a rig. `list`: of each bone its joint, the part of a leg that it is, and
+ * the three rows of what takes a point of rest to it. */
 export interface Skin {
   rig: Rig;
   bones: number;
   list: THREE.DataTexture;
   rest: Float32Array; // places in the rest pose, in body lengths
   geometry: THREE.BufferGeometry;
+  trunk: Float32Array; // those of the rest pose that are no part of a leg
   half: [number, number]; // how far it reaches ahead and aside of its middle, in body lengths
 }
 
@@ -45,12 +52,12 @@ export function list(values: ArrayLike<number>): THREE.DataTexture {
   return made;
 }
 
-/** Of a packet `rig:SPECIES`; null of one that says there is none. */
-export function rigOf(packet: Packet): Rigged | null {
-  const parent = packet.arrays.get("parent");
-  if (!parent) return null;
+/** Of a packet `rig:SPECIES`. */
+export function rigOf(packet: Packet): Rigged {
+  const parent = packet.arrays.get("parent") as NumberArray;
   const clip = packet.arrays.get("clip") as NumberArray;
   const group = packet.arrays.get("group") as NumberArray;
+  const leg = packet.arrays.get("leg") ?? new Float32Array(0);
   const joints = parent.length;
   const table = [...parent].flatMap((each) => [each, 0, 0, 0]);
   table.push(...clip);
@@ -61,11 +68,16 @@ export function rigOf(packet: Packet): Rigged | null {
     texels: Number(packet.header.texels),
     base: new THREE.Matrix3().fromArray(base.filter((_, k) => k % 4 < 3)).transpose(),
     samples: list(packet.arrays.get("sample") as NumberArray),
-    table: list([...table, ...weights]),
+    table: list([...table, ...weights, ...leg]),
     clips: joints,
     groups: joints + clip.length / 4,
     machines: packet.header.machines as string[],
     loops: [...clip].filter((_, k) => k % 4 === 2).map((each) => each > 0),
+    idle: (packet.header.idle as number[]).length ? (packet.header.idle as [number, number]) : null,
+    legs: leg.length / 8,
+    legAt: joints + clip.length / 4 + group.length,
+    length: Number(packet.header.length),
+    bending: packet.header.bending as Rig["bending"],
   };
   return { low: skinOf(rig, packet, "low"), fine: skinOf(rig, packet, "fine") };
 }
@@ -73,10 +85,10 @@ export function rigOf(packet: Packet): Rigged | null {
 function skinOf(rig: Rig, packet: Packet, level: string): Skin {
   const take = (name: string) => packet.arrays.get(`${level}/${name}`) as NumberArray;
   const joint = take("joint");
+  const part = take("part");
   const inverse = take("inverse");
   const bones: number[] = [];
-  for (let bone = 0; bone < joint.length; bone++)
-    bones.push(joint[bone] as number, 0, 0, 0, ...inverse.subarray(12 * bone, 12 * bone + 12));
+  for (const [k, each] of joint.entries()) bones.push(each, part[k] as number, 0, 0, ...inverse.subarray(12 * k, 12 * k + 12));
   const geometry = new THREE.BufferGeometry();
   const put = (name: string, parts: number, normalised: boolean) =>
     geometry.setAttribute(name, new THREE.BufferAttribute(take(name).slice(), parts, normalised));
@@ -93,8 +105,10 @@ function skinOf(rig: Rig, packet: Packet, level: string): Skin {
     point.fromArray(rest, k).applyMatrix3(rig.base).toArray(rest, k);
     box.expandByPoint(point);
   }
+  const bone = take("bone");
+  const trunk = rest.filter((_, k) => part[bone[4 * Math.floor(k / 3)] as number] === 0);
   const size = box.isEmpty() ? new THREE.Vector3(1, 1, 1) : box.getSize(point);
-  return { rig, bones: joint.length, list: list(bones), rest, geometry, half: [size.x / 2, size.z / 2] };
+  return { rig, bones: joint.length, list: list(bones), rest, trunk, geometry, half: [size.x / 2, size.z / 2] };
 }
 
 export function forgetRig({ low, fine }: Rigged): void {

@@ -12,24 +12,24 @@ const CORNERS = [
 ] as const;
 const FACES = [0, 4, 2, 0, 3, 4, 1, 2, 4, 1, 4, 3, 0, 2, 5, 0, 5, 3, 1, 5, 2, 1, 3, 5];
 
-export function speck(of: Pick<Shape, "poses" | "tint">): Shape {
+/** Of the places of a body, those of its trunk alone: legs make it no wider. */
+export function speck(places: Float32Array): Shape {
   const low = new Array<number>(3).fill(Number.POSITIVE_INFINITY);
   const high = new Array<number>(3).fill(Number.NEGATIVE_INFINITY);
-  for (let k = 0; k < 3 * of.tint.length; k++) {
+  for (let k = 0; k < places.length; k++) {
     const axis = k % 3;
-    if ((of.tint[Math.floor(k / 3)] as number) < 0.4) continue; // legs and the like make it no wider
-    low[axis] = Math.min(low[axis] as number, of.poses[k] as number);
-    high[axis] = Math.max(high[axis] as number, of.poses[k] as number);
+    low[axis] = Math.min(low[axis] as number, places[k] as number);
+    high[axis] = Math.max(high[axis] as number, places[k] as number);
   }
-  const poses = new Float32Array(CORNERS.length * 3);
+  const position = new Float32Array(CORNERS.length * 3);
   const normal = new Float32Array(CORNERS.length * 3);
   CORNERS.forEach((corner, row) => {
     corner.forEach((part, axis) => {
       const middle = ((low[axis] as number) + (high[axis] as number)) / 2;
       const half = ((high[axis] as number) - (low[axis] as number)) / 2;
-      poses[3 * row + axis] = middle + part * half * (axis === 2 ? 1.25 : 1);
+      position[3 * row + axis] = middle + part * half * (axis === 2 ? 1.25 : 1);
       normal[3 * row + axis] = part / Math.hypot(...corner);
     });
   });
-  return { poses, count: 1, normal, face: Uint32Array.from(FACES), tint: new Float32Array(CORNERS.length).fill(1) };
+  return { position, normal, face: Uint32Array.from(FACES) };
 }

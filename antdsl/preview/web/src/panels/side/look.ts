@@ -23,6 +23,7 @@ const CAMERAS: [Shared["camera"], string, string][] = [
 const KEYS: [string, string][] = [
   ["n p", "the next ant, the one before"],
   ["g f c", "near the selected ant, all of the ground, as the scene's camera"],
+  ["h v", "all ants; all ants from above"],
   ["1 2 3", "free, follow, ride"],
   ["t a x", "trails; planned paths; see through solids and stones"],
   ["arrows + −", "turn, come closer"],

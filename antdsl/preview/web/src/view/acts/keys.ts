@@ -6,7 +6,7 @@ import type { Sight } from "../sight";
 
 const TURN = Math.PI / 24;
 const HELP =
-  "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, g goes near the selected ant, c looks as the scene's camera does, 1, 2 and 3 choose the camera: free, follow, ride, t shows trails, a planned paths, x sees through stones.";
+  "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, h all ants, v all ants from above, g goes near the selected ant, c looks as the scene's camera does, 1, 2 and 3 choose the camera: free, follow, ride, t shows trails, a planned paths, x sees through stones.";
 
 type Act = (sight: Sight) => void;
 
@@ -19,6 +19,8 @@ const KEYS = new Map<string, Act>([
   ["=", ({ eye }) => eye.turn(0, 0, 0.85)],
   ["-", ({ eye }) => eye.turn(0, 0, 1 / 0.85)],
   ["f", ({ eye }) => eye.all()],
+  ["h", ({ eye }) => eye.crowd(false)],
+  ["v", ({ eye }) => eye.crowd(true)],
   ["g", ({ eye }) => eye.near()],
   ["c", ({ eye }) => void eye.own()],
   ["1", ({ store }) => store.set("camera", "orbit")],

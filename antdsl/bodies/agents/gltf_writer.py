@@ -1,0 +1,195 @@
+"""A glTF 2.0 file being made: accessors laid end to end in one buffer, and the parts that name them. Khronos Group, glTF 2.0
+Specification, 2021, sections 3.6 (accessors, alignment, bounds) and 4 (.glb)."""
+
+from __future__ import annotations
+
+import json
+import struct
+from base64 import b64encode
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.blend_shapes import difference, knots_of, matched, shares_of, values_of
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.shape import Shape
+
+VERTICES, INDICES = 34962, 34963  # what a buffer view is bound as
+_COMPONENTS = {"f4": 5126, "u2": 5123, "u4": 5125}
+_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+
+Entry = dict[str, Any]
+
+
+class GltfWriter:
+    """Lists of a file's parts, and its buffer."""
+
+    def __init__(self, generator: str) -> None:
+        self.data = bytearray()
+        self._asset = {"version": "2.0", "generator": generator}
+        self._lists: dict[str, list[Entry]] = {}
+
+    def add(self, key: str, entry: Entry) -> int:
+        """Put a part into one of the lists (`nodes`, `meshes`); gives its number."""
+        self._lists.setdefault(key, []).append(entry)
+        return len(self._lists[key]) - 1
+
+    def entry(self, key: str, number: int) -> Entry:
+        """A part that was added, to be gone on with."""
+        return self._lists[key][number]
+
+    def accessor(self, values: NDArray[Any], kind: str = "f4", target: int = 0, bounds: bool = False) -> int:
+        """The number of a new accessor with values (n,) or (n, k) as `f4`, `u2` or `u4`; `bounds` writes the least and the
+        greatest of each column, which positions and times have to have."""
+        rows = np.ascontiguousarray(values, f"<{kind}").reshape(len(values), -1)
+        self.data += bytes(-len(self.data) % 4)
+        raw = rows.tobytes()
+        view: Entry = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
+        self.data += raw
+        made: Entry = {
+            "bufferView": self.add("bufferViews", view | ({"target": target} if target else {})),
+            "componentType": _COMPONENTS[kind], "count": len(rows), "type": _TYPES[rows.shape[1]],
+        }  # fmt: skip
+        if bounds:
+            made |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+        return self.add("accessors", made)
+
+    def bytes(self, text: bool, **more: Any) -> bytes:
+        """The file: a .gltf with its buffer inside it where `text`, else a .glb. `more`: `scene`, `extras`."""
+        data = bytes(self.data) + bytes(-len(self.data) % 4)
+        lists = {key: entries for key, entries in self._lists.items() if entries}
+        buffer: Entry = {"byteLength": len(data)}
+        if text:
+            buffer["uri"] = "data:application/octet-stream;base64," + b64encode(data).decode("ascii")
+        tree = {"asset": self._asset, **more, **({"buffers": [buffer]} if data else {}), **lists}
+        said = json.dumps(tree, separators=(",", ":"), allow_nan=False, ensure_ascii=text).encode()
+        if text:
+            return said + b"\n"
+        said += b" " * (-len(said) % 4)
+        chunks = struct.pack("<II", len(said), _JSON) + said
+        if data:
+            chunks += struct.pack("<II", len(data), _BIN) + data
+        return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
+class ShapeParts:
+    """The accessors of a shape, which all meshes of it share: `primitives` differ by their materials alone."""
+
+    def __init__(self, writer: GltfWriter, body: Definition, shape: Shape, normals: NDArray[np.float32] | None) -> None:
+        self.writer, self.shape = writer, shape
+        self.attributes = {"POSITION": writer.accessor(shape.points, "f4", VERTICES, bounds=True)}
+        if normals is not None:
+            self.attributes["NORMAL"] = writer.accessor(_units(normals), "f4", VERTICES)
+        if shape.uvs is not None:
+            self.attributes["TEXCOORD_0"] = writer.accessor(shape.uvs, "f4", VERTICES)
+        for name, values in shape.attributes.items():
+            if values.ndim == 1:
+                whole = values.dtype.kind == "i" and len(values) and values.min() >= 0 and values.max() < 2**32
+                if whole or values.dtype.kind == "f":
+                    self.attributes[f"_{name.upper()}"] = writer.accessor(values, "u4" if whole else "f4", VERTICES)
+        self._capture()
+        self.targets = Targets(body, shape) if shape.blend is not None else None
+        self._moved = [] if self.targets is None else [self._target(*each) for each in self.targets.moved]
+        self._kinds = self._by_material()
+
+    def _capture(self) -> None:
+        """The joints that points follow, four to a set, those of the greatest weights first."""
+        capture = self.shape.capture
+        if capture is None:
+            return
+        count = capture.joints.shape[1]
+        order = np.argsort(-capture.weights, axis=1, kind="stable")
+        joints, weights = (np.take_along_axis(each, order, axis=1) for each in (capture.joints, capture.weights))
+        for k in range(0, count, 4):
+            some = [np.pad(each[:, k : k + 4], ((0, 0), (0, max(0, k + 4 - count)))) for each in (joints, weights)]
+            some[0][some[1] <= 0] = 0
+            self.attributes[f"JOINTS_{k // 4}"] = self.writer.accessor(some[0], "u2", VERTICES)
+            self.attributes[f"WEIGHTS_{k // 4}"] = self.writer.accessor(some[1], "f4", VERTICES)
+
+    def _target(self, points: NDArray[np.float32], normals: NDArray[np.float32] | None) -> Entry:
+        found = {"POSITION": self.writer.accessor(points, "f4", VERTICES, bounds=True)}
+        if normals is not None and "NORMAL" in self.attributes:
+            found["NORMAL"] = self.writer.accessor(normals, "f4", VERTICES)
+        return found
+
+    def _by_material(self) -> list[tuple[str, int]]:
+        """The materials of the triangles in their order, each with the accessor of its corners."""
+        shape = self.shape
+        names = shape.materials or ("",)
+        of = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
+        kind = "u2" if len(shape.points) < 65535 else "u4"
+        return [
+            (names[number], self.writer.accessor(shape.faces[of == number].reshape(-1), kind, INDICES))
+            for number in sorted(set(of.tolist()))
+        ]
+
+    def mesh(self, name: str, materials: dict[str, int]) -> int:
+        """A mesh in materials by their names; one that is not among them has none."""
+        primitives = []
+        for material, indices in self._kinds:
+            made: Entry = {"attributes": self.attributes, "indices": indices}
+            if material in materials:
+                made["material"] = materials[material]
+            if self._moved:
+                made["targets"] = self._moved
+            primitives.append(made)
+        entry: Entry = {"name": name, "primitives": primitives}
+        if self.targets is not None:
+            entry["extras"] = {"targetNames": list(self.targets.names)}
+        return self.writer.add("meshes", entry)
+
+    def skin(self, nodes: dict[str, int], top: int) -> int:
+        """The skin by which the shape follows joints, whose nodes are named."""
+        capture = self.shape.capture
+        assert capture is not None
+        if not hasattr(self, "_inverse"):
+            self._inverse = self.writer.accessor(capture.inverse.transpose(0, 2, 1).reshape(-1, 16))
+        joints = [nodes[name] for name in capture.names]
+        return self.writer.add("skins", {"joints": joints, "inverseBindMatrices": self._inverse, "skeleton": top})
+
+
+class Targets:
+    """The morph targets of a blend shape: the differences of each input and of its in-betweens from the base, and how much each
+    counts at values of the channels. glTF adds targets linearly; an in-between is one more target whose weight is the share that
+    `blend_shapes` gives it."""
+
+    def __init__(self, body: Definition, shape: Shape) -> None:
+        assert shape.blend is not None
+        self.names: list[str] = []
+        self.moved: list[tuple[NDArray[np.float32], NDArray[np.float32] | None]] = []
+        self._inputs: list[tuple[int, NDArray[np.float64]]] = []  # channel, weights of its shapes
+        self.plain = True  # a target a channel
+        for name, channel in zip(shape.blend.shapes, shape.blend.channels, strict=True):
+            targets, knots = knots_of(body, name)
+            self._inputs.append((body.rig.channel(channel), knots))
+            self.plain &= len(targets) == 1
+            for target in targets:
+                self.names.append(target.name)
+                moved = [self._moved(shape, target, each, each in shape.blend.attributes) for each in "PN"]
+                assert moved[0] is not None
+                self.moved.append((moved[0], moved[1]))
+
+    @staticmethod
+    def _moved(shape: Shape, target: Shape, which: str, blended: bool) -> NDArray[np.float32] | None:
+        if not blended or values_of(shape, which) is None or values_of(target, which) is None:
+            return np.zeros((len(shape.points), 3), np.float32) if which == "P" else None
+        assert shape.blend is not None
+        here, there = matched(shape, target, shape.blend.point_id)
+        found = np.zeros((len(shape.points), 3), np.float32)
+        found[here] = difference(shape, target, which, here, there).T
+        return found
+
+    def weights(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The weights (n, targets) at values (n, C) of the rig's channels."""
+        shares = [shares_of(channels[:, number], knots) for number, knots in self._inputs]
+        return np.concatenate(shares).T if shares else np.zeros((len(channels), 0), np.float32)
+
+
+def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Normals of length 1, as the format wants them to the last digits; one without a length looks up."""
+    wide = normals.astype(np.float64)
+    length = np.sqrt((wide * wide).sum(axis=1, keepdims=True))
+    found: NDArray[np.float32] = np.where(length > 1e-12, wide / np.maximum(length, 1e-12), (0.0, 1.0, 0.0)).astype(np.float32)
+    return found

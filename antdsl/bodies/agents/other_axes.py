@@ -1,0 +1,86 @@
+"""An agent definition in other axes and another unit of length: the same body, told otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.layer import Layer
+from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.transforms import followed_by, matrix_of, parts_of
+
+Axis = tuple[float, float, float]
+Floats = NDArray[np.float64]
+
+
+def in_axes(body: Definition, front: Axis, up: Axis, unit: float) -> Definition:
+    """The definition with other axes along which it looks and stands (both along axes of space), and `unit` millimetres in one
+    of its units of length. All of its own space is changed alike, so that joints have the same names, and posed points the same
+    places in a scene to the last digits of float32."""
+    turn = _frame(front, up) @ _frame(body.front, body.up).T
+    size = body.unit / unit
+    if size == 1.0 and (turn == np.eye(3)).all():
+        return replace(body, front=front, up=up)
+    change = np.eye(4)
+    change[:3, :3] = turn * size
+    back: Floats = np.linalg.inv(change).astype(np.float64)
+    clips = {name: _clip(each, change, back) for name, each in body.clips.items()}
+    rest = followed_by(followed_by(np.broadcast_to(change, body.rig.rest.shape), body.rig.rest), back)
+    return replace(
+        body, rig=replace(body.rig, rest=rest),
+        clips={name: replace(each, stride=each.stride * size) for name, each in clips.items()},
+        shapes={name: _shape(each, change, back) for name, each in body.shapes.items()},
+        layers={name: _layer(each, np.abs(turn)) for name, each in body.layers.items()},
+        gaits=tuple(replace(g, speed=g.speed * size, stride=g.stride * size, lift=g.lift * size) for g in body.gaits),
+        front=front, up=up, length=body.length * size, unit=unit,
+    )  # fmt: skip
+
+
+def _frame(front: Axis, up: Axis) -> Floats:
+    ahead, above = np.array(front, np.float64), np.array(up, np.float64)
+    return np.stack([ahead, above, np.cross(ahead, above)], axis=1)
+
+
+def _clip(clip: Clip, change: Floats, back: Floats) -> Clip:
+    if not clip.joints:
+        return clip
+    move, turn, scale = (each.astype(np.float64) for each in (clip.translation, clip.rotation, clip.scale))
+    matrices = matrix_of(move, turn, scale, None if clip.shear is None else clip.shear.astype(np.float64))
+    made = followed_by(followed_by(np.broadcast_to(change, matrices.shape), matrices), np.broadcast_to(back, matrices.shape))
+    move, _, scale, shear = parts_of(made)
+    axis = change[:3, :3] / np.abs(np.linalg.det(change[:3, :3])) ** (1 / 3)
+    # the axis of a turn is turned, its angle stays: no sign is lost from sample to sample
+    turn = np.concatenate([clip.rotation[..., :3] @ axis.T, clip.rotation[..., 3:]], axis=-1)
+    return replace(
+        clip, translation=move.astype(np.float32), rotation=turn.astype(np.float32), scale=scale.astype(np.float32),
+        shear=shear.astype(np.float32) if clip.shear is not None or np.abs(shear).max(initial=0.0) > 1e-6 else None,
+    )  # fmt: skip
+
+
+def _shape(shape: Shape, change: Floats, back: Floats) -> Shape:
+    axis = change[:3, :3] / np.abs(np.linalg.det(change[:3, :3])) ** (1 / 3)
+    capture = shape.capture
+    if capture is not None:
+        inverse = followed_by(np.broadcast_to(change, capture.inverse.shape), capture.inverse)
+        capture = replace(capture, inverse=followed_by(inverse, np.broadcast_to(back, inverse.shape)))
+    return replace(
+        shape, points=(shape.points @ change[:3, :3].T).astype(np.float32), capture=capture,
+        normals=None if shape.normals is None else (shape.normals @ axis.T).astype(np.float32),
+    )  # fmt: skip
+
+
+def _layer(layer: Layer, which: Floats) -> Layer:
+    """Scales of bounds along the axes that they are along now."""
+
+    def turned(scale: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = (which @ np.array(scale)).tolist()
+        return x, y, z
+
+    static, deforming = (
+        tuple(replace(each, bounds_scale=turned(each.bounds_scale)) for each in part) for part in (layer.static, layer.deforming)
+    )
+    return replace(layer, static=static, deforming=deforming)

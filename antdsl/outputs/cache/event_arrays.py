@@ -1,0 +1,76 @@
+"""Events in the frames of a cache, for effects and sound: `events.KIND.FIELD`, one row an event, of the kinds that the scene's
+`output` asks for.
+
+All have `species` int16 and `id` int64 (whose), `P` float32[k, 3] (scene units) and `N` float32[k, 3] (unit).
+`emit`: `event` int16, a place in the manifest's `events`; where the agent stood, and the normal of its ground.
+`contact`: bodies that are in each other, the first of two by species and id with `other_species` int16, `other` int64 and `depth`
+float32 (scene units); where they meet, and the direction from the other to the first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.vectors import dot
+from antdsl.runtime.moving.capsules import Crowd, Near, find
+from antdsl.runtime.world import World
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
+    """The arrays of a frame. `scale`: scene units in a millimetre."""
+    return {f"events.{kind}.{name}": array for kind in kinds for name, array in EVENTS[kind](world, scale).items()}
+
+
+def _emits(world: World, scale: float) -> Arrays:
+    found = world.emitted[0] if world.emitted else None
+    if found is None:
+        none = np.zeros((0, 3), np.float32)
+        return {"species": np.zeros(0, np.int16), "id": np.zeros(0, np.int64), "P": none, "N": none,
+                "event": np.zeros(0, np.int16)}  # fmt: skip
+    place = ((found.place + world.origin) * scale).astype(np.float32)
+    return {"species": found.species, "id": found.id, "P": place, "N": found.normal.astype(np.float32), "event": found.event}
+
+
+def _contacts(world: World, scale: float) -> Arrays:
+    crowd = Crowd(world)
+    none = np.zeros(0, np.intp)
+    if len(crowd) < 2:
+        kept, i, j, places, way, gap = none, none, none, np.zeros((3, 0)), np.zeros((3, 0)), np.zeros(0)
+    else:
+        near = find(crowd)
+        kept = np.flatnonzero(near.gap < 0)
+        i, j, places = near.rows[near.i[kept]], near.rows[near.j[kept]], _meeting(near, kept)
+        way, gap = near.way[:, kept], near.gap[kept]
+    ids = crowd.of(lambda p: p.ids) if len(crowd) else np.zeros(0, np.int64)
+    names = sorted(world.populations)
+    species = np.repeat([names.index(p.name) for p in crowd.species], np.diff(crowd.first)).astype(np.int16)
+    order = np.lexsort((ids[j], species[j], ids[i], species[i]))
+    i, j, places, way, gap = i[order], j[order], places[:, order], way[:, order], gap[order]
+    return {
+        "species": species[i], "id": ids[i], "P": ((places.T + world.origin) * scale).astype(np.float32),
+        "N": way.T.astype(np.float32), "other_species": species[j], "other": ids[j], "depth": (-gap * scale).astype(np.float32),
+    }  # fmt: skip
+
+
+def _meeting(near: Near, kept: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Where two capsules meet (3, k) mm: the middle between their surfaces, on the shortest way between their axes."""
+    i, j, way, gap = near.i[kept], near.j[kept], near.way[:, kept], near.gap[kept]
+    a, b, ri, rj = near.ahead[:, i], near.ahead[:, j], near.radius[i], near.radius[j]
+    off = way * (gap + ri + rj) - (near.middle[:, i] - near.middle[:, j])  # t a - s b
+    across = dot(a, b)
+    free = 1.0 - across * across
+    t = np.where(free > 1e-6, (dot(off, a) - across * dot(off, b)) / np.maximum(free, 1e-6), dot(off, a) / 2)
+    s = across * t - dot(off, b)
+    t, s = np.clip(t, -near.half[i], near.half[i]), np.clip(s, -near.half[j], near.half[j])
+    first = near.middle[:, i] + a * t - way * (ri + gap / 2)
+    second = near.middle[:, j] + b * s + way * (rj + gap / 2)
+    middle: NDArray[np.float64] = (first + second) / 2
+    return middle
+
+
+EVENTS: Mapping[str, Callable[[World, float], Arrays]] = {"emit": _emits, "contact": _contacts}

@@ -1,0 +1,190 @@
+"""Events of a cache in the order of time, for effects and sound: births, deaths, changes of state and footfalls, which two frames
+tell of, and what frames have of their own (`output: {events: …}`): emits and contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.body import turned
+from antdsl.outputs.cache.cache_reader import Arrays, CacheError
+from antdsl.outputs.cache.npz import to_bytes, write_whole
+from antdsl.outputs.gallery import Gallery
+from antdsl.whole import whole
+
+KINDS = ("birth", "death", "state", "footfall", "emit", "contact")
+HEAD = "frame,seconds,kind,species,id,x,y,z,nx,ny,nz,what,other_species,other,depth"
+_UP = np.array([0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Events:
+    """Events of one kind and frame: whose (`species` by number, `id`), `place` and `normal` (k, 3) in scene units;
+    `what`: the new state, the leg or the event, by its number, -1 for none; for contacts the other one and how `deep` they are."""
+
+    kind: str
+    species: NDArray[np.int64]
+    id: NDArray[np.int64]
+    place: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    what: NDArray[np.int64]
+    other_species: NDArray[np.int64]
+    other: NDArray[np.int64]
+    deep: NDArray[np.float64]
+
+
+def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
+    """Write events as a table, a row each; `what` is a word. CacheError for a frame that is damaged, OSError where nothing can be
+    written."""
+    frames = list(frames)
+    names = [entry.name for entry in gallery.manifest.species]
+    with whole(path, path.suffix) as part, open(part, "wb") as file:
+        file.write(f"{HEAD}\n".encode())
+        for frame, found in _all(gallery, frames):
+            told = _words(gallery, found)
+            for k, word in enumerate(told):
+                numbers = ",".join(f"{value:.9g}" for value in (*found.place[k], *found.normal[k]))
+                other = f"{names[found.other_species[k]]},{found.other[k]},{found.deep[k]:.9g}" if found.other[k] >= 0 else ",,"
+                seconds = (frame - gallery.manifest.first) * gallery.dt
+                row = f"{frame},{seconds:.9g},{found.kind},{names[found.species[k]]},{found.id[k]},{numbers},{word},{other}\n"
+                file.write(row.encode())
+    return _missing(gallery, frames)
+
+
+def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
+    """The same as arrays, `KIND.frame`, `KIND.species`, `KIND.id`, `KIND.P`, `KIND.N`, `KIND.what`, and of contacts
+    `other_species`, `other` and `depth`."""
+    frames = list(frames)
+    found: dict[str, list[tuple[int, Events]]] = {kind: [] for kind in KINDS}
+    for frame, each in _all(gallery, frames):
+        found[each.kind].append((frame, each))
+    arrays: dict[str, NDArray[Any]] = {}
+    for kind, parts in found.items():
+        events = [each for _, each in parts]
+
+        def put(name: str, values: list[NDArray[Any]], of: type, *wide: int, kind: str = kind) -> None:
+            arrays[f"{kind}.{name}"] = np.concatenate([np.zeros((0, *wide), of), *values]).astype(of)
+
+        put("frame", [np.full(len(each.id), frame) for frame, each in parts], np.int64)
+        put("species", [each.species for each in events], np.int16)
+        put("id", [each.id for each in events], np.int64)
+        put("P", [each.place for each in events], np.float32, 3)
+        put("N", [each.normal for each in events], np.float32, 3)
+        put("what", [each.what for each in events], np.int32)
+        if kind == "contact":
+            put("other_species", [each.other_species for each in events], np.int16)
+            put("other", [each.other for each in events], np.int64)
+            put("depth", [each.deep for each in events], np.float32)
+    write_whole(path, to_bytes(arrays), sync=False)
+    return _missing(gallery, frames)
+
+
+def _missing(gallery: Gallery, frames: list[int]) -> list[str]:
+    arrays = gallery.cache.frame(frames[-1])
+    lacks = [kind for kind in ("emit", "contact") if f"events.{kind}.id" not in arrays]
+    asked = ", ".join(lacks)
+    return [f"the cache has no events {' and '.join(f'`{k}`' for k in lacks)}: `output: {{events: [{asked}]}}`"] if lacks else []
+
+
+def _all(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Events]]:
+    """The events of frames, kind after kind; those of the first are told by the frame before it, where there is one."""
+    before: Arrays | None
+    try:
+        before = gallery.cache.frame(frames[0] - 1)
+    except CacheError:
+        before = None
+    begun: set[tuple[int, ...]] = set() if before is None else _pairs(before)
+    for frame in frames:
+        arrays = gallery.cache.frame(frame)
+        if before is not None:
+            yield from ((frame, each) for each in _compared(gallery, before, arrays) if len(each.id))
+        for each in _kept(arrays, begun):
+            if len(each.id):
+                yield frame, each
+        before, begun = arrays, _pairs(arrays)
+
+
+def _compared(gallery: Gallery, before: Arrays, arrays: Arrays) -> Iterator[Events]:
+    """What two frames tell of."""
+    (was, old), (now, new) = _agents(before), _agents(arrays)
+    _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
+    yield _events("birth", arrays, np.flatnonzero(~np.isin(now, was)))
+    yield _events("death", before, np.flatnonzero(~np.isin(was, now)))
+    if "state" in arrays and "state" in before:
+        changed = np.sort(right[before["state"][left] != arrays["state"][right]])
+        yield _events("state", arrays, changed, np.asarray(arrays["state"], np.int64)[changed])
+    for number, entry in enumerate(gallery.manifest.species):
+        down = [each.get(f"feet.{entry.name}.down") for each in (before, arrays)]
+        places = arrays.get(f"feet.{entry.name}.P")
+        if down[0] is None or down[1] is None or places is None:
+            continue
+        rows = [np.flatnonzero(each == number) for each in (old, new)]
+        _, left, right = np.intersect1d(was[rows[0]], now[rows[1]], assume_unique=True, return_indices=True)
+        agent, leg = np.nonzero((down[0][left] == 0) & (down[1][right] != 0))
+        row = right[agent]
+        yield _events("footfall", arrays, rows[1][row], leg, np.asarray(places, np.float64)[row, leg])
+
+
+def _agents(arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """A key of each agent, and its species."""
+    species = np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(arrays["P"]), np.int64)
+    return np.asarray(arrays["id"], np.int64) * 4096 + species, species
+
+
+def _events(
+    kind: str, arrays: Arrays, rows: NDArray[np.intp], what: NDArray[Any] | None = None, place: NDArray[np.float64] | None = None
+) -> Events:
+    """Events of agents at rows of a frame: where they stand unless it is said, and their up."""
+    none = np.full(len(rows), -1, np.int64)
+    _, species = _agents(arrays)
+    up = turned(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_UP, (len(rows), 1)))
+    where = np.asarray(arrays["P"], np.float64)[rows] if place is None else place
+    told = none if what is None else np.asarray(what, np.int64)
+    ids = np.asarray(arrays["id"], np.int64)[rows]
+    return Events(kind, species[rows], ids, where, up, told, none, none, np.zeros(len(rows)))
+
+
+def _kept(arrays: Arrays, begun: set[tuple[int, ...]]) -> Iterator[Events]:
+    """What a frame has of its own; of contacts those that were none in the frame before."""
+    for kind in ("emit", "contact"):
+        of = {name.removeprefix(f"events.{kind}."): array for name, array in arrays.items() if name.startswith(f"events.{kind}.")}
+        if "id" not in of:
+            continue
+        none = np.full(len(of["id"]), -1, np.int64)
+        found = Events(
+            kind, of["species"].astype(np.int64), of["id"], of["P"].astype(np.float64), of["N"].astype(np.float64),
+            of.get("event", none).astype(np.int64), of.get("other_species", none).astype(np.int64), of.get("other", none),
+            of.get("depth", np.zeros(len(none))).astype(np.float64),
+        )  # fmt: skip
+        if kind == "contact":
+            new = np.array([pair not in begun for pair in _rows(of)], np.bool_)
+            found = Events(kind, *(getattr(found, name)[new] for name in Events.__slots__[1:]))
+        yield found
+
+
+def _pairs(arrays: Arrays) -> set[tuple[int, ...]]:
+    prefix = "events.contact."
+    return set(_rows({name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}))
+
+
+def _rows(of: dict[str, NDArray[Any]]) -> list[tuple[int, ...]]:
+    keys = ("species", "id", "other_species", "other")
+    return list(zip(*(of[key].tolist() for key in keys), strict=True)) if "other" in of else []
+
+
+def _words(gallery: Gallery, found: Events) -> list[str]:
+    """What happened, in words: the state that begins, the leg that lands, the event that is emitted."""
+    species, manifest = found.species.tolist(), gallery.manifest
+    if found.kind == "state":
+        return [manifest.species[s].machines[0].states[k].name for s, k in zip(species, found.what.tolist(), strict=True)]
+    if found.kind == "emit":
+        return [manifest.events[k] for k in found.what.tolist()]
+    if found.kind == "footfall":
+        legs = {s: [leg.name for leg in gallery.body(s).definition.legs] for s in set(species)}
+        return [legs[s][k] for s, k in zip(species, found.what.tolist(), strict=True)]
+    return [""] * len(species)

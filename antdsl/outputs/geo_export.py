@@ -1,0 +1,216 @@
+"""A cache as Houdini's ASCII geometry (.geo), a file a frame: a point an agent, with what an agent is made from there.
+
+The format has no published description; its parts are as open readers take them (`hgeo.py` of cgdougm/HoudiniObj among them):
+a list of keys and values, attributes as `tuples`, `arrays` and tables of `strings` with `indices`. Points have y up, as
+Houdini has it, and `orient` turns +z, along which it lets agents look, to the heading."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.agents.transforms import product, unit_quaternion
+from antdsl.outputs.cache.cache_reader import Arrays, CacheError
+from antdsl.outputs.cache.clip_arrays import machines_of
+from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.numbered_files import numbered
+from antdsl.scene.model import UNIT_MM
+from antdsl.whole import whole
+
+Floats = NDArray[np.float64]
+_HALF = float(np.sqrt(0.5))
+_FROM_Z = np.array([0.0, _HALF, 0.0, _HALF])  # turns +z to +x, about +y
+_TO_Y = np.array([-_HALF, 0.0, 0.0, _HALF])  # turns +z to +y, about +x
+_OWN = frozenset(["frame", "P", "v", "orient", "pscale", "Cd", "id", "state", "species", "v_ground"])
+_MOST = 1e6  # a clip that covers others wholly weighs so much more than they
+
+
+def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
+    """Write a file of points for each frame; `path` without the number, which stands before its ending.
+
+    CacheError for a frame that is damaged, OSError where nothing can be written."""
+    for frame in frames:
+        arrays = gallery.cache.frame(frame)
+        text = json.dumps(_geometry(gallery, frame, arrays), separators=(",", ":"), allow_nan=False)
+        with whole(numbered(path, frame), path.suffix) as part:
+            part.write_text(text + "\n", encoding="ascii")
+
+
+def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
+    manifest, count = gallery.manifest, len(arrays["P"])
+    points = [_numbers(name, values, kind) for name, (values, kind) in _of_points(gallery, frame, arrays).items()]
+    points += [_strings(name, table, indices) for name, (table, indices) in _names(gallery, arrays).items()]
+    whole = [
+        _numbers("fps", np.array([1 / gallery.dt])), _numbers("meters_per_unit", np.array([UNIT_MM[manifest.units] / 1000])),
+    ]  # fmt: skip
+    return [
+        "fileversion", "18.5.0", "hasindex", False, "pointcount", count, "vertexcount", 0, "primitivecount", 0,
+        "info", {"software": f"antdsl {manifest.antdsl}", "scene": manifest.scene, "frame": frame},
+        "topology", ["pointref", ["indices", []]],
+        "attributes", ["pointattributes", points, "globalattributes", whole],
+    ]  # fmt: skip
+
+
+def _of_points(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
+    """The numbers of each agent by attribute, with what kind of vector they are."""
+    z_up, count = gallery.manifest.up == "z", len(arrays["P"])
+    turn = unit_quaternion(np.asarray(arrays["orient"], np.float64))
+    found = {"P": (_upright(arrays["P"], z_up), "point")}
+    if "v" in arrays:
+        found["v"] = (_upright(arrays["v"] + arrays.get("v_ground", np.float32(0)), z_up), "vector")
+    found["w"] = (_upright(_spin(gallery, frame, arrays, turn), z_up), "vector")
+    facing = product(turn, np.broadcast_to(_FROM_Z, turn.shape))
+    found["orient"] = (product(np.broadcast_to(_TO_Y, turn.shape), facing) if z_up else facing, "quaternion")
+    found["pscale"] = (np.asarray(arrays["pscale"], np.float64), "")
+    if "Cd" in arrays:
+        found["Cd"] = (np.asarray(arrays["Cd"], np.float64), "color")
+    if "id" in arrays:
+        found["id"] = (np.asarray(arrays["id"], np.int64), "")
+    for name, values in arrays.items():
+        if name not in _OWN and "." not in name and values.ndim == 1 and len(values) == count:
+            found[name] = (np.asarray(values, np.int64 if values.dtype.kind in "iu" else np.float64), "")
+    return {name: (np.nan_to_num(values), kind) for name, (values, kind) in found.items()} | _clip_numbers(gallery, arrays)
+
+
+def _names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
+    """The texts of each agent: a table of them, and the number of each agent's, -1 for none."""
+    manifest, count = gallery.manifest, len(arrays["P"])
+    which = _which(arrays)
+    species = [entry.name for entry in manifest.species]
+    ids = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(count)
+    found = {
+        "species": (species, which),
+        "agentname": ([f"{species[s]}_{n}" for s, n in zip(which.tolist(), ids.tolist(), strict=True)], np.arange(count)),
+    }
+    if "state" in arrays:
+        states = [[state.name for state in entry.machines[0].states] if entry.machines else [] for entry in manifest.species]
+        starts = np.cumsum([0, *map(len, states)])[:-1]
+        known = np.asarray(arrays["state"], np.int64) + starts[which]
+        found["state"] = ([name for each in states for name in each], np.where([bool(states[s]) for s in which], known, -1))
+    return found | _clip_names(gallery, arrays)
+
+
+def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
+    """`clipN_time` in seconds and `clipN_weight` of what each agent plays."""
+    found: dict[str, tuple[NDArray[Any], str]] = {}
+    for number, entry, rows, machines in _players(gallery, arrays):
+        seconds = _seconds(gallery, number, entry)
+        for slot, (clip, turns, weight) in enumerate(_slots(machines, len(rows))):
+            for name, values in (("time", turns * seconds[clip]), ("weight", weight)):
+                whole, _ = found.setdefault(f"clip{slot}_{name}", (np.zeros(len(arrays["P"])), ""))
+                whole[rows] = values
+    return found
+
+
+def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
+    """`clipN`, the name of a clip, and `clipN_group`, the transform group that it moves."""
+    found: dict[str, tuple[list[str], NDArray[np.int64]]] = {}
+    for _, entry, rows, machines in _players(gallery, arrays):
+        for slot, (clip, _, _) in enumerate(_slots(machines, len(rows))):
+            for name, texts in (("", [each.name for each in entry.clips]), ("_group", [each.on for each in entry.clips])):
+                table, whole = found.setdefault(f"clip{slot}{name}", ([], np.full(len(arrays["P"]), -1, np.int64)))
+                whole[rows] = np.where(clip >= 0, clip + len(table), -1)
+                table.extend(texts)
+    return found
+
+
+def _players(gallery: Gallery, arrays: Arrays) -> list[tuple[int, SpeciesEntry, NDArray[np.intp], tuple[MachineClips, ...]]]:
+    """The species that play clips: number, entry, rows and what their machines play."""
+    found = []
+    for number, entry in enumerate(gallery.manifest.species):
+        rows = np.flatnonzero(_which(arrays) == number)
+        machines = machines_of(entry, arrays, len(rows))
+        if machines and entry.clips:
+            found.append((number, entry, rows, machines))
+    return found
+
+
+def _slots(machines: Iterable[MachineClips], count: int) -> list[tuple[NDArray[np.int64], Floats, Floats]]:
+    """Of each machine the clip that gives way and its clip: number, turns, weight. Where weights are normalised at each joint, as
+    Houdini does, a machine's clips take as much of what is below them as they weigh together: with up to two machines exactly."""
+    found, below = [], np.zeros(count)
+    for machine in machines:
+        fade = np.clip(machine.fade, 0, 1).astype(np.float64)
+        told = (
+            (machine.before, machine.before_turns, machine.before_weight * fade),
+            (machine.clip, machine.turns, machine.weight * (1 - fade)),
+        )  # fmt: skip
+        together = np.minimum(sum(np.where(clip >= 0, weight, 0.0) for clip, _, weight in told), 1.0)
+        over = np.where(below > 0, np.minimum(below / np.maximum(1 - together, 1 / _MOST), _MOST), 1.0)
+        for clip, turns, weight in told:
+            found.append((clip.astype(np.int64), turns.astype(np.float64), np.where(clip >= 0, weight * over, 0.0)))
+        below = below + together * over
+    return found
+
+
+def _seconds(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
+    """How long each clip of a species takes, 1 where no body says so; 0 behind the last, for none."""
+    body = gallery.body(number)
+    clips = {} if body is None else body.definition.clips
+    return np.array([*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0])
+
+
+def _which(arrays: Arrays) -> NDArray[np.int64]:
+    return np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(arrays["P"]), np.int64)
+
+
+def _spin(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
+    """Angular velocity (n, 3), radians a second: how each turns until the next frame, or has since the frame before."""
+    for other, sign in ((frame + 1, 1.0), (frame - 1, -1.0)):
+        try:
+            there = gallery.cache.frame(other, frozenset(["orient", "id", "species"]))
+        except CacheError:
+            continue
+        mine, theirs = _key(arrays), _key(there)
+        _, here, then = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
+        was, goes = turn[here], unit_quaternion(np.asarray(there["orient"], np.float64))[then]
+        step = product(goes, was * (-1, -1, -1, 1))
+        step = np.where(step[:, 3:] < 0, -step, step)
+        sine = np.linalg.norm(step[:, :3], axis=1)
+        angle = 2 * np.arctan2(sine, step[:, 3])
+        found = np.zeros((len(turn), 3))
+        found[here] = step[:, :3] * (sign * angle / np.maximum(sine, 1e-12) / gallery.dt)[:, None]
+        return found
+    return np.zeros((len(turn), 3))
+
+
+def _key(arrays: Arrays) -> NDArray[np.int64]:
+    ids = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(len(arrays["orient"]))
+    return ids * 4096 + (np.asarray(arrays["species"], np.int64) if "species" in arrays else 0)
+
+
+def _upright(vectors: NDArray[Any], z_up: bool) -> Floats:
+    found = np.asarray(vectors, np.float64)
+    return np.stack([found[:, 0], found[:, 2], -found[:, 1]], axis=1) if z_up else found
+
+
+def _numbers(name: str, values: NDArray[Any], kind: str = "") -> list[Any]:
+    """A numeric attribute of (n,) or (n, k) values."""
+    whole = values.dtype.kind == "i"
+    storage = "int64" if whole else "fpreal32"
+    size = 1 if values.ndim == 1 else values.shape[1]
+    options: Mapping[str, Any] = {"type": {"type": "string", "value": kind}} if kind else {}
+    if not whole:
+        values = values.astype(np.float32)
+    given = ["tuples", values.tolist()] if size > 1 else ["arrays", [values.tolist()]]
+    default = ["size", 1, "storage", "int64" if whole else "fpreal64", "values", [0]]
+    return [
+        ["scope", "public", "type", "numeric", "name", name, "options", options],
+        ["size", size, "storage", storage, "defaults", default, "values", ["size", size, "storage", storage, *given]],
+    ]
+
+
+def _strings(name: str, table: list[str], indices: NDArray[np.int64]) -> list[Any]:
+    """An attribute of texts: each is one of a table."""
+    return [
+        ["scope", "public", "type", "string", "name", name, "options", {}],
+        ["size", 1, "storage", "int32", "strings", table,
+         "indices", ["size", 1, "storage", "int32", "arrays", [indices.tolist()]]],
+    ]  # fmt: skip

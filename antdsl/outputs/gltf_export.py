@@ -1,0 +1,163 @@
+"""A cache as one glTF 2.0 file: each agent a node with the joints of its body, animated; meshes and skins by definition, shared.
+
+Khronos Group, glTF 2.0 Specification, 2021. A node `World` turns and scales the scene into glTF's axes and metres; meshes with a
+skin stand beside it, since their own place does not count."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.gltf_writer import GltfWriter, ShapeParts
+from antdsl.bodies.agents.poses import square
+from antdsl.bodies.agents.transforms import parts_of
+from antdsl.bodies.body import vertex_normals
+from antdsl.bodies.posed_body import STATE, PosedBody
+from antdsl.outputs.cache.npz import write_whole
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.gltf_stage import Stage
+from antdsl.outputs.numbered_files import NoExport
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.model import Crowd
+from antdsl.outputs.poses_export import FEWER, places, worn_crowds
+
+_AGENTS, _BYTES = 1000, 1 << 28  # the most that one file is good for
+_SHEAR = 1e-4
+
+Floats = NDArray[np.float64]
+
+
+def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
+    """Write agents with their joints, meshes, items and the camera, animated over these frames, and give what of it glTF cannot
+    hold, in sentences.
+
+    NoExport for more than glTF is good for and for agents without joints, CacheError for a frame that is damaged, OSError where
+    nothing can be written."""
+    frames = list(frames)
+    crowd = _Crowd.gathered(gallery, frames)
+    stage = Stage(gallery, frames)
+    for key, body in crowd.bodies.items():
+        _written(stage, body, crowd.colours(key), key[0])
+    for frame in frames:
+        stage.note(gallery.picture(frame))
+    stage.finish()
+    write_whole(path, stage.writer.bytes(path.suffix.lower() == ".gltf", scene=0, scenes=[stage.scene]), sync=False)
+    return [*crowd.notes(), *stage.notes]
+
+
+@dataclass(slots=True, eq=False)
+class _Body:
+    """What agents with one body do: their `ids`, the frame numbers (from 0) in which there are rows, and for each row the `place`
+    float64[4, 4], `local` float32[J, 4, 4] and `channels` float32[C]; `colour` display values of each id when it first is."""
+
+    worn: PosedBody
+    frame: list[NDArray[np.int64]] = field(default_factory=list)
+    ids: list[NDArray[np.int64]] = field(default_factory=list)
+    place: list[Floats] = field(default_factory=list)
+    local: list[NDArray[np.float32]] = field(default_factory=list)
+    channels: list[NDArray[np.float32]] = field(default_factory=list)
+    colour: dict[int, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(slots=True, eq=False)
+class _Crowd:
+    """The agents of a cache by species and body."""
+
+    bodies: dict[tuple[str, int], _Body]
+    turned: set[str] = field(default_factory=set)  # species whose agents change colour
+
+    @staticmethod
+    def gathered(gallery: Gallery, frames: list[int]) -> _Crowd:
+        found: dict[tuple[str, int], _Body] = {}
+        made = _Crowd(found)
+        size = 0
+        for number, frame in enumerate(frames):
+            for key, crowd, worn in worn_crowds(gallery.picture(frame)):
+                body = found.setdefault(key, _Body(worn))
+                size += len(crowd.position) * (40 * len(worn.definition.rig.names) + 64)
+                made._add(key, body, crowd, number)
+            agents = sum(len(body.colour) for body in found.values())
+            if agents > _AGENTS or size > _BYTES:
+                many = f"{agents:,} agents with joints" if agents > _AGENTS else f"more than {_BYTES >> 20} MiB of keys"
+                raise NoExport(f"glTF is for small crowds: these are {many}", f"{FEWER}, or write USD: `.usdc`")
+        if not found:
+            raise NoExport("no agent of the cache has joints", "give the crowd a `body` in the scene and run again")
+        return made
+
+    def _add(self, key: tuple[str, int], body: _Body, crowd: Crowd, number: int) -> None:
+        poses = crowd.poses(local=True)
+        assert poses.local is not None and crowd.ids is not None
+        body.frame.append(np.full(len(crowd.position), number, np.int64))
+        body.ids.append(np.asarray(crowd.ids, np.int64))
+        body.place.append(places(crowd, body.worn.definition))
+        body.local.append(square(poses.local))
+        body.channels.append(np.ascontiguousarray(poses.channels))
+        for one, colour in zip(body.ids[-1].tolist(), np.asarray(crowd.colour).tolist(), strict=True):
+            if body.colour.setdefault(one, tuple(colour)) != tuple(colour):
+                self.turned.add(key[0])
+
+    def colours(self, key: tuple[str, int]) -> dict[int, tuple[float, ...]]:
+        return self.bodies[key].colour
+
+    def notes(self) -> list[str]:
+        found = [
+            f"agents of `{species}` keep the colour of their first state: glTF has no colours over time"
+            for species in sorted(self.turned)
+        ]  # fmt: skip
+        deformers = {b.deformer for body in self.bodies.values() for b in body.worn.bindings if b.deformer}
+        if any("dualquat" in name for name in deformers):
+            found.append("dual quaternion skinning is linear there: glTF has no other")
+        return found
+
+
+def _written(stage: Stage, body: _Body, colours: dict[int, tuple[float, ...]], species: str) -> None:
+    """The nodes, skins and animation of all agents with one body."""
+    worn = body.worn
+    rig, writer = worn.definition.rig, stage.writer
+    frame, ids = np.concatenate(body.frame), np.concatenate(body.ids)
+    place, channels = np.concatenate(body.place), np.concatenate(body.channels)
+    local = np.concatenate(body.local).astype(np.float64)
+    move, turn, size, shear = parts_of(local)
+    if shear.size and np.abs(shear).max() > _SHEAR:
+        stage.say("a shear of joints is left out: glTF has none")
+    order = np.lexsort((frame, ids))
+    shapes = [_shape(writer, worn, binding.shape) for binding in worn.bindings]
+    meshes: dict[tuple[int, tuple[float, ...]], int] = {}
+    starts = np.searchsorted(ids[order], sorted(colours))
+    for one, start, end in zip(sorted(colours), starts, [*starts[1:], len(order)], strict=True):
+        rows = order[start:end]
+        top = stage.agent(f"{species}_{one}", frame[rows], *parts_of(place[rows])[:3])
+        nodes: dict[str, int] = {}
+        for joint, name in enumerate(rig.names):
+            above = nodes[rig.names[rig.parents[joint]]] if rig.parents[joint] >= 0 else top
+            nodes[name] = stage.joint(above, name, frame[rows], move[rows, joint], turn[rows, joint], size[rows, joint])
+        for k, (binding, parts) in enumerate(zip(worn.bindings, shapes, strict=True)):
+            key = (k, colours[one])
+            if key not in meshes:
+                meshes[key] = parts.mesh(binding.shape, _materials(stage, worn, colours[one]))
+            follows = "skinning" in binding.deformer
+            at = None if follows else nodes.get(binding.transform, top)
+            node = stage.body(at, f"{species}_{one}_{binding.shape}", meshes[key], parts.skin(nodes, top) if follows else None)
+            if parts.targets is not None and "blendshape" in binding.deformer:
+                stage.weights(node, frame[rows], parts.targets.weights(channels[rows]))
+
+
+def _shape(writer: GltfWriter, worn: PosedBody, name: str) -> ShapeParts:
+    shape = worn.definition.shapes[name]
+    normals = shape.normals if shape.normals is not None else vertex_normals(shape.points.astype(np.float64), shape.faces)
+    return ShapeParts(writer, worn.definition, shape, normals)
+
+
+def _materials(stage: Stage, worn: PosedBody, colour: tuple[float, ...]) -> dict[str, int]:
+    """The numbers of the materials of a body, in an agent's colour: triangles without a material have that of its state."""
+    state = tuple(float(part) for part in decoded(np.array(colour)))
+    own: dict[str, Any] = dict(worn.definition.materials)
+    return {
+        name: stage.material(name or STATE, own[name] if name in own and name != STATE else state)
+        for name in {"", STATE, *own, *(m for b in worn.bindings for m in worn.definition.shapes[b.shape].materials)}
+    }

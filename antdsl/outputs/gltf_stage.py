@@ -1,0 +1,260 @@
+"""The scene of a glTF file that is being made: nodes with keys over time, meshes of the world, items, the camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import __version__
+from antdsl.bodies.agents.gltf_writer import INDICES, VERTICES, GltfWriter
+from antdsl.bodies.agents.transforms import one_sign, rotation_of
+from antdsl.bodies.body import vertex_normals
+from antdsl.bodies.placed import placed
+from antdsl.numerics.vector_rows import unit_or
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.model import Item, Picture, Solid
+from antdsl.scene.model import UNIT_MM
+
+_SENSOR, _WIDE = 36.0, 16 / 9
+_HALF = float(np.sqrt(0.5))
+_RIGID = 1e-4  # of its size, by which the points of a mesh may be off a rigid movement
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(slots=True, eq=False)
+class _Moving:
+    """A mesh or an item: its node, and what it does over time."""
+
+    node: int
+    frames: list[int] = field(default_factory=list)
+    moves: list[Floats] = field(default_factory=list)
+    turns: list[Floats] = field(default_factory=list)
+    sizes: list[Floats] = field(default_factory=list)
+
+
+class Stage:
+    """Frames count from 0 here, and are `dt` seconds apart."""
+
+    def __init__(self, gallery: Gallery, frames: list[int]) -> None:
+        self.gallery, self.frames = gallery, frames
+        self.writer = GltfWriter(f"antdsl {__version__}")
+        self.notes: list[str] = []
+        self._samplers: list[dict[str, Any]] = []
+        self._channels: list[dict[str, Any]] = []
+        self._times: dict[bytes, int] = {}
+        self._materials: dict[Any, int] = {}
+        self._solids: dict[str, tuple[_Moving, Floats]] = {}
+        self._items: dict[str, _Moving] = {}
+        self._dug: dict[str, Solid] = {}
+        scale = UNIT_MM[gallery.manifest.units] / 1000
+        world: dict[str, Any] = {"name": "World", "children": [], "scale": [scale] * 3}
+        if gallery.manifest.up == "z":
+            world["rotation"] = [-_HALF, 0.0, 0.0, _HALF]
+        self._world = self.writer.add("nodes", world)
+        self.scene: dict[str, Any] = {"nodes": [self._world]}
+        self._camera()
+
+    def say(self, sentence: str) -> None:
+        """Note what is left out, once."""
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+    # ---- nodes
+
+    def _node(self, above: int | None, entry: dict[str, Any]) -> int:
+        number = self.writer.add("nodes", entry)
+        if above is None:
+            self.scene["nodes"].append(number)
+        else:
+            self.writer.entry("nodes", above).setdefault("children", []).append(number)
+        return number
+
+    def agent(self, name: str, frames: NDArray[np.int64], move: Floats, turn: Floats, size: Floats) -> int:
+        """The node of an agent, where it is in some frames; in others it has no size."""
+        node = self._node(self._world, {"name": name})
+        self._keys(node, frames, move, turn, None)
+        there = np.zeros(len(self.frames), np.bool_)
+        there[frames] = True
+        if there.all():
+            self._keys(node, frames, None, None, size)
+            return node
+        edges = np.flatnonzero(np.diff(there, prepend=not there[0]) != 0)
+        shown = np.where(there[edges, None], size[0], 0.0)
+        self._channel(node, "scale", edges, shown, "STEP")
+        return node
+
+    def joint(self, above: int, name: str, frames: NDArray[np.int64], move: Floats, turn: Floats, size: Floats) -> int:
+        """The node of a joint, with keys where it does not stay."""
+        node = self._node(above, {"name": name})
+        self._keys(node, frames, move, turn, size)
+        return node
+
+    def body(self, above: int | None, name: str, mesh: int, skin: int | None) -> int:
+        """The node of a mesh, of one with a skin beside the world."""
+        return self._node(above, {"name": name, "mesh": mesh} | ({} if skin is None else {"skin": skin}))
+
+    def weights(self, node: int, frames: NDArray[np.int64], values: NDArray[np.float32]) -> None:
+        """The weights (n, targets) of morph targets over frames."""
+        mesh = self.writer.entry("nodes", node)["mesh"]
+        self.writer.entry("meshes", mesh).setdefault("weights", [0.0] * values.shape[1])
+        self.writer.entry("nodes", node)["weights"] = values[0].tolist()
+        if (values != values[0]).any():
+            self._channel(node, "weights", frames, values, "LINEAR")
+
+    def _keys(self, node: int, frames: NDArray[np.int64], move: Floats | None, turn: Floats | None, size: Floats | None) -> None:
+        """The values of a node where they stay, else keys."""
+        entry = self.writer.entry("nodes", node)
+        turn = None if turn is None else one_sign(turn)
+        for path, values, still in (
+            ("translation", move, (0, 0, 0)), ("rotation", turn, (0, 0, 0, 1)), ("scale", size, (1, 1, 1)),
+        ):  # fmt: skip
+            if values is None:
+                continue
+            kept = values.astype(np.float32)
+            if (kept[0] != np.array(still, np.float32)).any():
+                entry[path] = kept[0].tolist()
+            if (kept != kept[0]).any():
+                self._channel(node, path, frames, kept, "LINEAR")
+
+    def _channel(self, node: int, path: str, frames: NDArray[np.int64], values: NDArray[Any], kind: str) -> None:
+        """Keys of a node, less those that lie within a stretch without change."""
+        kept = np.ones(len(frames), np.bool_)
+        if kind == "LINEAR" and len(frames) > 2:
+            same = (values[1:] == values[:-1]).all(axis=1)
+            kept[1:-1] = ~(same[1:] & same[:-1])
+        key = frames[kept].tobytes()
+        if key not in self._times:
+            self._times[key] = self.writer.accessor(frames[kept] * self.gallery.dt, bounds=True)
+        output = values[kept].reshape(-1) if path == "weights" else values[kept]
+        sampler = {"input": self._times[key], "output": self.writer.accessor(output), "interpolation": kind}
+        self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
+        self._samplers.append(sampler)
+
+    def material(self, name: str, colour: tuple[float, ...], *, vertex: bool = False) -> int:
+        """The number of a material of a base colour (linear)."""
+        key = (name, tuple(round(part, 6) for part in colour))
+        if key not in self._materials:
+            pbr = {"baseColorFactor": [*key[1], 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.55 if not vertex else 0.9}
+            self._materials[key] = self.writer.add("materials", {"name": name, "pbrMetallicRoughness": pbr, "doubleSided": True})
+        return self._materials[key]
+
+    # ---- the world
+
+    def note(self, picture: Picture) -> None:
+        """Add what stands in a frame beside agents."""
+        frame = self.frames.index(picture.frame) if picture.frame is not None else 0
+        dug = {mesh.name for mesh in self.gallery.manifest.meshes if mesh.kind == "solid"}
+        for solid in picture.solids:
+            if solid.name in dug:
+                self._dug[solid.name] = solid
+            else:
+                self._solid(frame, solid)
+        for item in picture.items:
+            self._item(frame, item)
+
+    def _solid(self, frame: int, solid: Solid) -> None:
+        vertices = np.asarray(solid.vertices, np.float64)
+        if solid.name not in self._solids:
+            node = self.body(self._world, solid.name, self._mesh(solid.name, vertices, solid.faces, None), None)
+            self._solids[solid.name] = _Moving(node), vertices
+        moving, first = self._solids[solid.name]
+        turn, move, off = _rigid(first, vertices)
+        if off > _RIGID * max(float(np.ptp(first, axis=0).max()), 1e-12):
+            self.say(f"`{solid.name}` changes its shape, and is written as it is in frame {self.frames[0]}")
+            return
+        moving.frames.append(frame)
+        moving.moves.append(move)
+        moving.turns.append(turn)
+
+    def _item(self, frame: int, item: Item) -> None:
+        if item.shape == "none" or item.radius <= 0:
+            return
+        if item.name not in self._items:
+            points, faces, colours = placed(item.shape)
+            if self.gallery.manifest.up == "z":
+                points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
+            node = self.body(self._world, item.name, self._mesh(item.name, points, faces, decoded(colours)), None)
+            self._items[item.name] = _Moving(node)
+        moving = self._items[item.name]
+        moving.frames.append(frame)
+        moving.moves.append(np.asarray(item.position, np.float64))
+        moving.sizes.append(np.full(3, item.radius * max(min(item.left, 1.0), 0.0) ** (1 / 3)))
+
+    def _mesh(self, name: str, points: Floats, faces: NDArray[Any], colours: NDArray[Any] | None) -> int:
+        attributes = {
+            "POSITION": self.writer.accessor(points, "f4", VERTICES, bounds=True),
+            "NORMAL": self.writer.accessor(_unit(vertex_normals(points, faces)), "f4", VERTICES),
+        }
+        if colours is not None:
+            attributes["COLOR_0"] = self.writer.accessor(colours, "f4", VERTICES)
+        indices = self.writer.accessor(np.ravel(faces), "u4", INDICES)
+        tone = (1.0, 1.0, 1.0) if colours is not None else (0.36, 0.31, 0.25)
+        material = self.material("painted" if colours is not None else "ground", tone, vertex=True)
+        return self.writer.add(
+            "meshes", {"name": name, "primitives": [{"attributes": attributes, "indices": indices, "material": material}]}
+        )
+
+    def finish(self) -> None:
+        """Write what was noted over time."""
+        for moving, _ in self._solids.values():
+            if moving.frames:
+                self._keys(moving.node, np.array(moving.frames), np.array(moving.moves), np.array(moving.turns), None)
+        for moving in self._items.values():
+            self._keys(moving.node, np.array(moving.frames), np.array(moving.moves), None, np.array(moving.sizes))
+        for name, solid in self._dug.items():
+            self.body(self._world, name, self._mesh(name, solid.vertices, solid.faces, None), None)
+            self.say(f"`{name}` is written as it is in frame {self.frames[-1]}")
+        if self.gallery.manifest.fields:
+            self.say("fields are left out")
+        if self._channels:
+            self.writer.add("animations", {"name": "shot", "samplers": self._samplers, "channels": self._channels})
+
+    def _camera(self) -> None:
+        first = self.gallery.camera(self.frames[0])
+        if first is None:
+            return
+        angle = 2 * np.arctan(_SENSOR / _WIDE / 2 / first.focal)
+        reach = 0.001 * 1000 / UNIT_MM[self.gallery.manifest.units]  # of a metre, in the scene's unit
+        lens = {"yfov": float(angle), "aspectRatio": _WIDE, "znear": reach * 0.1, "zfar": reach * 1e6}
+        number = self.writer.add("cameras", {"type": "perspective", "perspective": lens})
+        node = self._node(self._world, {"name": "camera", "camera": number})
+        moves, turns, shown = [], [], self.frames if self.gallery.camera_moves else self.frames[:1]
+        for frame in shown:
+            camera = self.gallery.camera(frame)
+            assert camera is not None
+            eye, aim = np.asarray(camera.at, np.float64), np.asarray(camera.look_at, np.float64)
+            upward = (0.0, 1.0, 0.0) if self.gallery.manifest.up == "y" else (0.0, 0.0, 1.0)
+            back = unit_or(eye - aim, np.array([0.0, 0.0, 1.0]))
+            up = np.asarray(camera.up or upward, np.float64)
+            if np.linalg.norm(np.cross(up, back)) < 1e-6:
+                up = np.roll(up, 1)
+            side = unit_or(np.cross(up, back), np.array([1.0, 0.0, 0.0]))
+            moves.append(eye)
+            turns.append(rotation_of(np.stack([side, np.cross(back, side), back], axis=1)))
+            if camera.focal != first.focal:
+                self.say("the camera's focal length is that of the first frame")
+        self._keys(node, np.arange(len(shown)), np.array(moves), np.array(turns), None)
+
+
+def _rigid(first: Floats, then: Floats) -> tuple[Floats, Floats, float]:
+    """The rotation (x y z w) and the way by which points go best from where they were to where they are, and by how much the
+    worst is off (Kabsch, 1976)."""
+    if np.array_equal(first, then):
+        return np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 0.0
+    a, b = first.mean(axis=0), then.mean(axis=0)
+    u, _, vt = np.linalg.svd((first - a).T @ (then - b))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
+    turn = vt.T @ flip @ u.T
+    move = b - turn @ a
+    return rotation_of(turn), move, float(np.abs(first @ turn.T + move - then).max(initial=0.0))
+
+
+def _unit(normals: NDArray[np.float32]) -> Floats:
+    wide = normals.astype(np.float64)
+    found: Floats = wide / np.maximum(np.linalg.norm(wide, axis=1, keepdims=True), 1e-12)
+    return found

@@ -1,0 +1,126 @@
+"""Posed meshes of agents, as a sequence with the same points in every frame: for cloth, and for programs without joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from antdsl.bodies.body import turned
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.mesh_files import Part, write_mesh
+from antdsl.outputs.numbered_files import NoExport, numbered
+from antdsl.outputs.pictures.light import decoded, encoded
+from antdsl.outputs.pictures.model import Crowd
+from antdsl.outputs.poses_export import FEWER, worn_crowds
+from antdsl.outputs.usd_parts import ROOT, Samples, box, identifier, still_mesh, vectors
+from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.model import UNIT_MM
+from antdsl.whole import whole
+
+_MOST = 20_000_000  # points of a frame
+_BATCH = 64  # agents that are posed at once
+
+
+def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
+    """Write the posed bodies of agents as one mesh a frame, in scene units, agent after agent by species and id: the n-th point
+    is the same point of the same agent in each. Who is not there in all the frames is left out, and told of.
+
+    NoExport without bodies or for too many points, CacheError for a frame that is damaged, OSError where nothing can be
+    written."""
+    frames = list(frames)
+    there, notes = _throughout(gallery, frames)
+    for frame in frames:
+        write_mesh(numbered(path, frame), list(_posed(gallery, frame, there)))
+    return notes
+
+
+def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
+    """The same as USD: a mesh an agent, `/World/SPECIES/agent_ID`, with points and normals over time. UsdError without
+    usd-core."""
+    frames = list(frames)
+    there, notes = _throughout(gallery, frames)
+    usd, geom = pxr("Usd"), pxr("UsdGeom")
+    with whole(path, path.suffix) as part:
+        stage = usd.Stage.CreateNew(str(part))
+        geom.SetStageMetersPerUnit(stage, UNIT_MM[gallery.manifest.units] / 1000)
+        geom.SetStageUpAxis(stage, gallery.manifest.up.upper())
+        stage.SetTimeCodesPerSecond(1 / gallery.dt)
+        stage.SetFramesPerSecond(1 / gallery.dt)
+        stage.SetStartTimeCode(frames[0])
+        stage.SetEndTimeCode(frames[-1])
+        stage.SetDefaultPrim(geom.Xform.Define(stage, ROOT).GetPrim())
+        made: dict[str, tuple[Samples, ...]] = {}
+        for frame in frames:
+            for each in _posed(gallery, frame, there):
+                if each.name not in made:
+                    made[each.name] = _usd_mesh(stage, each)
+                points, extent, normals = made[each.name]
+                points.set(frame, each.points)
+                extent.set(frame, box(each.points))
+                normals.set(frame, each.normals)
+        stage.Save()
+        del made, stage
+    return notes
+
+
+def _usd_mesh(stage: Any, part: Part) -> tuple[Samples, ...]:
+    species, _, number = part.name.rpartition("_")
+    geom = pxr("UsdGeom")
+    geom.Xform.Define(stage, f"{ROOT}/{identifier(species)}")
+    mesh = still_mesh(stage, f"{ROOT}/{identifier(species)}/agent_{number}", part.points, part.faces)
+    mesh.SetNormalsInterpolation("vertex")
+    assert part.colours is not None
+    mesh.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(part.colours)))
+    attributes = (mesh.GetPointsAttr(), mesh.GetExtentAttr(), mesh.CreateNormalsAttr())
+    for attribute in attributes:
+        attribute.Clear()
+    return tuple(Samples(attribute, vectors, np.float32) for attribute in attributes)
+
+
+def _throughout(gallery: Gallery, frames: list[int]) -> tuple[dict[str, set[int]], list[str]]:
+    """The ids by species of agents that are there in all frames, and what is to be told."""
+    there: dict[str, set[int]] = {}
+    seen: dict[str, set[int]] = {}
+    for k, frame in enumerate(frames):
+        here: dict[str, set[int]] = {}
+        for (species, _), crowd, _ in worn_crowds(gallery.picture(frame)):
+            here.setdefault(species, set()).update(np.asarray(crowd.ids).tolist())
+        there = here if not k else {name: ids & here.get(name, set()) for name, ids in there.items()}
+        for name, ids in here.items():
+            seen.setdefault(name, set()).update(ids)
+    if not any(there.values()):
+        raise NoExport("no agent with a body is there in all of these frames", "choose others with `--ids` or `--frames`")
+    left = sum(len(ids - there.get(name, set())) for name, ids in seen.items())
+    return there, [f"{left} agents are not there in all of these frames, and are left out"] if left else []
+
+
+def _posed(gallery: Gallery, frame: int, there: dict[str, set[int]]) -> Iterator[Part]:
+    """The posed mesh of each agent, by species and id."""
+    found: list[tuple[str, int, Part]] = []
+    total = 0
+    for (species, _), crowd, worn in worn_crowds(gallery.picture(frame)):
+        rows = np.flatnonzero(np.isin(np.asarray(crowd.ids), sorted(there.get(species, ()))))
+        total += len(rows) * len(worn.own)
+        if total > _MOST:
+            raise NoExport(f"the meshes of so many agents have more than {_MOST:,} points a frame", FEWER)
+        for a in range(0, len(rows), _BATCH):
+            found += _batch(species, crowd, rows[a : a + _BATCH])
+    return (part for _, _, part in sorted(found, key=lambda each: each[:2]))
+
+
+def _batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, Part]]:
+    worn = crowd.worn
+    assert worn is not None and crowd.ids is not None
+    points, normals = crowd.posed(worn, rows)
+    orient = np.asarray(crowd.orient, np.float64)[rows]
+    placed = turned(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]
+    across = turned(orient, normals.astype(np.float64))
+    own, tint = encoded(worn.own) / 255.0, worn.tint[:, None]
+    made = []
+    for k, row in enumerate(rows.tolist()):
+        number, colours = int(crowd.ids[row]), own * (1 - tint) + tint * crowd.colour[row]
+        made.append((species, number, Part(f"{species}_{number}", placed[k], worn.faces, across[k], colours)))
+    return made

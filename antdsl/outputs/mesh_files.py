@@ -1,0 +1,81 @@
+"""Meshes as PLY (binary) and OBJ files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.whole import whole
+
+_BLOCK = 1 << 16  # lines that are made at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """A mesh of a file: `points` (n, 3), `faces` (m, 3), unit `normals` (n, 3) and display (sRGB) `colours` (n, 3) from 0 to 1,
+    or None."""
+
+    name: str
+    points: NDArray[np.floating]
+    faces: NDArray[np.integer]
+    normals: NDArray[np.floating] | None = None
+    colours: NDArray[np.floating] | None = None
+
+
+def write_mesh(path: Path, parts: Sequence[Part]) -> None:
+    """Write meshes into one file, one after the other, by its ending: `.ply`, or `.obj`, where each is an object by its name.
+    Normals and colours are written where all parts have them (colours: PLY alone)."""
+    starts = np.cumsum([0, *(len(part.points) for part in parts)])
+    points = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
+    some = [part.normals for part in parts if part.normals is not None]
+    normals = np.concatenate(some).astype(np.float32) if some and len(some) == len(parts) else None
+    with whole(path, path.suffix) as made:
+        if path.suffix.lower() == ".obj":
+            _write_obj(made, parts, starts, points, normals)
+        else:
+            _write_ply(made, parts, starts, points, normals)
+
+
+def _write_ply(
+    path: Path, parts: Sequence[Part], starts: NDArray[np.int64], points: NDArray[np.float32], normals: NDArray[np.float32] | None
+) -> None:
+    faces = np.concatenate([np.zeros((0, 3), np.int64), *(part.faces + s for part, s in zip(parts, starts, strict=False))])
+    some = [part.colours for part in parts if part.colours is not None]
+    colours = np.rint(np.clip(np.concatenate(some), 0, 1) * 255) if some and len(some) == len(parts) else None
+    fields = [(axis, "<f4", "float") for axis in "xyz"]
+    fields += [(f"n{axis}", "<f4", "float") for axis in "xyz"] if normals is not None else []
+    fields += [(name, "|u1", "uchar") for name in ("red", "green", "blue")] if colours is not None else []
+    rows = np.empty(len(points), np.dtype([(name, kind) for name, kind, _ in fields]))
+    columns = [points, *([normals] if normals is not None else []), *([colours] if colours is not None else [])]
+    for (name, _, _), column in zip(fields, (c for each in columns for c in each.T), strict=True):
+        rows[name] = column
+    corners = np.empty(len(faces), np.dtype([("n", "|u1"), ("corners", "<i4", (3,))]))
+    corners["n"], corners["corners"] = 3, faces
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    head += [f"property {word} {name}" for name, _, word in fields]
+    head += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    path.write_bytes("\n".join(head).encode("ascii") + rows.tobytes() + corners.tobytes())
+
+
+def _write_obj(
+    path: Path, parts: Sequence[Part], starts: NDArray[np.int64], points: NDArray[np.float32], normals: NDArray[np.float32] | None
+) -> None:
+    """Numbers of points go on from object to object, as the format has it."""
+    with open(path, "wb") as file:
+        for part, start in zip(parts, starts, strict=False):
+            rows = slice(start, start + len(part.points))
+            file.write(f"o {part.name}\n".encode())
+            corner = "%d//%d" if normals is not None else "%d"
+            for line, table in (
+                ("v %.9g %.9g %.9g\n", points[rows]),
+                ("vn %.6g %.6g %.6g\n", None if normals is None else normals[rows]),
+                (f"f {corner} {corner} {corner}\n", np.repeat(part.faces + start + 1, 2 if normals is not None else 1, axis=1)),
+            ):
+                for a in range(0, 0 if table is None else len(table), _BLOCK):
+                    assert table is not None
+                    block = table[a : a + _BLOCK]
+                    file.write((line * len(block) % tuple(block.ravel().tolist())).encode("ascii"))

@@ -1,0 +1,68 @@
+"""A cache as one NPZ file: each array of its frames end to end, with where each frame begins.
+
+frames          int64[F]: their numbers
+rows            int64[F + 1]: the agents of frame k are the rows `rows[k]:rows[k + 1]` of `P`, `id` and all that is of agents
+NAME            any other array of a frame, end to end, and NAME.rows int64[F + 1] the same for it
+about           uint8: a JSON text: units, up, fps, species with their states, clips and machines, arrays of agents
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.cache_reader import Cache
+from antdsl.outputs.cache.npz import to_member
+from antdsl.outputs.gallery import Gallery
+from antdsl.whole import whole
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
+    """Write all arrays of these frames into one NPZ file, array by array, so that no more than one of a frame is in memory.
+
+    CacheError for a frame that is damaged, OSError where nothing can be written."""
+    cache, frames = gallery.cache, list(frames)
+    shapes: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
+    counts: dict[str, NDArray[np.int64]] = {}
+    for number, frame in enumerate(frames):
+        for name, array in cache.frame(frame).items():
+            if array.ndim:
+                shapes.setdefault(name, (array.dtype, array.shape[1:]))
+                counts.setdefault(name, np.zeros(len(frames), np.int64))[number] = len(array)
+    agents = [name for name in shapes if name in cache.manifest.attributes or name == "v_ground"]
+    small: Arrays = {"frames": np.array(frames, np.int64), "rows": _starts(counts["P"])}
+    small |= {f"{name}.rows": _starts(counts[name]) for name in shapes if name not in agents}
+    small["about"] = np.frombuffer(json.dumps(_about(gallery, agents)).encode("ascii"), np.uint8)
+    with whole(path, path.suffix) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED, allowZip64=True) as file:
+        for name, array in small.items():
+            to_member(file, name, array.dtype, array.shape, [array])
+        for name, (kind, rest) in shapes.items():
+            to_member(file, name, kind, (int(counts[name].sum()), *rest), _parts(cache, frames, name, counts[name]))
+
+
+def _starts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def _parts(cache: Cache, frames: list[int], name: str, counts: NDArray[np.int64]) -> Iterator[NDArray[Any]]:
+    """An array of each frame that has it."""
+    for frame, count in zip(frames, counts, strict=True):
+        if count:
+            yield cache.frame(frame, frozenset([name]))[name]
+
+
+def _about(gallery: Gallery, agents: list[str]) -> dict[str, Any]:
+    manifest = gallery.manifest
+    species = [each.model_dump(mode="json", include={"name", "machines", "clips", "playing"}) for each in manifest.species]
+    return {
+        "antdsl": manifest.antdsl, "scene": manifest.scene, "seed": manifest.seed, "units": manifest.units, "up": manifest.up,
+        "fps": manifest.fps, "agents": agents, "species": species,
+    }  # fmt: skip

@@ -1,0 +1,107 @@
+"""Joints and channels of agents as NPZ: the local and world transforms of each agent in each frame, and its channel values.
+
+For each kind of body K (`SPECIES`, or `SPECIES.1` and so on where agents of a species wear different ones):
+
+    K.id int64[r], K.rows int64[F + 1]   whose each row is; frame k has the rows `rows[k]:rows[k + 1]`
+    K.place float64[r, 4, 4]             from the space of the body to the scene
+    K.world, K.local float32[r, J, 4, 4] of each joint, in the space of the body and in that of its parent
+    K.channels float32[r, C]
+    frames int64[F]
+    about uint8                          a JSON text: of each body its joints, their parents, its channels
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.poses import square
+from antdsl.bodies.body import rotation
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.outputs.cache.npz import to_bytes, write_whole
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.numbered_files import NoExport
+from antdsl.outputs.pictures.model import Crowd, Picture
+
+_MOST = 2 * limits.GIB
+FEWER = "choose fewer with `--ids 0..20` or `--frames A..B`"
+
+
+@dataclass(slots=True)
+class _Rows:
+    """What there is of one body so far; `counts` by frame."""
+
+    body: Definition
+    counts: list[int] = field(default_factory=list)
+    arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
+
+
+def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
+    """Write the transforms of all joints and the values of all channels of each agent, as the crowd is posed when it is drawn.
+
+    NoExport where there are more than fit into memory or no agent has joints, CacheError for a frame that is damaged, OSError
+    where nothing can be written."""
+    frames = list(frames)
+    found: dict[tuple[str, int], _Rows] = {}
+    size = 0
+    for number, frame in enumerate(frames):
+        for key, crowd, worn in worn_crowds(gallery.picture(frame)):
+            rows = found.setdefault(key, _Rows(worn.definition))
+            rows.counts += [0] * (number - len(rows.counts)) + [len(crowd.position)]
+            size += len(crowd.position) * (len(worn.definition.rig.names) * 128 + 200)
+            if size > _MOST:
+                raise NoExport(f"poses of so many agents and frames take more than {_MOST >> 30} GiB", FEWER)
+            _add(rows, crowd, worn)
+    if not found:
+        raise NoExport("no agent of the cache has joints", "give the crowd a `body` in the scene and run again")
+    arrays: dict[str, NDArray[Any]] = {"frames": np.array(frames, np.int64)}
+    about = {}
+    for (species, which), rows in found.items():
+        name = f"{species}.{which}" if which else species
+        counts = rows.counts + [0] * (len(frames) - len(rows.counts))
+        arrays[f"{name}.rows"] = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        arrays |= {f"{name}.{key}": np.concatenate(parts) for key, parts in rows.arrays.items()}
+        rig = rows.body.rig
+        about[name] = {"joints": rig.names, "parents": rig.parents.tolist(), "channels": [each.name for each in rig.channels]}
+    arrays["about"] = np.frombuffer(json.dumps(about).encode("ascii"), np.uint8)
+    write_whole(path, to_bytes(arrays), sync=False)
+
+
+def worn_crowds(picture: Picture) -> list[tuple[tuple[str, int], Crowd, PosedBody]]:
+    """The crowds of a picture that wear a definition and are not empty: with the species, and which of its bodies."""
+    found, seen = [], dict[str, int]()
+    for crowd in picture.crowds:
+        if crowd.worn is not None:
+            which = seen.get(crowd.species, 0)
+            seen[crowd.species] = which + 1
+            if len(crowd.position):
+                found.append(((crowd.species, which), crowd, crowd.worn))
+    return found
+
+
+def places(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
+    """Matrices float64[n, 4, 4] from the space of a definition to the scene: what brings each agent into its place."""
+    found = np.tile(np.eye(4), (len(crowd.position), 1, 1))
+    found[:, :3, :3] = rotation(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
+    found[:, :3] = found[:, :3] @ body.base()
+    found[:, :3, 3] += crowd.position
+    return found
+
+
+def _add(rows: _Rows, crowd: Crowd, worn: PosedBody) -> None:
+    poses = crowd.poses(local=True)
+    assert poses.local is not None and crowd.ids is not None
+    arrays: dict[str, NDArray[Any]] = {
+        "id": np.asarray(crowd.ids, np.int64), "place": places(crowd, worn.definition), "world": square(poses.world),
+        "local": square(poses.local), "channels": np.ascontiguousarray(poses.channels),
+    }  # fmt: skip
+    for name, array in arrays.items():
+        rows.arrays.setdefault(name, []).append(array)

@@ -1,0 +1,59 @@
+"""Solids that agents dig, as they are in each frame: meshes, and volumes of signed distances."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.npz import to_bytes, write_whole
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.mesh_files import Part, write_mesh
+from antdsl.outputs.numbered_files import NoExport, numbered
+from antdsl.scene.model import UNIT_MM
+
+_NONE = NoExport("the scene has no solid that could be dug", "`kind: solid` of a mesh in `world` makes one")
+
+
+def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
+    """Write the surfaces of all solids as one mesh a frame, in scene units; `path` without the number, which stands before its
+    ending. NoExport without solids, CacheError for a frame that is damaged, OSError where nothing can be written."""
+    dug = DugSolids(gallery.cache, gallery.static)
+    for frame in frames:
+        solids = dug.at(frame)
+        if not solids:
+            raise _NONE
+        write_mesh(numbered(path, frame), [Part(each.name, each.vertices, each.faces) for each in solids])
+
+
+def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
+    """Write the solids as they are in the last of the frames as dense volumes: `NAME.distance` float32[x, y, z], the signed
+    distance to the surface at points of a lattice (below 0 within the solid, cut off at the `band`), `NAME.origin` float64[3] the
+    place of the first point, `NAME.cell` float64 the step between two, `NAME.band` float64[2]; all in scene units.
+
+    NoExport without solids or where a volume is too large, CacheError for a frame that is damaged, OSError where nothing can be
+    written."""
+    last = list(frames)[-1]
+    dug = DugSolids(gallery.cache, gallery.static)
+    if not dug.at(last):
+        raise _NONE
+    arrays: dict[str, NDArray[Any]] = {"frame": np.array(last, np.int64)}
+    scale = 1.0 / UNIT_MM[gallery.manifest.units]
+    for name, volume, offset in dug.volumes():
+        bricks = volume.bricks
+        points = int(np.prod([8 * int(n) for n in bricks.shape], dtype=np.float64))
+        if points * 4 > limits.GIB:
+            raise NoExport(f"the volume of `{name}` has {points:,} points, more than are written", "write it as a mesh: `.ply`")
+        arrays |= {
+            f"{name}.distance": volume.dense() * np.float32(scale),
+            f"{name}.origin": (np.asarray(bricks.origin, np.float64) + offset) * scale,
+            f"{name}.cell": np.array(bricks.voxel * scale),
+            f"{name}.band": np.array([bricks.least * scale, bricks.most * scale]),
+        }
+    write_whole(path, to_bytes(arrays), sync=False)
+    return [f"the volume is that of frame {last}"]

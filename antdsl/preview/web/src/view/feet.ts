@@ -1,0 +1,80 @@
+// Where the feet of the agents of one species are, and how their trunks stand over them, row by row as the shaders read it: as it
+// was and as it is.
+
+import type { NumberArray } from "../protocol";
+
+export const STANCE = 3; // texels of four numbers before those of feet: rise and tilt as they were, as they are, how much feet stand
+const LENGTH = 4096; // in a body's length
+const WHOLE = 32767;
+
+export class Feet {
+  data = new Float32Array(0);
+  version = 0; // changes with each frame
+  told = false; // whether some frame told of feet
+  private legs = 0;
+  private was = new Float32Array(0);
+
+  /** Numbers that a row has. */
+  get width(): number {
+    return 4 * (STANCE + 2 * this.legs);
+  }
+
+  begin(legs: number): void {
+    this.legs = legs;
+    this.data = new Float32Array(0);
+    this.was = this.data;
+    this.told = false;
+    this.version++;
+  }
+
+  /** Take a frame: `places` int16 [n, legs, 3], `stances` int16 [n, 6]; nothing where it does not tell, and they stay. `from`: the
+   * row before of each row, or -1. Rows go on from what they show, `t` of the way. */
+  take(places: NumberArray | undefined, stances: NumberArray | undefined, count: number, from: Int32Array, t: number): void {
+    const { width, legs } = this;
+    if (legs === 0 || !(this.told || places)) return;
+    [this.was, this.data] = [this.data, this.was];
+    if (this.data.length < count * width) this.data = new Float32Array(Math.ceil(count * 1.3 + 8) * width);
+    const { was } = this;
+    for (let row = 0; row < count; row++) {
+      const k = row * width;
+      const other = (from[row] as number) * width;
+      const known = this.told && other >= 0 && other + width <= was.length;
+      if (places && stances) this.go(k, places, stances, row);
+      const told = places !== undefined;
+      for (let part = 0; part < 4; part++) this.step(k + part, 4, known ? other + part : -1, t, told);
+      this.step(k + 8, 1, known ? other + 8 : -1, t, told);
+      for (let foot = 4 * STANCE; foot < width; foot += 8)
+        for (let part = 0; part < 4; part++) this.step(k + foot + part, 4, known ? other + foot + part : -1, t, told);
+    }
+    this.told = true;
+    this.version++;
+  }
+
+  /** What a row is told, as what it goes to. */
+  private go(k: number, places: NumberArray, stances: NumberArray, row: number): void {
+    const { data, legs } = this;
+    const at = 6 * row;
+    data[k + 4] = (stances[at] as number) / LENGTH;
+    for (let axis = 0; axis < 3; axis++) data[k + 5 + axis] = (stances[at + 1 + axis] as number) / WHOLE;
+    data[k + 9] = (stances[at + 4] as number) / WHOLE;
+    const down = stances[at + 5] as number;
+    for (let leg = 0; leg < legs; leg++) {
+      const foot = k + 4 * STANCE + 8 * leg + 4;
+      for (let axis = 0; axis < 3; axis++) data[foot + axis] = (places[3 * (row * legs + leg) + axis] as number) / LENGTH;
+      data[foot + 3] = (down >> leg) & 1;
+    }
+  }
+
+  /** One number that goes from `k` to `k + apart`: on from where it is shown, or there at once where nothing was. */
+  private step(k: number, apart: number, before: number, t: number, told: boolean): void {
+    const { data, was } = this;
+    const shown =
+      before < 0 ? (told ? (data[k + apart] as number) : 0) : mixed(was[before] as number, was[before + apart] as number, t);
+    data[k] = shown;
+    if (!told) data[k + apart] = shown;
+  }
+}
+
+function mixed(a: number, b: number, t: number): number {
+  return a + (b - a) * t;
+}

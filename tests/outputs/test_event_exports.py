@@ -1,0 +1,221 @@
+"""Events out of a cache: what two frames tell of, and what frames have of their own, against what agents did."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from antdsl.bodies.body import turned
+from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.gallery import Gallery
+from tests.commands import run
+from tests.gltf_scene import Scene
+
+BUG = """ant 1
+use steering
+world { surface ground }
+species bug {
+  size 6 mm
+  cries = 0
+  heard = 0
+  start go
+  on bang { heard += 1 }
+  state go {
+    steer wander(swing: 90 deg)
+    when chance 40 %/s -> cry { cries += 1 }
+    when age > 0.5 s and id > 15 -> gone
+  }
+  state cry { enter { emit bang(within: 20 mm); spawn bug }; when after 0.2 s -> go }
+  state gone { enter { emit farewell; die } }
+  layers { state }
+}
+species mite { size 3 mm; start still; state still { steer halt() }; layers { state } }
+"""
+SCENE = """antdsl: 1
+units: cm
+frames: 3..26
+world: {ground: {mesh: ground.obj}}
+crowd:
+  - {species: bug, from: bug.ant, count: 24, place: {on: ground}}
+  - {species: mite, from: bug.ant, count: 30, place: {on: ground}}
+contacts: soft
+output: {attributes: [P, v, orient, id, pscale, Cd, state, cries], events: [contact, emit], checkpoint: 8}
+"""
+
+
+def ran(folder: Path, out: str, *words: str) -> Cache:
+    done = run("run", "scene.yaml", "--out", out, "-q", *words, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return open_cache(folder / out)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
+    folder = tmp_path_factory.mktemp("events")
+    (folder / "bug.ant").write_text(BUG)
+    (folder / "scene.yaml").write_text(SCENE)
+    (folder / "ground.obj").write_text("v -3 0 -3\nv 3 1 -3\nv 3 0 3\nv -3 -1 3\nf 1 4 3\nf 1 3 2\n")
+    return ran(folder, "cache", "--backend", "numpy")
+
+
+def rows(cache: Cache, *words: str) -> list[dict[str, Any]]:
+    path = cache.folder.parent / "events.csv"
+    done = run("export", str(cache.folder), "--to", str(path), "--as", "events", *words, cwd=path.parent)
+    assert done.returncode == 0 and "note" not in done.stdout, done.stderr
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_births_deaths_and_changes_are_those_of_the_frames(cache: Cache) -> None:
+    table, seen = rows(cache), {"birth": 0, "death": 0, "state": 0}
+    assert [int(row["frame"]) for row in table] == sorted(int(row["frame"]) for row in table)
+    states = [state.name for state in cache.manifest.species[0].machines[0].states]
+    for frame in range(4, 27):
+        before, now = cache.frame(frame - 1), cache.frame(frame)
+        was, here = (dict(zip(a["id"][a["species"] == 0].tolist(), np.flatnonzero(a["species"] == 0).tolist(), strict=True))
+                     for a in (before, now))  # fmt: skip
+        told = {kind: {int(r["id"]): r for r in table if int(r["frame"]) == frame and r["kind"] == kind} for kind in seen}
+        assert set(told["birth"]) == set(here) - set(was) and set(told["death"]) == set(was) - set(here)
+        changed = {one for one in set(was) & set(here) if before["state"][was[one]] != now["state"][here[one]]}
+        assert set(told["state"]) == changed
+        for one, row in told["state"].items():
+            assert row["what"] == states[now["state"][here[one]]] and row["species"] == "bug"
+        for kind, arrays, where in (("birth", now, here), ("death", before, was)):
+            for one, row in told[kind].items():
+                assert np.allclose([float(row[axis]) for axis in "xyz"], arrays["P"][where[one]], atol=1e-5)
+                assert float(row["ny"]) > 0.9
+                seen[kind] += 1
+        seen["state"] += len(changed)
+    assert min(seen.values()) > 3
+
+
+def test_a_foot_that_lands_is_told_of_with_its_leg_and_place(cache: Cache) -> None:
+    table = [row for row in rows(cache) if row["kind"] == "footfall" and row["species"] == "bug"]
+    legs = [leg.name for leg in Gallery(cache).body(0).definition.legs]
+    assert len(legs) == 6 and {row["what"] for row in table} == set(legs)
+    seen = 0
+    for frame in (5, 6, 7, 8, 16):
+        before, now = cache.frame(frame - 1), cache.frame(frame)
+        ids = [arrays["id"][arrays["species"] == 0].tolist() for arrays in (before, now)]
+        told = {(int(row["id"]), row["what"]): row for row in table if int(row["frame"]) == frame}
+        landed = {
+            (one, legs[leg])
+            for one in set(ids[0]) & set(ids[1])
+            for leg in range(6)
+            if not before["feet.bug.down"][ids[0].index(one), leg] and now["feet.bug.down"][ids[1].index(one), leg]
+        }
+        assert landed == set(told)
+        seen += len(landed)
+        for (one, leg), row in told.items():
+            place = now["feet.bug.P"][ids[1].index(one), legs.index(leg)]
+            assert np.allclose([float(row[axis]) for axis in "xyz"], place, atol=1e-6)
+    assert seen > 20
+
+
+def test_ants_on_their_feet_are_the_same_in_gltf(cache: Cache, tmp_path: Path) -> None:
+    done = run("export", str(cache.folder), "--to", "ants.glb", "--ids", "0..2", "--frames", "10..16", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    scene = Scene((tmp_path / "ants.glb").read_bytes())
+    scene.check()
+    _, points = scene.at(4 / 24)
+    crowd = Gallery(cache).picture(14).crowds[0]
+    assert crowd.worn is not None and crowd.ids is not None and crowd.feet is not None
+    drawn = crowd.worn.posed(crowd.plays, len(crowd.position), crowd.feet_beside(np.arange(len(crowd.position))))[0].astype(float)
+    wanted = turned(crowd.orient, drawn) * crowd.scale[:, None, None] + crowd.position[:, None]
+    names = [node["name"] for node in scene.tree["nodes"]]
+    for row in np.flatnonzero(crowd.ids < 3):
+        mine = [points[k] for k, name in enumerate(names) if name.startswith(f"bug_{crowd.ids[row]}_") and k in points]
+        theirs = np.unique(np.round(wanted[row] / 100, 7), axis=0)
+        off = np.abs(np.concatenate(mine)[:, None] - theirs[None]).max(axis=2).min(axis=1)
+        assert off.max() < 1e-6, "metres; an ant is 6e-3 long"
+
+
+def test_who_emits_is_kept_with_its_place(cache: Cache) -> None:
+    assert cache.manifest.events == ("bang", "farewell")
+    bangs, farewells = 0, set()
+    for frame in range(4, 27):
+        before, now = cache.frame(frame - 1), cache.frame(frame)
+        of = {name: now[f"events.emit.{name}"] for name in ("id", "event", "P", "N", "species")}
+        assert not of["species"].any() and np.allclose(np.linalg.norm(of["N"], axis=1), 1, atol=1e-6)
+        bugs = before["species"] == 0
+        where = dict(zip(before["id"][bugs].tolist(), before["P"][bugs], strict=True))
+        for one, event, place in zip(of["id"].tolist(), of["event"].tolist(), of["P"], strict=True):
+            assert np.allclose(place, where[one], atol=1e-5), "where it was when the step began"
+            bangs += event == 0
+            if event == 1:
+                farewells.add(one)
+    deaths = {int(row["id"]) for row in rows(cache) if row["kind"] == "death"}
+    assert bangs > 3 and farewells == deaths and farewells
+
+
+def test_contacts_are_bodies_in_each_other(cache: Cache) -> None:
+    pairs = 0
+    for frame in (3, 12, 26):
+        arrays = cache.frame(frame)
+        of = {name.removeprefix("events.contact."): a for name, a in arrays.items() if name.startswith("events.contact.")}
+        key = arrays["species"].astype(int) * 10_000 + arrays["id"]
+        place = dict(zip(key.tolist(), zip(arrays["P"], arrays["pscale"], strict=True), strict=True))
+        mine, theirs = (of[s].astype(int) * 10_000 + of[i] for s, i in (("species", "id"), ("other_species", "other")))
+        assert (mine < theirs).all() and len(set(zip(mine.tolist(), theirs.tolist(), strict=True))) == len(mine)
+        for a, b, where, depth, normal in zip(mine.tolist(), theirs.tolist(), of["P"], of["depth"], of["N"], strict=True):
+            (pa, sa), (pb, sb) = place[a], place[b]
+            assert 0 < depth < (sa + sb) / 2 and np.linalg.norm(pa - pb) < (sa + sb) / 2 + 1e-3
+            assert max(np.linalg.norm(where - pa), np.linalg.norm(where - pb)) < 0.8 * max(sa, sb)
+            assert np.linalg.norm(normal) == pytest.approx(1, abs=1e-5)
+        pairs += len(mine)
+    assert pairs > 5
+
+
+def test_a_contact_is_told_of_when_it_begins(cache: Cache) -> None:
+    told = [row for row in rows(cache) if row["kind"] == "contact"]
+    begun = set()
+    for row in told:
+        pair = (row["species"], row["id"], row["other_species"], row["other"])
+        frame = int(row["frame"])
+        names = [entry.name for entry in cache.manifest.species]
+        if frame > 3:
+            arrays = cache.frame(frame - 1)
+            of = [arrays[f"events.contact.{name}"].tolist() for name in ("species", "id", "other_species", "other")]
+            assert pair not in {(names[s], str(i), names[t], str(j)) for s, i, t, j in zip(*of, strict=True)}
+        begun.add(pair)
+    assert len(begun) > 3
+
+
+def test_arrays_are_the_same_events(cache: Cache, tmp_path: Path) -> None:
+    done = run("export", str(cache.folder), "--to", str(tmp_path / "e.npz"), "--as", "events", "--ids", "0..20", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    table = rows(cache, "--ids", "0..20")
+    with np.load(tmp_path / "e.npz") as found:
+        for kind in ("birth", "death", "state", "footfall", "emit", "contact"):
+            mine = [row for row in table if row["kind"] == kind]
+            assert found[f"{kind}.id"].tolist() == [int(row["id"]) for row in mine]
+            assert found[f"{kind}.frame"].tolist() == [int(row["frame"]) for row in mine]
+            assert np.allclose(found[f"{kind}.P"], [[float(row[axis]) for axis in "xyz"] for row in mine] or np.zeros((0, 3)))
+        assert found["death.id"].max() <= 20
+
+
+def test_a_run_that_goes_on_has_the_same_events_and_all_backends_do(cache: Cache) -> None:
+    folder = cache.folder.parent
+    ran(folder, "again", "--backend", "numpy", "--frames", "3..14")
+    (folder / "scene.yaml").write_text(SCENE)
+    ran(folder, "again", "--backend", "numpy", "--resume")
+    other = ran(folder, "reference", "--backend", "reference", "--frames", "3..9")
+    for each in (open_cache(folder / "again"), other):
+        for frame in each.frames():
+            mine, theirs = cache.frame(frame), each.frame(frame)
+            assert set(mine) == set(theirs)
+            for name in mine:
+                assert np.array_equal(mine[name], theirs[name], equal_nan=mine[name].dtype.kind == "f"), (frame, name)
+
+
+def test_kinds_that_are_none_are_told_at_their_place(cache: Cache) -> None:
+    folder = cache.folder.parent
+    (folder / "wrong.yaml").write_text(SCENE.replace("[contact, emit]", "[contact, emits]"))
+    done = run("check", "wrong.yaml", cwd=folder)
+    assert done.returncode == 1 and "emits" in done.stdout + done.stderr and "`emit`" in done.stdout + done.stderr
+    assert json.loads((cache.folder / "manifest.json").read_text())["events"] == ["bang", "farewell"]
