@@ -176,5 +176,8 @@ def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
     before, away = inside & (ahead > 0) & (ahead < 1.7 * scale), inside & (ahead >= 1.7 * scale)
     clear = rays.cast(seen.eye[None], seen.ahead[None]).t[0] > 14 * scale
     up = np.asarray(camera.up or (0.0, 1.0, 0.0), np.float64)
-    clear &= not rays.occluded(target[None] + 0.3 * scale * up, sun_over(up).towards[None].astype(np.float64)).any()
-    return float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) - 4.0 * float(before.sum())
+    sun = sun_over(up).towards.astype(np.float64)
+    lit = not rays.occluded(target[None] + 0.3 * scale * up, sun[None]).any()
+    company = float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) * (1.0 if lit else 0.2)
+    # Light from the side of the camera shows what it falls on.
+    return company + 3.0 * lit * float(-seen.ahead @ sun) - 4.0 * float(before.sum())
