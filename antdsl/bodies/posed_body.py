@@ -111,9 +111,18 @@ class PosedBody:
         return self._whole
 
     @property
+    def shaded(self) -> Definition:
+        """The same with what is drawn alone, and normals for all of it."""
+        return self._definition
+
+    @property
     def bindings(self) -> tuple[Binding, ...]:
         """The bindings of the layers that are drawn, static ones of a layer first."""
         return self._bindings
+
+    def with_clips(self, clips: Sequence[tuple[str, str] | Played]) -> PosedBody:
+        """The same for agents that play other clips."""
+        return PosedBody(self._whole, clips, self.layers)
 
     def poses(
         self,

@@ -41,7 +41,6 @@ def body(
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
-    from antdsl.bodies.agents.definition import Definition
     from antdsl.bodies.agents.reading import read_definition
     from antdsl.bodies.library.table import BODIES, library_body
     from antdsl.cli.arguments import grants
