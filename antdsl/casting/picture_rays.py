@@ -52,7 +52,7 @@ class PictureRays:
             face[own] = np.where(np.isfinite(t[own]), named, 0).astype(np.int32) - ~np.isfinite(t[own])
             u[own], v[own] = answer["primitive_uvs"].numpy().T
             normal[own] = answer["primitive_normals"].numpy()
-        away = np.einsum("nc,nc->n", normal, direction) > 0
+        away = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2] > 0
         normal[away] *= -1
         return Sights(t, face, u, v, normal)
 

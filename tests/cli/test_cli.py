@@ -214,6 +214,13 @@ def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:
     assert done.stdout.split() == ["eye/picture.0006.png"], done.stderr
     wrong = antdsl("render", "cache", "--show", "smell", *small, cwd=tmp_path)
     assert wrong.returncode == 2 and "cannot show" in wrong.stderr
+    words = ("--camera", "top", "--marks", "5", "--blur", "0.5", "--legend", "none", "--out", "top", *small)
+    done = antdsl("render", "cache", "--frames", "5..5", *words, cwd=tmp_path)
+    assert done.stdout.split() == ["top/picture.0005.png"], done.stderr
+    wrong = antdsl("render", "cache", "--full", "smell=3", *small, cwd=tmp_path)
+    assert wrong.returncode == 1 and "no field `smell`" in wrong.stderr
+    wrong = antdsl("render", "cache", "--full", "smell", *small, cwd=tmp_path)
+    assert wrong.returncode == 2 and "trail=20" in wrong.stderr
 
 
 def test_a_mistake_is_told_once_whoever_names_the_file(folder: Path) -> None:

@@ -1,13 +1,13 @@
 """Pictures show what they are given: light and shadow, agents in their colours, trails, items, lines and words."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from antdsl.bodies.body import orientation
 from antdsl.bodies.shapes import sheet, sphere
-from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures import (
     Camera,
     Crowd,
@@ -25,10 +25,16 @@ from antdsl.outputs.pictures import (
     render,
     render_frame,
     still,
+    strip_width,
+    with_strip,
 )
 from antdsl.outputs.pictures.actors import item_mesh
 from antdsl.outputs.pictures.camera import view
+from antdsl.outputs.pictures.cameras import camera_on_top
+from antdsl.outputs.pictures.light import sun_over
+from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.setting import is_floor, setting
+from antdsl.outputs.pictures.stage import stage
 from antdsl.outputs.pictures.trails import TrailCloth, cover, robust_full
 
 ABOVE = Camera((0.0, 60.0, 0.01), (0.0, 0.0, 0.0), focal=30.0)
@@ -143,7 +149,7 @@ def test_the_soil_of_a_nest_follows_the_ground():
     plain = floor(60.0, 3)
     up = np.array([0.0, 1.0, 0.0])
     steep = plain.vertices + up * 0.5 * plain.vertices[:, :1]
-    ground = PictureRays(steep, plain.faces)
+    ground = setting((Solid("ground", steep, plain.faces),), up)
     nest = Item("home", (0.0, 0.0, 0.0), 10.0, 1.0, "mound")
     flat, laid = item_mesh(nest, (0.0, 1.0, 0.0)).vertices, item_mesh(nest, (0.0, 1.0, 0.0), ground).vertices
     assert np.allclose(laid - flat, up * 0.5 * flat[:, :1], atol=1e-3) and np.ptp(flat[:, 0]) > 20
@@ -199,13 +205,130 @@ def test_what_is_behind_a_wall_gets_no_line():
     )
 
 
-def test_the_legend_and_the_frame_number_are_written():
-    plain = Picture((floor(),))
-    told = Picture((floor(),), legend=(LegendRow("search", (242, 163, 31), 412),), frame=1042)
-    a, b = render_frame(plain, ABOVE, W, H), render_frame(told, ABOVE, W, H)
-    changed = (a != b).any(axis=2)
-    assert changed[:30, :40].any() and changed[:30, -40:].any() and not changed[40:].any()
-    assert (np.abs(b[:40].astype(int) - [242, 163, 31]).sum(axis=2) < 20).any()
+def test_the_strip_tells_states_by_species_and_scales_with_numbers():
+    told = Picture(
+        (floor(),), legend=(LegendRow("search", (242, 163, 31), 412, "ant"), LegendRow("run", (40, 90, 230), 7, "roach"))
+    )
+    image = np.zeros((300, 400, 3), np.uint8)
+    assert strip_width(Picture(), 500, ("trail",)) == 0
+    wide = strip_width(told, 500, ("trail",))
+    sheet = with_strip(image, told, wide, ("trail",))
+    strip = sheet[:, 400:].astype(int)
+    assert sheet.shape == (300, 400 + wide, 3) and not sheet[:, :400].any()
+    dots = [np.abs(strip - colour).sum(axis=2) < 12 for colour in ([242, 163, 31], [40, 90, 230])]
+    assert all(dot.sum() > 20 for dot in dots) and np.nonzero(dots[0])[0].max() < np.nonzero(dots[1])[0].min()
+    trail = Trail("smell", np.zeros((2, 3)), np.array([1.0, 5.0]), 2.0, colour=(0.1, 0.2, 0.9), full=5.0)
+    scaled = Picture((floor(),), trails=(trail,), legend=told.legend)
+    assert np.array_equal(with_strip(image, scaled, wide, ()), sheet)
+    bar = with_strip(image, scaled, wide, ("trail",))[:, 400:].astype(int)
+    assert ((bar[..., 2] - bar[..., 0]) > 60).any(axis=1).sum() > 3 + dots[1].any(axis=1).sum()
+
+
+def test_names_in_the_strip_keep_clear_of_their_numbers():
+    rows = tuple(LegendRow("a very long name of a state " * 3, (242, 163, 31), 10**k, "ant") for k in range(7))
+    image = with_strip(np.zeros((200, 100, 3), np.uint8), Picture(legend=rows), 160, ())
+    assert image.shape == (200, 260, 3) and image[:, 258:].max() < 60
+
+
+def test_shadows_have_soft_edges_without_noise():
+    vertices, faces = sphere(3)
+    ball = Solid("ball", vertices * 5 + [0, 14, 0], faces, "stone")
+    up, scales = np.array([0.0, 1.0, 0.0]), Scales(80.0, 4.0)
+    bare, under = (
+        stage(setting(solids, up), view(ABOVE, 480, 270, (0.0, 1.0, 0.0)), sun_over(up), scales, 1)
+        for solids in ((floor(),), (floor(), ball))
+    )
+    ground = (under.middle.kind == looks.GROUND) & (bare.middle.sun > 0.2)
+    share = np.where(ground, under.middle.sun / np.maximum(bare.middle.sun, 1e-6), 1.0).reshape(270, 480)
+    between = (share > 0.1) & (share < 0.9)
+    assert between.sum() > 60 and len(np.unique(share[between].round(3))) > 20
+    across = np.diff(share, axis=1)
+    turns = (across[:, 1:] * across[:, :-1] < 0) & (np.minimum(np.abs(across[:, 1:]), np.abs(across[:, :-1])) > 0.06)
+    plain = ~(under.grid.edge | ~ground).reshape(270, 480)
+    turns &= plain[:, :-2] & plain[:, 1:-1] & plain[:, 2:]
+    assert turns.sum() < 4  # nowhere lighter and darker from pixel to pixel
+
+
+def test_what_moves_is_blurred_along_its_way_and_what_stands_is_sharp():
+    scene = (floor(),)
+    ants = crowd([[-8.0, 0, 0], [8.0, 0, 8.0]], (0.9, 0.1, 0.1))
+    then = replace(ants, position=ants.position + np.array([[6.0, 0, 0], [0, 0, 0]]))
+    still, moved = Picture(scene, (ants,), grain=4.0), Picture(scene, (replace(ants, after=then),), grain=4.0)
+    sharp, shut, open_ = (
+        Renderer(W, H, blur=blur).draw(picture, ABOVE).astype(int) for blur, picture in ((0.0, still), (0.0, moved), (1.0, moved))
+    )
+    assert np.array_equal(sharp, shut)
+    places, _ = view(ABOVE, W, H, (0.0, 1.0, 0.0)).project(np.array([[-8.0, 0, 0], [-2.0, 0, 0], [8.0, 0, 8.0]]))
+    x, y = places.round().astype(int).T
+    changed = np.abs(open_ - sharp).max(axis=2)
+    assert changed[y[0] - 3 : y[0] + 4, x[0] : x[1] + 4].max() > 40
+    assert changed[y[2] - 4 : y[2] + 5, x[2] - 8 : x[2] + 9].max() < 30
+    swept = np.nonzero((changed > 12)[y[0] - 4 : y[0] + 5].any(axis=0))[0]
+    assert swept.max() > x[1] - 2 and swept.max() < x[1] + 20  # as far as it comes
+
+
+def test_marks_are_discs_of_one_size_in_the_colours_of_states():
+    ants = crowd([[-8.0, 0, 0], [8.0, 0, 8.0]], (0.1, 0.2, 0.9))
+    for reach, width in ((6.0, W), (12.0, W)):
+        image = Renderer(width, H, marks=reach).draw(Picture((floor(),), (ants,), grain=4.0), ABOVE).astype(int)
+        blue = (image[..., 2] > 150) & (image[..., 0] < 90)
+        assert blue.sum() == pytest.approx(2 * np.pi * (reach / 2) ** 2, rel=0.35)
+
+
+def test_magnified_agents_have_the_length_that_is_asked():
+    far = Camera((0.0, 300.0, 0.1), (0.0, 0.0, 0.0), focal=30.0)
+    picture = Picture((floor(400),), (crowd([[0, 0, 0]], (0.1, 0.2, 0.9)),), grain=4.0)
+    bare = render_frame(Picture((floor(400),), grain=4.0), far, W, H)
+    drawn = Renderer(W, H, least=40.0, enlarged=np.inf).draw(picture, far).astype(int)
+    columns = np.nonzero((np.abs(drawn - bare).max(axis=2) > 12).any(axis=0))[0]
+    assert 30 < np.ptp(columns) < 90
+
+
+def test_a_view_from_straight_above_has_one_scale():
+    ants = crowd([[-12.0, 0, -9.0], [12.0, 9.0, 9.0]], (0.9, 0.1, 0.1))
+    picture = Picture((floor(),), (ants,), grain=4.0)
+    camera = camera_on_top(picture, aspect=W / H)
+    seen = view(camera, W, H, picture.up)
+    places, ahead = seen.project(np.array([[0.0, 0, 0], [10, 0, 0], [10, 9, 0], [0, 0, 10]]))
+    assert (
+        (ahead > 0).all()
+        and places[1] == pytest.approx(places[2])
+        and places[1, 0] > places[0, 0]
+        and places[3, 1] > places[0, 1]
+    )
+    assert np.linalg.norm(places[1] - places[0]) == pytest.approx(np.linalg.norm(places[3] - places[0]))
+    held, _ = seen.project(floor().vertices)
+    assert (held >= 0).all() and (held <= [W, H]).all()
+    image = render_frame(picture, camera, W, H).astype(int)
+    assert image.std() > 5
+
+
+@pytest.mark.parametrize(("look", "seen"), [("metal", "grey"), ("leaf", "green"), ("soil", "brown"), ("light", "bright")])
+def test_things_look_as_what_the_scene_says_they_are_made_of(look, seen):
+    vertices, faces = sphere(3)
+    kind = {"soil": "hill"}.get(look, look)
+    made = (
+        Picture((floor(), Solid("thing", vertices * 8 + [0, 4, 0], faces, kind)), grain=4.0),
+        Picture((floor(),), items=(Item("thing", (0.0, 0.0, 0.0), 8.0, look=look),), grain=4.0),
+    )
+    for picture in made:
+        r, g, b = render_frame(picture, ABOVE, W, H)[H // 2 - 4 : H // 2 + 4, W // 2 - 6 : W // 2 + 6].reshape(-1, 3).mean(axis=0)
+        told = {
+            "grey": abs(r - b) < 40,
+            "green": g > 1.1 * r and g > 1.3 * b,
+            "brown": r > 1.15 * g > 1.2 * b,
+            "bright": min(r, g, b) > 215,
+        }
+        assert told[seen], (look, r, g, b)
+
+
+def test_ground_has_grain_from_afar_and_from_near():
+    picture = Picture((floor(),), grain=4.0)
+    for height in (60.0, 6.0, 0.8):
+        seen = Camera((0.0, height, 0.01), (0.0, 0.0, 0.0), focal=35.0)
+        image = render_frame(picture, seen, W, H).astype(float).sum(axis=2)
+        fine = image - (np.roll(image, 1, 0) + np.roll(image, -1, 0) + np.roll(image, 1, 1) + np.roll(image, -1, 1)) / 4
+        assert fine[4:-4, 4:-4].std() > 3.0, height  # of 765: no smear
 
 
 def test_cameras_of_their_own_see_the_scene_and_an_ant_that_is_not_hidden():

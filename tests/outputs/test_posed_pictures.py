@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from antdsl.bodies.body import rotation
-from antdsl.casting.rays import RayScene
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.gallery import Gallery, NoPicture
 from antdsl.outputs.pictures.actors import actors
@@ -82,7 +81,7 @@ def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> N
     picture = replace(Gallery(cache).picture(FRAMES), items=())
     found = actors(picture, above)
     count = len(crowd.worn.tint) if crowd.worn else 0
-    assert len(found.mesh.vertices) == count * len(crowd.position) and isinstance(found.rays, RayScene)
+    assert len(found.mesh.vertices) == count * len(crowd.position) and len(found.rays) == 1
     turn = rotation(crowd.orient)
     own = np.einsum("nji,nvj->nvi", turn, found.mesh.vertices.reshape(-1, count, 3) - crowd.position[:, None])
     own /= crowd.scale[:, None, None]  # x ahead, y up, in body lengths, which are heights here
@@ -94,6 +93,18 @@ def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> N
     assert (feet.max(axis=1) > 0.05).mean() > 0.9  # toes point ahead; of one who runs the only foot on the ground may be behind
     normals = found.mesh.normal.reshape(-1, 3)
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1, abs=1e-3)
+
+
+def test_the_frame_after_is_that_of_the_same_agents(cache: Cache) -> None:
+    now, then = Gallery(cache, blurred=True).picture(FRAMES - 1).crowds[0], Gallery(cache).picture(FRAMES).crowds[0]
+    assert now.after is not None and np.array_equal(now.ids, then.ids)
+    assert np.array_equal(now.after.position, then.position) and np.array_equal(now.after.orient, then.orient)
+    assert np.array_equal(vertices(replace(now.after, worn=then.worn)), vertices(then)) and not np.array_equal(
+        vertices(now), vertices(then)
+    )
+    assert Gallery(cache, blurred=True).picture(FRAMES).crowds[0].after is None  # the last has none
+    few = Gallery(cache, blurred=True).picture(FRAMES - 1, agents=frozenset([3])).crowds[0]
+    assert few.after is not None and np.array_equal(few.after.position, then.position[np.asarray(then.ids) == 3])
 
 
 def test_clips_move_bodies_and_only_their_group(cache: Cache) -> None:

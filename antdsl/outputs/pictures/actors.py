@@ -13,15 +13,16 @@ from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
+from antdsl.outputs.pictures.setting import Setting
 from antdsl.outputs.pictures.shading_rows import Floats
 
 Array = NDArray[np.float64]
 
-CLOSE = 28.0  # pixels of body length from which the close-up body is worth its triangles
+CLOSE = 60.0  # pixels of body length from which the close-up body is worth its triangles
 MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
-MOST_MOMENTS = 20
+MOST_MOMENTS = 12
 METAL, LIGHT = 1.5, -1.0  # in place of gloss
-MOST_TRIANGLES = 2_000_000  # of close-up bodies of a species' own
+MOST_TRIANGLES = 1_000_000  # of close-up bodies of a species' own
 _STEEP = 0.8  # of a heap's slope: what is steeper beside it is a stone or a wall
 
 
@@ -72,7 +73,7 @@ class Actors:
 
 
 def actors(
-    picture: Picture, view: View, least: float = 0.0, ground: PictureRays | None = None, blur: float = 0.0, enlarged: float = 3.0
+    picture: Picture, view: View, least: float = 0.0, ground: Setting | None = None, blur: float = 0.0, enlarged: float = 3.0
 ) -> Actors:
     """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those out of sight left out;
     what is of loose soil follows `ground`. The shutter is open for `blur` of the way to the frame after.
@@ -222,7 +223,7 @@ def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray
     return inside
 
 
-def item_mesh(item: Item, up: tuple[float, float, float], ground: PictureRays | None = None) -> Mesh:
+def item_mesh(item: Item, up: tuple[float, float, float], ground: Setting | None = None) -> Mesh:
     vertices, faces, colour = placed(item.shape)
     size = item.radius * min(max(item.left, 0.0), 1.0) ** (1 / 3)
     upward = np.array([up]) / np.linalg.norm(up)
@@ -247,12 +248,13 @@ def _made_of(item: Item, colour: Floats) -> tuple[Floats, float]:
     return np.broadcast_to(plain, colour.shape), gloss
 
 
-def _slump(points: Array, foot: Array, up: Array, size: float, ground: PictureRays) -> Array:
+def _slump(points: Array, foot: Array, up: Array, size: float, ground: Setting) -> Array:
     """How much higher than at `foot` the ground is below each point (n,): as far as loose soil lies, and 0 where it is farther
     off than `size`."""
     away = points - foot
     level = points - (away @ up)[:, None] * up
     start = level + size * up
-    down = ground.cast(start, np.broadcast_to((-up).astype(np.float32), start.shape)).t.astype(np.float64)
+    met = ground.rays.cast(start, np.broadcast_to((-up).astype(np.float32), start.shape))
+    down = np.where(np.isin(ground.kind[met.face], looks.TRAILED), met.t, np.inf)  # soil is heaped on no stone
     flat = np.linalg.norm(level - foot, axis=1)
-    return np.clip(np.where(down <= 2 * size, size - down, 0.0), -_STEEP * flat, _STEEP * flat)
+    return np.clip(np.where(down <= 2 * size, size - np.minimum(down, 2 * size), 0.0), -_STEEP * flat, _STEEP * flat)

@@ -27,8 +27,7 @@ def camera_on_top(picture: Picture, *, aspect: float = 16 / 9) -> Camera:
     up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
     points = _all_points(picture, up)
     north = np.array([0.0, 0.0, -1.0]) if abs(up[2]) < 0.5 else np.array([0.0, 1.0, 0.0])
-    right = np.cross(north, up) * -1.0
-    right = right if right @ np.array([1.0, 0.0, 0.0]) > 0 else -right
+    right = np.cross(north, up)
     across, along, high = points @ right, points @ north, points @ up
     wide = 1.04 * max(float(np.ptp(across)), aspect * float(np.ptp(along)), 1e-6)
     middle = right * (across.min() + across.max()) / 2 + north * (along.min() + along.max()) / 2
@@ -176,5 +175,8 @@ def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
     before, away = inside & (ahead > 0) & (ahead < 1.7 * scale), inside & (ahead >= 1.7 * scale)
     clear = rays.cast(seen.eye[None], seen.ahead[None]).t[0] > 14 * scale
     up = np.asarray(camera.up or (0.0, 1.0, 0.0), np.float64)
-    clear &= not rays.occluded(target[None] + 0.3 * scale * up, sun_over(up).towards[None].astype(np.float64)).any()
-    return float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) - 4.0 * float(before.sum())
+    sun = sun_over(up).towards.astype(np.float64)
+    lit = not rays.occluded(target[None] + 0.3 * scale * up, sun[None]).any()
+    company = float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) * (1.0 if lit else 0.2)
+    # Light from the side of the camera shows what it falls on.
+    return company + 3.0 * lit * float(-seen.ahead @ sun) - 4.0 * float(before.sum())

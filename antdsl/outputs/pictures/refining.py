@@ -18,7 +18,7 @@ Rows = NDArray[np.int64]
 
 _CONTACT_RAYS = 4  # of every fourth pixel
 _SEEN = 0.03  # difference of two pixels' display values that an eye sees
-_FEWEST, _BUDGET = 4, 1.6  # samples of a refined pixel at least, and of all of them for each pixel of the picture
+_FEWEST, _BUDGET = 4, 1.1  # samples of a refined pixel at least, and of all of them for each pixel of the picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)

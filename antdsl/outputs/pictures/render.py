@@ -78,7 +78,7 @@ class Renderer:
         scales = Scales(still.extent, _grain(picture, still.extent))
         kept = self._stage(picture, camera, still, seen, sun, scales)
         bodied = picture if self.marks <= 0 else replace(picture, crowds=())
-        cast = actors(bodied, seen, self.least, still.rays, self.blur, self.enlarged)
+        cast = actors(bodied, seen, self.least, still, self.blur, self.enlarged)
         kept.dyes.wet(picture.trails if "trail" in wanted else ())
         image = self._light(kept, cast, Lighting(cast, still.rays, sun, scales, seen, self.threads))
         return draw_overlay(image, picture, seen, kept.stage.middle.far.reshape(self.height, self.width), wanted, self.marks)
