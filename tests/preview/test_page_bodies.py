@@ -19,6 +19,7 @@ from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.driving import with_looks
 from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
 from antdsl.bodies.agents.leg_ik import Legs, PlacedFeet
 from antdsl.bodies.agents.legs import Leg
@@ -30,7 +31,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.timeline import Light
 from antdsl.preview.viewing.plays import packed
-from antdsl.preview.viewing.rigs import rig_packet
+from antdsl.preview.viewing.rigs import Outfit, rig_packet
 from antdsl.preview.viewing.stances import stances
 from antdsl.runtime.feet.state import Feet
 from antdsl.runtime.feet.trunk import quaternions
@@ -119,7 +120,7 @@ def frame(plays: tuple[MachineClips, ...], number: int = 20, feet: Mapping[str, 
 
 
 def rig(body: Definition) -> bytes:
-    return rig_packet("ant", body, PLAYS, ("main", "arms"))
+    return rig_packet("ant", Outfit(body, PLAYS), ("main", "arms"))
 
 
 def wanted(body: Definition, plays: tuple[MachineClips, ...], level: PosedBody) -> NDArray[np.float64]:
@@ -201,16 +202,49 @@ def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
     turned = orientation(light.heading.astype(np.float64), light.up.astype(np.float64))
     beside = placed.beside(light.position, turned, light.size).less(stands)
     poses = posed(table, body.groups, machines_playing(table, PLAYS, plays, count))
-    found = in_bones(body, level, legs.bent(poses, beside, stands).world)
-    columns = found.transpose(0, 1, 3, 2).astype(np.float32)
-    across = legs.on_trunk(columns[:, :, :3].reshape(count, -1, 3), beside.level()).reshape(count, -1, 3, 3)
-    places = legs.on_trunk(np.ascontiguousarray(columns[:, :, 3]), beside)
-    expected = np.concatenate([across, places[:, :, None]], axis=2).transpose(0, 1, 3, 2)
+    expected = in_bones(body, level, legs.bent(poses, beside, stands).world)
     assert np.abs(expected - wanted(body, plays, level)).max() > 0.3, "legs and trunks are moved"
     page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays, feet=stances(legs, feet, light, stands)))
     page.page.wait_for_timeout(300)
     for row in range(count):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 2e-3, row
+
+
+def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
+    body, plays, count = crane(), machines(30), 30
+    looks = np.random.default_rng(4).normal((0.5, 0, 0), 1, (count, 3))
+    looks = np.rint(127 * looks / np.linalg.norm(looks, axis=1, keepdims=True)).astype(np.int8)
+    level, table = PosedBody(body, PLAYS), clip_table(body)
+    poses = posed(table, body.groups, machines_playing(table, PLAYS, plays, count))
+    ways = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
+    turned = with_looks(table, poses, {"arms": ways}, body.groups, body.base()[:3, :3])
+    expected = in_bones(body, level, turned.world)
+    assert np.abs(expected - wanted(body, plays, level)).max() > 0.3
+    told = rig_packet("ant", Outfit(body, PLAYS, (), ("arms",)), ("main", "arms"))
+    page.tell(scene(camera=CAMERA), texts(), status(), told, frame(plays, feet={"look/arms": looks}))
+    page.page.wait_for_timeout(300)
+    for row in range(count):
+        assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
+
+
+def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
+    body, plays = crane(), machines(12)
+    box = replace(body.shapes["box"], name="hat", points=body.shapes["box"].points * np.float32(6))
+    hats = Layer("hat", (Binding("j0", "hat"),)), Layer("cap", (Binding("j7", "hat"),))
+    body = replace(body, shapes={**body.shapes, "hat": box}, layers={**body.layers, "hat": hats[0], "cap": hats[1]})
+    masks = PosedBody(body, PLAYS, ("hat", "cap")).masks
+    assert [int((masks == mask).sum()) for mask in (0, 1, 2)] == [64, 8, 8]
+    told = rig_packet("ant", Outfit(body, PLAYS, ("hat", "cap")), ("main", "arms"))
+    page.tell(scene(camera=CAMERA), texts(), status(), told)
+
+    def coloured(wears: int) -> int:
+        page.tell(frame(plays, feet={"wears": np.full(12, wears, np.uint32)}))
+        picture = seen(page)
+        return int(((picture[..., 0] > 90) & (picture[..., 2] < 0.6 * picture[..., 0])).sum())
+
+    none, hat, both = coloured(0), coloured(1), coloured(3)
+    assert hat > 2 * none and both > 1.2 * hat
+    assert coloured(0) == none
 
 
 def test_between_two_frames_clips_go_on_and_blend(page: Stage) -> None:

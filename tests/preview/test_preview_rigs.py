@@ -103,10 +103,3 @@ def test_a_body_that_is_broken_is_told_at_its_place_and_the_old_one_stays(live: 
     page.until(lambda: page.last("problems")["problems"] == [])
     page.ask("step", count=1)
     page.status(frame=4)
-
-
-def test_a_species_that_loses_its_file_gets_a_body_of_the_library(live: Live, scene: Path) -> None:
-    page = Page(live)
-    page.until(lambda: "rig:walker" in page.packets)
-    scene.write_text(scene.read_text().replace(" body: walker.json,", ""))
-    page.until(lambda: unpack(page.packets["rig:walker"])[0]["joints"] > 13)

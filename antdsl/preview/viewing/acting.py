@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
 from antdsl.outputs.cache.clip_arrays import clips_playing, playing
+from antdsl.outputs.cache.shown_arrays import layers_worn, shown
 from antdsl.pipeline import Shot
 from antdsl.preview.timeline import Light
-from antdsl.preview.viewing.bodies import body_of_species
 from antdsl.preview.viewing.plays import packed
-from antdsl.preview.viewing.rigs import posed_body
+from antdsl.preview.viewing.rigs import Outfit, outfit, posed_body
 from antdsl.preview.viewing.stances import stances
 from antdsl.runtime import Population, World
 
@@ -21,27 +21,42 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def acts(world: World, shot: Shot, population: Population, light: Light) -> Arrays:
-    """`SPECIES/plays/MACHINE` of machines that play, and `SPECIES/feet` and `SPECIES/stance` where feet are worked out; `light`:
-    what else a frame tells of these agents, by id."""
-    name = population.name
-    definition = body_of_species(shot, name)
-    told = clips_playing(population, population.in_id_order())
+    """`SPECIES/plays/MACHINE` of machines that play, `SPECIES/wears` uint32[n] (a bit for each layer) and `SPECIES/look/GROUP`
+    int8[n, 3] (127 is 1) of who has such, and `SPECIES/feet` and `SPECIES/stance` where feet are worked out; `light`: what else a
+    frame tells of these agents, by id."""
+    name, rows = population.name, population.in_id_order()
+    worn = outfit(world, shot, population)
+    told = clips_playing(population, rows)
     machines = {each: MachineClips(*(told[f"clips.{name}.{each}.{field}"] for field in FIELDS)) for each in playing(population)}
-    clips = [definition.clips.get(clip.name) for clip in population.plan.clips]
+    clips = [worn.definition.clips.get(clip) for clip, _ in worn.plays]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
-    arrays: Arrays = {f"{name}/plays/{each}": packed(clip, loops) for each, clip in machines.items()}
+    arrays: Arrays = {f"plays/{each}": packed(clip, loops) for each, clip in machines.items()}
+    arrays |= _shown(world, population, rows, worn)
     if name in world.feet and len(light.ids):
-        arrays |= _standing(world, shot, population, light, tuple(machines.values()))
+        arrays |= _standing(world, name, worn, light, tuple(machines.values()))
+    return {f"{name}/{what}": array for what, array in arrays.items()}
+
+
+def _shown(world: World, population: Population, rows: NDArray[np.intp], worn: Outfit) -> Arrays:
+    arrays: Arrays = {}
+    if not worn.layers and not worn.looks:
+        return arrays
+    told = shown(population, rows, world.setting)
+    if worn.layers:
+        known = layers_worn(population, world.setting)
+        mask, found = told[f"wears.{population.name}"], np.zeros(len(rows), np.uint32)
+        for k, layer in enumerate(worn.layers):
+            found |= ((mask >> np.uint64(known.index(layer))) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
+        arrays["wears"] = found
+    for group in worn.looks:
+        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(told[f"looks.{population.name}.{group}"])).astype(np.int8)
     return arrays
 
 
-def _standing(world: World, shot: Shot, population: Population, light: Light, machines: tuple[MachineClips, ...]) -> Arrays:
-    name = population.name
-    definition = body_of_species(shot, name)
-    plays = tuple((clip.name, clip.on) for clip in population.plan.clips)
-    body = posed_body(definition, plays)
+def _standing(world: World, name: str, worn: Outfit, light: Light, machines: tuple[MachineClips, ...]) -> Arrays:
+    body = posed_body(worn)
     if body.legs is None:
         return {}
     played = (*body.idling(light.ids, world.frame * world.dt), *machines)
-    stands = body.legs.kept((*plays, (definition.idle, "")), played, len(light.ids))
-    return {f"{name}/{what}": array for what, array in stances(body.legs, world.feet[name], light, stands).items()}
+    stands = body.legs.kept((*worn.plays, (worn.definition.idle, "")), played, len(light.ids))
+    return dict(stances(body.legs, world.feet[name], light, stands))

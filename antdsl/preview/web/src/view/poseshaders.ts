@@ -136,29 +136,54 @@ mat4 local(int joint) {
   return mat4(vec4(x, 0.0), vec4(y, 0.0), vec4(z, 0.0), vec4(texelFetch(moves, here, 0).xyz, 1.0));
 }`;
 
+/** Joints in the space of the agent, turned to where it looks as antdsl/bodies/agents/driving.py says. */
+const WORLD = /* glsl */ `
+uniform sampler2D gazes;
+uniform int looks;
+uniform int lookAt;
+vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }
+
+mat4 looking(mat4 m, int joint) {
+  vec3 ahead = normalize(vec3(base[0].x, base[1].x, base[2].x));
+  for (int k = 0; k < looks; k++) {
+    float weight = at(table, lookAt + k * joints + joint).x;
+    if (weight <= 0.0) continue;
+    int here = 2 * (agent * looks + k);
+    vec3 way = mix(at(gazes, here).xyz, at(gazes, here + 1).xyz, t) * base;
+    way /= max(length(way), 1e-12);
+    vec4 q = 1.0 + dot(ahead, way) < 1e-6 ? vec4(0.0, 0.0, 0.0, 1.0) : unit(vec4(cross(ahead, way), 1.0 + dot(ahead, way)));
+    q = unit(mix(vec4(0.0, 0.0, 0.0, 1.0), q, weight));
+    m = mat4(vec4(turned(q, m[0].xyz), 0.0), vec4(turned(q, m[1].xyz), 0.0), vec4(turned(q, m[2].xyz), 0.0), m[3]);
+  }
+  return m;
+}
+
+int chain[64];
+int above(int joint) {
+  int found = 0;
+  while (joint >= 0 && found < 64) {
+    chain[found++] = joint;
+    joint = parent(joint);
+  }
+  return found;
+}`;
+
 /** Hip, knee and foot of each leg by the clips. */
 export const LEGS = /* glsl */ `
 ${COMMON}
 ${LOCAL}
+${WORLD}
 uniform int legAt;
 void main() {
   if (outside()) discard;
   ivec3 leg = ivec3(round(at(table, legAt + 2 * item).xyz));
-  vec4 foot = vec4(0.0), knee = vec4(0.0), hip = vec4(0.0);
-  int joint = leg.z;
-  for (int depth = 0; depth < 256 && joint >= 0; depth++) {
-    if (joint == leg.z) foot.w = 1.0;
-    if (joint == leg.y) knee.w = 1.0;
-    if (joint == leg.x) hip.w = 1.0;
-    mat4 m = local(joint);
-    foot = m * foot;
-    knee = m * knee;
-    hip = m * hip;
-    joint = parent(joint);
+  mat4 m = mat4(1.0);
+  for (int k = above(leg.z) - 1; k >= 0; k--) {
+    m = looking(m * local(chain[k]), chain[k]);
+    if (chain[k] == leg.x) first = m[3];
+    if (chain[k] == leg.y) second = m[3];
   }
-  first = hip;
-  second = knee;
-  third = foot;
+  third = m[3];
 }`;
 
 const STANCES = /* glsl */ `
@@ -167,8 +192,7 @@ uniform sampler2D knees;
 uniform sampler2D stances;
 uniform float unitLength;
 vec4 stance(int number) { return at(stances, agent * (2 * legs + ${STANCE}) + number); }
-vec3 upward() { return vec3(base[0].y, base[1].y, base[2].y) * unitLength; }
-vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }`;
+vec3 upward() { return vec3(base[0].y, base[1].y, base[2].y) * unitLength; }`;
 
 const REACH = /* glsl */ `
 uniform sampler2D feet;
@@ -206,6 +230,7 @@ ${STANCES}
 ${REACH}
 uniform int legAt;
 
+vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }
 vec4 onto(vec3 a, vec3 b) { return unit(vec4(cross(a, b), max(1.0 + dot(a, b), 1e-6))); }
 
 void main() {
@@ -235,6 +260,7 @@ void main() {
 export const BONES = /* glsl */ `
 ${COMMON}
 ${LOCAL}
+${WORLD}
 ${STANCES}
 uniform sampler2D bones;
 uniform sampler2D legTurns;
@@ -267,14 +293,11 @@ void main() {
   int bone = 4 * item;
   vec4 own = at(bones, bone);
   mat4 made = mat4(1.0);
-  int joint = int(round(own.x));
-  for (int depth = 0; depth < 256 && joint >= 0; depth++) {
-    made = local(joint) * made;
-    joint = parent(joint);
-  }
-  if (legs > 0) made = standing(made, int(round(own.y)));
+  for (int k = above(int(round(own.x))) - 1; k >= 0; k--) made = looking(made * local(chain[k]), chain[k]);
+  bool stands = legs > 0 && own.x > -0.5;
+  if (stands) made = standing(made, int(round(own.y)));
   made = mat4(base) * made * transpose(mat4(at(bones, bone + 1), at(bones, bone + 2), at(bones, bone + 3), vec4(0.0, 0.0, 0.0, 1.0)));
-  if (legs > 0) {
+  if (stands) {
     vec4 a = stance(0), b = stance(1), now = mix(a, b, t);
     vec4 tilt = unit(vec4(now.yzw, sqrt(max(1.0 - dot(now.yzw, now.yzw), 0.0))));
     made = turn(made, tilt, vec3(0.0));

@@ -18,6 +18,8 @@ export interface Rig {
   machines: string[];
   loops: boolean[];
   idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
+  looks: string[]; // transform groups; from `lookAt` on in the table: the weights of joints
+  lookAt: number;
   legs: number;
   legAt: number; // in the table: of each leg hip, knee and foot as joints, and the axis of a straight knee
   length: number; // of the body, in the definition's units
@@ -58,6 +60,7 @@ export function rigOf(packet: Packet): Rigged {
   const clip = packet.arrays.get("clip") as NumberArray;
   const group = packet.arrays.get("group") as NumberArray;
   const leg = packet.arrays.get("leg") ?? new Float32Array(0);
+  const looks = [...(packet.arrays.get("look") as NumberArray)].flatMap((each) => [each, 0, 0, 0]);
   const joints = parent.length;
   const table = [...parent].flatMap((each) => [each, 0, 0, 0]);
   table.push(...clip);
@@ -68,12 +71,14 @@ export function rigOf(packet: Packet): Rigged {
     texels: Number(packet.header.texels),
     base: new THREE.Matrix3().fromArray(base.filter((_, k) => k % 4 < 3)).transpose(),
     samples: list(packet.arrays.get("sample") as NumberArray),
-    table: list([...table, ...weights, ...leg]),
+    table: list([...table, ...weights, ...leg, ...looks]),
     clips: joints,
     groups: joints + clip.length / 4,
     machines: packet.header.machines as string[],
     loops: [...clip].filter((_, k) => k % 4 === 2).map((each) => each > 0),
     idle: (packet.header.idle as number[]).length ? (packet.header.idle as [number, number]) : null,
+    looks: packet.header.looks as string[],
+    lookAt: joints + clip.length / 4 + group.length + leg.length / 4,
     legs: leg.length / 8,
     legAt: joints + clip.length / 4 + group.length,
     length: Number(packet.header.length),
@@ -97,6 +102,7 @@ function skinOf(rig: Rig, packet: Packet, level: string): Skin {
   put("colour", 4, true);
   put("bone", 4, false);
   put("weight", 4, false);
+  geometry.setAttribute("layer", new THREE.BufferAttribute(Float32Array.from(take("layer")), 1));
   geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(take("face")), 1));
   const rest = Float32Array.from(take("position"));
   const point = new THREE.Vector3();
