@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 def body(
-    file: Path = typer.Argument(..., help="A definition file (.json), a glTF file (.glb, .gltf) or a USD file."),
+    file: Path = typer.Argument(
+        ..., help="A definition file (.json), a glTF file (.glb, .gltf), a USD file, or a word of the library: ant."
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print it as JSON for other programs, complaints among it."),
     prim: str = typer.Option("", "--prim", metavar="PATH", help="Of a USD file: read what lies at and below this prim."),
     rate: float = typer.Option(
@@ -40,13 +42,20 @@ def body(
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
     from antdsl.bodies.agents.reading import read_definition
+    from antdsl.bodies.library.table import BODIES, library_body
     from antdsl.cli.arguments import grants
     from antdsl.cli.printing.body_tables import body_document, body_lines
     from antdsl.cli.printing.reports import show, verdict
+    from antdsl.diagnostics import Report
     from antdsl.scene.paths import Roots
 
     roots = Roots(file.resolve().parent, grants(root))
-    found, report = read_definition(file, roots, prim=prim, rate=rate)
+    report = Report()
+    found: Definition | None
+    if str(file) in BODIES and not file.exists():
+        found = library_body(str(file))
+    else:
+        found, report = read_definition(file, roots, prim=prim, rate=rate)
     if as_json:
         typer.echo(body_document(found, report), nl=False)
     else:

@@ -83,7 +83,11 @@ def run(
     from antdsl.runtime import Options
 
     options = Options(
-        backend=backend.value, chunk=chunk, threads=at_once(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value,
+        backend=backend.value,
+        chunk=chunk,
+        threads=at_once(threads, quiet),
+        shuffle_rows=shuffle,
+        on_fault=on_fault.value,
         feet=True,
     )
     with keeping_inputs(files, folders):  # another cache too, that the scene begins with

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from antdsl.bodies.agents.clip_table import clip_table
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import FRONT, UP, Definition
 from antdsl.bodies.agents.definition_written import definition_files
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.gltf_written import write_gltf
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.metadata import Typed
+from antdsl.bodies.agents.other_axes import in_axes
 from antdsl.bodies.agents.reading import read_definition
-from antdsl.bodies.posed_body import PosedBody, drawn_layer
+from antdsl.bodies.library.table import library_body
+from antdsl.bodies.posed_body import PosedBody, own_layer
 from tests.commands import run
 from tests.gltf_bodies import arm, binary
 from tests.gltf_scene import Scene
@@ -26,10 +28,11 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "walker"
 AROUND = {
     "antdsl_body": 1, "from": "arm.glb", "front": "+y", "up": "-x", "units": "cm", "length": 4,
     "rig": {
-        "rig_version": 1, "transforms": {"root": ["elbow"], "elbow": []},
+        "rig_version": 1, "transforms": {"root": ["elbow"], "elbow": ["tip"], "tip": []},
         "channels": {"arm.smile": {"default_value": 0.25, "transform": ""}, "load": {"default_value": 2, "transform": "root"}},
         "antdsl_rest": {"root": [[1, 0, 0, 0], [0, 1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]],
-                        "elbow": [[1, 0.5, 0, 0], [0, 1, 0, 2], [0, 0, 1, 0], [0, 0, 0, 1]]},
+                        "elbow": [[1, 0.5, 0, 0], [0, 1, 0, 2], [0, 0, 1, 0], [0, 0, 0, 1]],
+                        "tip": [[1, 0, 0, 0], [0, 1, 0, 2], [0, 0, 1, 0], [0, 0, 0, 1]]},
     },
     "shapes": [
         {"file": "block.obj", "name": "block", "material": "wood"}, {"file": "arm.glb", "shape": "arm.smile", "name": "half"},
@@ -42,10 +45,12 @@ AROUND = {
         {"version": 2, "name": "collision", "static": [{"transform": "root", "shape": "block"}]},
     ],
     "clips": [
-        {"clip": "bend", "stride": 3, "loop": False, "marks": {"down": 0.25}},
+        {"clip": "bend", "stride": 3, "loop": False, "feet": False, "marks": {"down": 0.25}},
         {"antdsl_clip": 1, "name": "sheared", "rate": 8, "channels": {"elbow:shear1": [0, 1, 0.5], "load": [0, 1, 2]}},
     ],
     "groups": [{"version": 2, "name": "arms", "members": [{"name": "elbow", "weight": 0.5}], "channels": [{"name": "load"}]}],
+    "legs": [{"name": "only", "upper": "root", "lower": "elbow", "foot": "tip"}],
+    "gaits": [{"name": "hop", "speed": 3, "stride": 1.5, "duty": 0.6, "lift": 0.25, "phases": [0.5]}], "idle": "bend",
     "metadata": {"who": "us", "size": {"type": "float", "value": 2}, "deep": {"list": [1, 2]}},
 }  # fmt: skip
 
@@ -119,7 +124,7 @@ def test_walker_is_written_both_ways_and_poses_are_the_same(tmp_path: Path) -> N
     body, _ = read_definition(tmp_path / "walker.json")
     assert body is not None
     same(body, read_back(tmp_path / "own", definition_files(body, "w"), "w.json"), 2e-6)
-    data, notes = write_gltf(body, drawn_layer(body), text=False)
+    data, notes = write_gltf(body, own_layer(body), text=False)
     assert notes == ["transform groups are left out: glTF has none",
                      "strides and marks of clips, and which do not loop, are left out: glTF does not say them"]  # fmt: skip
     scene = Scene(data)
@@ -150,6 +155,7 @@ def test_what_gltf_does_not_have_is_told_and_the_rest_is_the_same(body: Definiti
         "shear",
         "in-betweens",
         "weigh no morph",
+        "legs and gaits",
     ):
         assert words in told, told
     scene = Scene(data)
@@ -168,6 +174,32 @@ def test_what_gltf_does_not_have_is_told_and_the_rest_is_the_same(body: Definiti
     for joint, node in enumerate(order):
         assert world[node][2, 3] == pytest.approx(ahead[joint] / 100, abs=1e-6)
         assert world[node][1, 3] == pytest.approx(up[joint] / 100, abs=1e-6)
+
+
+@pytest.mark.parametrize("word", ["ant", "ant_queen"])
+def test_bodies_of_the_library_are_written(word: str, tmp_path: Path) -> None:
+    body = in_axes(library_body(word), FRONT, UP, 1.0)  # units that files can name
+    own = read_back(tmp_path, definition_files(body, word), f"{word}.json")
+    for name in ("layers", "groups", "legs", "gaits", "idle", "front", "up", "length", "unit"):
+        same(getattr(body, name), getattr(own, name))
+    assert {name: own.materials[name] for name in body.materials} == body.materials
+    assert sorted(own.rig.names) == sorted(body.rig.names), "joints may stand in another order"
+    same([(c.name, c.duration, c.stride, c.loop, c.feet, dict(c.marks)) for c in body.clips.values()],
+         [(c.name, c.duration, c.stride, c.loop, c.feet, dict(c.marks)) for c in own.clips.values()])  # fmt: skip
+    for name, shape in body.shapes.items():
+        same((shape.points, shape.faces, shape.uvs), (own.shapes[name].points, own.shapes[name].faces, own.shapes[name].uvs))
+    done = run("body", word, "--to", f"{word}.glb", "--layer", "body", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    scene = Scene((tmp_path / f"{word}.glb").read_bytes())
+    scene.check()
+    found, _ = read_definition(tmp_path / f"{word}.glb")
+    assert found is not None and set(found.clips) == set(body.clips) and len(found.rig.names) >= len(body.rig.names)
+    turns = [0.0, 0.3, 0.8]
+    mine, other = posed(body, "walk", turns), posed(found, "walk", turns)
+    again = posed(own, "walk", turns)
+    for joint in mine:
+        assert np.abs(mine[joint] - again[joint]).max() < 1e-6 * body.length
+        assert np.abs(mine[joint] - other[joint]).max() < 1e-6 * body.length
 
 
 def test_the_command_writes_and_refuses(tmp_path: Path) -> None:

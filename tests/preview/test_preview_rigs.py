@@ -11,6 +11,7 @@ import pytest
 from live_client import Page
 from preview_page import copied
 
+from antdsl.bodies.library.table import library_body
 from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.viewing.plays import NONE
@@ -49,7 +50,7 @@ def test_a_frame_tells_what_agents_play(live: Live, scene: Path) -> None:
     clips = [clip.name for clip in walkers.plan.clips]
     playing = set()
     for machine in ("legs", "arms"):
-        told = arrays[f"walker/plays/{machine}"].reshape(-1, 6)
+        told = arrays[f"walker/plays/{machine}"].reshape(30, 3, -1)[:, :, :2].reshape(30, 6)
         now = {name: walkers.now[f"{machine}.{name}"][rows] for name in ("clip", "clip_before", "clip_turns", "clip_fade")}
         assert np.array_equal(told[:, 0], np.where(now["clip"] < 0, NONE, now["clip"]).astype(np.uint16))
         loops = np.array([*(name != "wave" for name in clips), False])[np.minimum(told[:, 0], len(clips))]
@@ -103,3 +104,12 @@ def test_a_body_that_is_broken_is_told_at_its_place_and_the_old_one_stays(live: 
     page.until(lambda: page.last("problems")["problems"] == [])
     page.ask("step", count=1)
     page.status(frame=4)
+
+
+def test_a_species_that_loses_its_file_gets_a_body_of_the_library(live: Live, scene: Path) -> None:
+    page = Page(live)
+    page.until(lambda: "rig:walker" in page.packets)
+    program = scene.with_name("walker.ant")
+    program.write_text(program.read_text().replace("play wave(on: arms)", "play look(on: feelers)"))
+    scene.write_text(scene.read_text().replace(" body: walker.json,", ""))
+    page.until(lambda: unpack(page.packets["rig:walker"])[0]["joints"] == len(library_body("ant").rig.names))

@@ -54,6 +54,13 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
     ):
         if texts:
             whole[key] = [part(f"{key}/{_file_name(each)}", text) for each, text in texts]
+    if body.legs:
+        whole["legs"] = [{"name": e.name, "upper": e.upper, "lower": e.lower, "foot": e.foot} for e in body.legs]
+    if body.gaits:
+        keys = ("name", "speed", "stride", "duty", "lift", "phases")
+        whole["gaits"] = [{key: getattr(gait, key) for key in keys} for gait in body.gaits]
+    if body.idle:
+        whole["idle"] = body.idle
     if body.metadata:
         whole["metadata"] = part("metadata", write_metadata(body.metadata))
     return {f"{name}.json": json_text(whole).encode()} | files

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
-from antdsl.outputs.cache.clip_arrays import clips_playing, playing
+from antdsl.bodies.agents.machine_clips import MachineClips, Played
+from antdsl.outputs.cache.clip_arrays import clips_playing, machine_clips, playing
 from antdsl.outputs.cache.shown_arrays import layers_worn, shown
 from antdsl.pipeline import Shot
 from antdsl.preview.timeline import Light
@@ -21,14 +21,15 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def acts(world: World, shot: Shot, population: Population, light: Light) -> Arrays:
-    """`SPECIES/plays/MACHINE` of machines that play, `SPECIES/wears` uint32[n] (a bit for each layer) and `SPECIES/look/GROUP`
-    int8[n, 3] (127 is 1) of who has such, and `SPECIES/feet` and `SPECIES/stance` where feet are worked out; `light`: what else a
-    frame tells of these agents, by id."""
+    """`SPECIES/plays/MACHINE` of machines that play; of who has such `SPECIES/wears` uint32[n] (a bit for each layer),
+    `SPECIES/look/GROUP` int8[n, 3] (127 is 1) and `SPECIES/lean` the same (turn, slope, 0); `SPECIES/feet` and `SPECIES/stance`
+    where feet are worked out. `light`: what else a frame tells of these agents, by id."""
     name, rows = population.name, population.in_id_order()
     worn = outfit(world, shot, population)
     told = clips_playing(population, rows)
-    machines = {each: MachineClips(*(told[f"clips.{name}.{each}.{field}"] for field in FIELDS)) for each in playing(population)}
-    clips = [worn.definition.clips.get(clip) for clip, _ in worn.plays]
+    found = {each: machine_clips(name, each, told, len(rows)) for each in playing(population)}
+    machines = {each: clip for each, clip in found.items() if clip is not None}
+    clips = [worn.definition.clips.get(clip) for clip, *_ in worn.plays]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
     arrays: Arrays = {f"plays/{each}": packed(clip, loops) for each, clip in machines.items()}
     arrays |= _shown(world, population, rows, worn)
@@ -39,7 +40,7 @@ def acts(world: World, shot: Shot, population: Population, light: Light) -> Arra
 
 def _shown(world: World, population: Population, rows: NDArray[np.intp], worn: Outfit) -> Arrays:
     arrays: Arrays = {}
-    if not worn.layers and not worn.looks:
+    if not worn.layers and not worn.looks and not worn.leans:
         return arrays
     told = shown(population, rows, world.setting)
     if worn.layers:
@@ -50,6 +51,9 @@ def _shown(world: World, population: Population, rows: NDArray[np.intp], worn: O
         arrays["wears"] = found
     for group in worn.looks:
         arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(told[f"looks.{population.name}.{group}"])).astype(np.int8)
+    if worn.leans:
+        leans = np.nan_to_num(told[f"leans.{population.name}"])
+        arrays["lean"] = np.rint(127 * np.clip(np.column_stack([leans, np.zeros(len(rows))]), -1, 1)).astype(np.int8)
     return arrays
 
 
@@ -58,5 +62,5 @@ def _standing(world: World, name: str, worn: Outfit, light: Light, machines: tup
     if body.legs is None:
         return {}
     played = (*body.idling(light.ids, world.frame * world.dt), *machines)
-    stands = body.legs.kept((*worn.plays, (worn.definition.idle, "")), played, len(light.ids))
+    stands = body.legs.kept((*worn.plays, Played(worn.definition.idle)), played, len(light.ids))
     return dict(stances(body.legs, world.feet[name], light, stands))

@@ -1,4 +1,4 @@
-// Where the agents of one species look with parts of their bodies, row by row as the shaders read it: as it was and as it is.
+// Where the agents of one species look with parts of their bodies, and how they lean, row by row as the shaders read it: as it was and as it is.
 
 import type { NumberArray } from "../protocol";
 
@@ -38,7 +38,7 @@ export class Gaze {
         const known = (from[row] as number) >= 0 && other + PART <= was.length;
         const now = told[group];
         for (let axis = 0; axis < 3; axis++) {
-          const straight = axis === 0 ? 1 : 0;
+          const straight = axis === 0 && this.groups[group] !== "lean" ? 1 : 0;
           const here = now ? (now[3 * row + axis] as number) / WHOLE : null;
           const a = was[other + axis] as number;
           const shown = known ? a + ((was[other + 4 + axis] as number) - a) * t : (here ?? straight);

@@ -55,6 +55,7 @@ export interface Acts {
   loops: boolean[];
   legs: number;
   looks: string[]; // the transform groups that it looks with
+  leans: boolean; // clips give way to others as it turns and climbs
   idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
 }
 
@@ -114,12 +115,12 @@ export class Herd {
   }
 
   /** What it can do with its body is other than before. */
-  acting({ machines, loops, legs, looks, idle }: Acts): void {
+  acting({ machines, loops, legs, looks, leans, idle }: Acts): void {
     this.machines = machines;
     this.idle = idle;
     this.plays.begin(idle ? ["", ...machines] : machines, loops);
     this.feet.begin(legs);
-    this.gaze.begin(looks);
+    this.gaze.begin([...looks.map((group) => `look/${group}`), ...(leans ? ["lean"] : [])]);
     this.from.fill(-1);
     this.act(1);
   }
@@ -128,7 +129,7 @@ export class Herd {
     const told = this.machines.map((machine) => this.column(`plays/${machine}`));
     this.plays.take(this.idle ? [this.idling(...this.idle), ...told] : told, this.count, this.from, t);
     this.feet.take(this.column("feet"), this.column("stance"), this.count, this.from, t);
-    const looks = this.gaze.groups.map((group) => this.column(`look/${group}`));
+    const looks = this.gaze.groups.map((group) => this.column(group));
     this.gaze.take(looks, this.count, this.from, t);
   }
 

@@ -56,13 +56,14 @@ export class Poser {
   ) {
     const { rig } = skin;
     const all = { table: rig.table, joints: rig.joints, texels: rig.texels, base: rig.base, perRow: 1, count: 0, t: 1, legs: 0 };
-    const gaze = { looks: rig.looks.length, lookAt: rig.lookAt };
+    const gaze = { looks: rig.looks.length, leans: Number(rig.leans), lookAt: rig.lookAt };
     const clips = {
       samples: rig.samples,
       clips: rig.clips,
       groups: rig.groups,
       machines: rig.machines.length + Number(rig.idle !== null),
       plays: null,
+      ...gaze,
     };
     const legs = { ...gaze, legAt: rig.legAt, unitLength: rig.length, ...rig.bending };
     this.joints = new Pass(renderer, JOINTS, 4, rig.joints, { ...all, ...clips });
@@ -123,7 +124,7 @@ export class Poser {
   }
 
   private run(values: { count: number; perRow: number; t: number }, stand: boolean): void {
-    this.joints.run({ ...values, plays: this.plays.texture });
+    this.joints.run({ ...values, plays: this.plays.texture, gazes: this.gazes.texture });
     const [moves, turns, scales, shears] = this.joints.textures;
     const local = { ...values, moves, turns, scales, shears, gazes: this.gazes.texture };
     const { legs, bent } = this;

@@ -6,7 +6,7 @@ import type { NumberArray, Packet } from "../protocol";
 export const WIDE = 1024; // texels in a row of a texture that holds a list
 
 /** Clips and joints, as textures that hold lists of four numbers. `table`: first the parent of each joint; from `clips` on each
- * clip's first sample, how many, whether it loops and its transform group; from `groups` on the weights of joints. */
+ * clip's first sample, how many, how it plays and its transform group, with those that it gives way to; from `groups` on the weights of joints. */
 export interface Rig {
   joints: number;
   texels: number; // of a joint in a sample: translation, rotation, scale and shear where there are any
@@ -18,6 +18,7 @@ export interface Rig {
   machines: string[];
   loops: boolean[];
   idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
+  leans: boolean;
   looks: string[]; // transform groups; from `lookAt` on in the table: the weights of joints
   lookAt: number;
   legs: number;
@@ -75,8 +76,9 @@ export function rigOf(packet: Packet): Rigged {
     clips: joints,
     groups: joints + clip.length / 4,
     machines: packet.header.machines as string[],
-    loops: [...clip].filter((_, k) => k % 4 === 2).map((each) => each > 0),
+    loops: [...clip].filter((_, k) => k % 12 === 2).map((each) => each % 2 === 1),
     idle: (packet.header.idle as number[]).length ? (packet.header.idle as [number, number]) : null,
+    leans: packet.header.leans === true,
     looks: packet.header.looks as string[],
     lookAt: joints + clip.length / 4 + group.length + leg.length / 4,
     legs: leg.length / 8,
