@@ -135,7 +135,8 @@ class _Drawn:
 
 def bank_clips(worn: PosedBody) -> list[Played]:
     """What poses of a bank may be of: the clips that the species plays, the one of those who play none, and those to go on."""
-    strides = [Played(name) for name, clip in worn.definition.clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
+    clips = worn.definition.clips.items()
+    strides = [Played(name) for name, clip in clips if clip.loop and clip.stride > 0 and clip.duration > 0]
     return [*(Played(*each) for each in worn.clips), Played(worn.definition.idle), *strides]
 
 
