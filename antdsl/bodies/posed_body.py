@@ -107,6 +107,18 @@ class PosedBody:
         return skinned_mesh(self._definition, self._bindings, self._taken)
 
     @cached_property
+    def masks(self) -> NDArray[np.uint64]:
+        """Which of `layers` show each vertex, uint64[v]: bit k for the one numbered k; 0 for what is shown always."""
+        own, layers = own_layer(self._whole), self._whole.layers
+        found = []
+        for binding in self._bindings:
+            worn = [k for k, name in enumerate(self.layers) if name in layers and binding in _all(layers[name])]
+            mask = 0 if binding in _all(own) else sum(1 << k for k in worn)
+            found.append(np.full(len(self._definition.shapes[binding.shape].points), mask, np.uint64))
+        taken: NDArray[np.uint64] = np.concatenate([np.zeros(0, np.uint64), *found])[self._taken]
+        return taken
+
+    @cached_property
     def legs(self) -> Legs | None:
         """What its feet stand on; None for a body without legs."""
         return Legs(self._whole) if self._whole.legs else None
@@ -193,7 +205,11 @@ def _bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, .
     """What is shown of a body with some layers beside its own: each binding once, in the order of the definition's layers."""
     own = own_layer(definition)
     worn = (own, *(layer for name, layer in definition.layers.items() if name in layers and layer is not own))
-    return tuple(dict.fromkeys(binding for layer in worn for binding in (*layer.static, *layer.deforming)))
+    return tuple(dict.fromkeys(binding for layer in worn for binding in _all(layer)))
+
+
+def _all(layer: Layer) -> tuple[Binding, ...]:
+    return (*layer.static, *layer.deforming)
 
 
 def _with_normals(shape: Shape) -> Shape:

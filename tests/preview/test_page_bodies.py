@@ -15,14 +15,15 @@ from page_messages import WALK, scene, status, texts
 from page_stage import Stage, stage
 from PIL import Image
 
-from antdsl.bodies.agents.blending import posed
+from antdsl.bodies.agents.blending import Playing, posed
 from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.clip_table import clip_table
+from antdsl.bodies.agents.clip_table import ClipTable, clip_table
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.driving import with_looks
 from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
 from antdsl.bodies.agents.leg_ik import Legs, PlacedFeet
 from antdsl.bodies.agents.legs import Leg
-from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.machine_clips import EARLIER, MachineClips, Played, machines_playing
 from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import orientation
@@ -30,7 +31,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.timeline import Light
 from antdsl.preview.viewing.plays import packed
-from antdsl.preview.viewing.rigs import rig_packet
+from antdsl.preview.viewing.rigs import Outfit, rig_packet
 from antdsl.preview.viewing.stances import stances
 from antdsl.runtime.feet.state import Feet
 from antdsl.runtime.feet.trunk import quaternions
@@ -38,7 +39,10 @@ from antdsl.runtime.feet.trunk import quaternions
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-PLAYS = (("sway", ""), ("nod", ""), ("reach", "arms"), ("gone", ""))
+PLAYS = (
+    Played("sway", left="nod", up="reach"), Played("nod"), Played("reach", "arms"), Played("gone"),
+    Played("nod", "arms", add=True),
+)  # fmt: skip
 CAMERA = {"at": [50, 40, 120], "look_at": [50, 0, 50], "focal": 35}
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
 SIDES = np.array(
@@ -97,12 +101,18 @@ def machines(count: int, seed: int = 7) -> tuple[MachineClips, MachineClips]:
         weights = random.uniform(size=(2, count)).astype(np.float32)
         fade = random.choice([0.0, 0.3, 0.8], count).astype(np.float32)
         found.append(MachineClips(clips[0], turns[0], weights[0], clips[1], turns[1], weights[1], fade))
-    return found[0], found[1]
+    earlier = random.integers(-1, len(PLAYS), count).astype(np.int16), *random.uniform(size=(3, count)).astype(np.float32)
+    return replace(found[0], **dict(zip(EARLIER, earlier, strict=True))), found[1]
 
 
-def frame(plays: tuple[MachineClips, ...], number: int = 20, feet: Mapping[str, NDArray[Any]] | None = None) -> bytes:
+def leans(count: int) -> NDArray[np.int8]:
+    """How much agents turn and climb, in three bytes."""
+    return (np.random.default_rng(6).uniform(-127, 127, (count, 3)) * (1, 1, 0)).astype(np.int8)
+
+
+def frame(plays: tuple[MachineClips, ...], number: int = 20, more: Mapping[str, NDArray[Any]] | None = None) -> bytes:
     count = len(plays[0].clip)
-    loops = np.array([True, False, True, False, False])
+    loops = np.array([True, False, True, False, False, False])
     side = np.arange(count, dtype=np.float32)
     arrays: dict[str, NDArray[Any]] = {
         "ant/id": np.arange(10, 10 + count, dtype=np.int32),
@@ -114,18 +124,23 @@ def frame(plays: tuple[MachineClips, ...], number: int = 20, feet: Mapping[str, 
         "ant/state/main": np.zeros(count, np.uint8),
     }  # fmt: skip
     arrays |= {f"ant/plays/{name}": packed(each, loops) for name, each in zip(("main", "arms"), plays, strict=True)}
-    arrays |= {f"ant/{name}": array for name, array in (feet or {}).items()}
+    arrays |= {f"ant/{name}": array for name, array in {"lean": leans(count), **(more or {})}.items()}
     return pack("frame", arrays, frame=number, light=False, felt=[])
 
 
 def rig(body: Definition) -> bytes:
-    return rig_packet("ant", body, PLAYS, ("main", "arms"))
+    return rig_packet("ant", Outfit(body, PLAYS, leans=True), ("main", "arms"))
 
 
 def wanted(body: Definition, plays: tuple[MachineClips, ...], level: PosedBody) -> NDArray[np.float64]:
     """The matrices [n, B, 3, 4] of the bones of a mesh, by what antdsl itself makes of what is played."""
     table = clip_table(body)
-    return in_bones(body, level, posed(table, body.groups, machines_playing(table, PLAYS, plays, len(plays[0].clip))).world)
+    return in_bones(body, level, posed(table, body.groups, playing(table, plays)).world)
+
+
+def playing(table: ClipTable, plays: tuple[MachineClips, ...]) -> Playing:
+    count = len(plays[0].clip)
+    return machines_playing(table, PLAYS, plays, count, leans(count)[:, :2].astype(np.float32) / 127)
 
 
 def in_bones(body: Definition, level: PosedBody, world: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -200,17 +215,50 @@ def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
     placed = PlacedFeet(feet.shown.transpose(1, 2, 0), feet.down.astype(np.uint8), feet.phase, feet.rise, quaternions(feet.slope))
     turned = orientation(light.heading.astype(np.float64), light.up.astype(np.float64))
     beside = placed.beside(light.position, turned, light.size).less(stands)
-    poses = posed(table, body.groups, machines_playing(table, PLAYS, plays, count))
-    found = in_bones(body, level, legs.bent(poses, beside, stands).world)
-    columns = found.transpose(0, 1, 3, 2).astype(np.float32)
-    across = legs.on_trunk(columns[:, :, :3].reshape(count, -1, 3), beside.level()).reshape(count, -1, 3, 3)
-    places = legs.on_trunk(np.ascontiguousarray(columns[:, :, 3]), beside)
-    expected = np.concatenate([across, places[:, :, None]], axis=2).transpose(0, 1, 3, 2)
+    poses = posed(table, body.groups, playing(table, plays))
+    expected = in_bones(body, level, legs.bent(poses, beside, stands).world)
     assert np.abs(expected - wanted(body, plays, level)).max() > 0.3, "legs and trunks are moved"
-    page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays, feet=stances(legs, feet, light, stands)))
+    page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays, more=stances(legs, feet, light, stands)))
     page.page.wait_for_timeout(300)
     for row in range(count):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 2e-3, row
+
+
+def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
+    body, plays, count = crane(), machines(30), 30
+    looks = np.random.default_rng(4).normal((0.5, 0, 0), 1, (count, 3))
+    looks = np.rint(127 * looks / np.linalg.norm(looks, axis=1, keepdims=True)).astype(np.int8)
+    level, table = PosedBody(body, PLAYS), clip_table(body)
+    poses = posed(table, body.groups, playing(table, plays))
+    ways = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
+    turned = with_looks(table, poses, {"arms": ways}, body.groups, body.base()[:3, :3])
+    expected = in_bones(body, level, turned.world)
+    assert np.abs(expected - wanted(body, plays, level)).max() > 0.3
+    told = rig_packet("ant", Outfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
+    page.tell(scene(camera=CAMERA), texts(), status(), told, frame(plays, more={"look/arms": looks}))
+    page.page.wait_for_timeout(300)
+    for row in range(count):
+        assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
+
+
+def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
+    body, plays = crane(), machines(12)
+    box = replace(body.shapes["box"], name="hat", points=body.shapes["box"].points * np.float32(6))
+    hats = Layer("hat", (Binding("j0", "hat"),)), Layer("cap", (Binding("j7", "hat"),))
+    body = replace(body, shapes={**body.shapes, "hat": box}, layers={**body.layers, "hat": hats[0], "cap": hats[1]})
+    masks = PosedBody(body, PLAYS, ("hat", "cap")).masks
+    assert [int((masks == mask).sum()) for mask in (0, 1, 2)] == [64, 8, 8]
+    told = rig_packet("ant", Outfit(body, PLAYS, ("hat", "cap"), leans=True), ("main", "arms"))
+    page.tell(scene(camera=CAMERA), texts(), status(), told)
+
+    def coloured(wears: int) -> int:
+        page.tell(frame(plays, more={"wears": np.full(12, wears, np.uint32)}))
+        picture = seen(page)
+        return int(((picture[..., 0] > 90) & (picture[..., 2] < 0.6 * picture[..., 0])).sum())
+
+    none, hat, both = coloured(0), coloured(1), coloured(3)
+    assert hat > 2 * none and both > 1.2 * hat
+    assert coloured(0) == none
 
 
 def test_between_two_frames_clips_go_on_and_blend(page: Stage) -> None:

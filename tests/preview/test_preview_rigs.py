@@ -50,7 +50,7 @@ def test_a_frame_tells_what_agents_play(live: Live, scene: Path) -> None:
     clips = [clip.name for clip in walkers.plan.clips]
     playing = set()
     for machine in ("legs", "arms"):
-        told = arrays[f"walker/plays/{machine}"].reshape(-1, 6)
+        told = arrays[f"walker/plays/{machine}"].reshape(30, 3, -1)[:, :, :2].reshape(30, 6)
         now = {name: walkers.now[f"{machine}.{name}"][rows] for name in ("clip", "clip_before", "clip_turns", "clip_fade")}
         assert np.array_equal(told[:, 0], np.where(now["clip"] < 0, NONE, now["clip"]).astype(np.uint16))
         loops = np.array([*(name != "wave" for name in clips), False])[np.minimum(told[:, 0], len(clips))]

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.agents.machine_clips import MachineClips, Played
 from antdsl.outputs.cache.clip_arrays import clips_playing, machine_clips, playing
+from antdsl.outputs.cache.shown_arrays import layers_worn, shown
 from antdsl.pipeline import Shot
 from antdsl.preview.timeline import Light
-from antdsl.preview.viewing.bodies import body_of_species
 from antdsl.preview.viewing.plays import packed
-from antdsl.preview.viewing.rigs import posed_body
+from antdsl.preview.viewing.rigs import Outfit, outfit, posed_body
 from antdsl.preview.viewing.stances import stances
 from antdsl.runtime import Population, World
 
@@ -21,28 +21,46 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def acts(world: World, shot: Shot, population: Population, light: Light) -> Arrays:
-    """`SPECIES/plays/MACHINE` of machines that play, and `SPECIES/feet` and `SPECIES/stance` where feet are worked out; `light`:
-    what else a frame tells of these agents, by id."""
-    name = population.name
-    definition = body_of_species(shot, name)
-    told = clips_playing(population, population.in_id_order())
-    found = {each: machine_clips(name, each, told, len(population.ids)) for each in playing(population)}
-    machines = {each: plays for each, plays in found.items() if plays is not None}
-    clips = [definition.clips.get(clip.name) for clip in population.plan.clips]
+    """`SPECIES/plays/MACHINE` of machines that play; of who has such `SPECIES/wears` uint32[n] (a bit for each layer),
+    `SPECIES/look/GROUP` int8[n, 3] (127 is 1) and `SPECIES/lean` the same (turn, slope, 0); `SPECIES/feet` and `SPECIES/stance`
+    where feet are worked out. `light`: what else a frame tells of these agents, by id."""
+    name, rows = population.name, population.in_id_order()
+    worn = outfit(world, shot, population)
+    told = clips_playing(population, rows)
+    found = {each: machine_clips(name, each, told, len(rows)) for each in playing(population)}
+    machines = {each: clip for each, clip in found.items() if clip is not None}
+    clips = [worn.definition.clips.get(clip) for clip, *_ in worn.plays]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
-    arrays: Arrays = {f"{name}/plays/{each}": packed(clip, loops) for each, clip in machines.items()}
+    arrays: Arrays = {f"plays/{each}": packed(clip, loops) for each, clip in machines.items()}
+    arrays |= _shown(world, population, rows, worn)
     if name in world.feet and len(light.ids):
-        arrays |= _standing(world, shot, population, light, tuple(machines.values()))
+        arrays |= _standing(world, name, worn, light, tuple(machines.values()))
+    return {f"{name}/{what}": array for what, array in arrays.items()}
+
+
+def _shown(world: World, population: Population, rows: NDArray[np.intp], worn: Outfit) -> Arrays:
+    arrays: Arrays = {}
+    if not worn.layers and not worn.looks and not worn.leans:
+        return arrays
+    told = shown(population, rows, world.setting)
+    if worn.layers:
+        known = layers_worn(population, world.setting)
+        mask, found = told[f"wears.{population.name}"], np.zeros(len(rows), np.uint32)
+        for k, layer in enumerate(worn.layers):
+            found |= ((mask >> np.uint64(known.index(layer))) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
+        arrays["wears"] = found
+    for group in worn.looks:
+        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(told[f"looks.{population.name}.{group}"])).astype(np.int8)
+    if worn.leans:
+        leans = np.nan_to_num(told[f"leans.{population.name}"])
+        arrays["lean"] = np.rint(127 * np.clip(np.column_stack([leans, np.zeros(len(rows))]), -1, 1)).astype(np.int8)
     return arrays
 
 
-def _standing(world: World, shot: Shot, population: Population, light: Light, machines: tuple[MachineClips, ...]) -> Arrays:
-    name = population.name
-    definition = body_of_species(shot, name)
-    plays = tuple((clip.name, clip.on) for clip in population.plan.clips)
-    body = posed_body(definition, plays)
+def _standing(world: World, name: str, worn: Outfit, light: Light, machines: tuple[MachineClips, ...]) -> Arrays:
+    body = posed_body(worn)
     if body.legs is None:
         return {}
     played = (*body.idling(light.ids, world.frame * world.dt), *machines)
-    stands = body.legs.kept((*plays, (definition.idle, "")), played, len(light.ids))
-    return {f"{name}/{what}": array for what, array in stances(body.legs, world.feet[name], light, stands).items()}
+    stands = body.legs.kept((*worn.plays, Played(worn.definition.idle)), played, len(light.ids))
+    return dict(stances(body.legs, world.feet[name], light, stands))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -11,57 +12,84 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.clip_table import ClipTable, clip_table
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.leg_ik import BENDING, Legs
+from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.clip_arrays import playing
+from antdsl.outputs.cache.shown_arrays import layers_worn
+from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.bodies import body_of_species
 from antdsl.preview.viewing.seen import Packets, Seen
+from antdsl.runtime import Population, World
 
 Arrays = dict[str, NDArray[Any]]
-Plays = tuple[tuple[str, str], ...]  # names of clips and of transform groups
+MOST_LAYERS = 24  # that pages tell apart: whole numbers of so many bits are exact in float32
 
 
 class Rigs:
     """The slots `rig:SPECIES`: again where the body of a species, or what it plays, has become another one."""
 
     def __init__(self) -> None:
-        self._given: dict[str, tuple[Definition, Plays, tuple[str, ...]]] = {}
+        self._given: dict[str, tuple[Outfit, tuple[str, ...]]] = {}
 
     def packets(self, seen: Seen) -> Packets:
         for name, population in seen.world.populations.items():
-            plays = tuple((clip.name, clip.on) for clip in population.plan.clips)
-            made = body_of_species(seen.shot, name), plays, tuple(playing(population))
-            known = self._given.get(name)
-            if known is None or known[0] is not made[0] or known[1:] != made[1:]:
+            made = outfit(seen.world, seen.shot, population), tuple(playing(population))
+            if self._given.get(name) != made:
                 self._given[name] = made
                 yield f"rig:{name}", rig_packet(name, *made)
 
 
-def rig_packet(species: str, definition: Definition, plays: Plays, machines: tuple[str, ...]) -> bytes:
+@dataclass(frozen=True, slots=True)
+class Outfit:
+    """What agents of a species can do with their bodies: the `plays` of their states (clip and transform group), the `layers`
+    that some wear beside the body's own, the transform groups that they look with; whether
+    clips give way to others as they turn and climb."""
+
+    definition: Definition
+    plays: tuple[Played, ...] = ()
+    layers: tuple[str, ...] = ()
+    looks: tuple[str, ...] = ()
+    leans: bool = False
+
+
+def outfit(world: World, shot: Shot, population: Population) -> Outfit:
+    """That of a species; of more layers than pages have room for, the first."""
+    plan, definition = population.plan, body_of_species(shot, population.name)
+    layers = tuple(name for name in layers_worn(population, world.setting) if name in definition.layers)[:MOST_LAYERS]
+    looks = tuple(name for name in plan.looks if name in definition.groups)
+    plays = tuple(Played(each.name, each.on, each.add, each.left, each.right, each.up, each.down) for each in plan.clips)
+    return Outfit(definition, plays, layers, looks, "lean:turn" in plan.registers)
+
+
+def rig_packet(species: str, worn: Outfit, machines: tuple[str, ...] = ()) -> bytes:
     """The packet of a species: its clips, and its mesh as crowds and as those who are near have it. `idle`: the number of the
     clip that lies below all others and the seconds that it takes; none where there is no such clip."""
-    arrays, header = _rig(definition, plays)
+    arrays, header = _rig(worn)
     return pack(f"rig:{species}", arrays, machines=list(machines), **header)
 
 
 @lru_cache(maxsize=8)
-def posed_body(definition: Definition, plays: Plays) -> PosedBody:
-    """A body that plays some clips, made once."""
-    return PosedBody(definition, plays)
+def posed_body(worn: Outfit) -> PosedBody:
+    """The body of an outfit, made once."""
+    return PosedBody(worn.definition, worn.plays, worn.layers)
 
 
 @lru_cache(maxsize=8)
-def _rig(definition: Definition, plays: Plays) -> tuple[Arrays, dict[str, Any]]:
-    body, table = posed_body(definition, plays), clip_table(definition)
+def _rig(worn: Outfit) -> tuple[Arrays, dict[str, Any]]:
+    definition, plays = worn.definition, worn.plays
+    body, table = posed_body(worn), clip_table(definition)
     idle = definition.clips.get(definition.idle)
-    arrays = _clips(table, definition, plays if idle is None else (*plays, (definition.idle, "")))
+    arrays = _clips(table, definition, plays if idle is None else (*plays, Played(definition.idle)))
     arrays |= _legs(body.legs, table)
+    arrays["look"] = np.array([table.weights(definition.groups[name])[0] for name in worn.looks], np.float32)
     for level, each in (("low", body.coarse), ("fine", body.fine)):
         arrays |= {f"{level}/{name}": array for name, array in _mesh(each, table).items()}
     return arrays, {
         "joints": len(table.order), "texels": _texels(table), "length": float(definition.length),
         "base": [round(float(x), 9) for x in definition.base()[:3].reshape(-1)], "bending": BENDING,
         "idle": [] if idle is None or idle.duration <= 0 else [len(plays), idle.duration],
+        "looks": list(worn.looks), "leans": worn.leans,
     }  # fmt: skip
 
 
@@ -70,22 +98,25 @@ def _texels(table: ClipTable) -> int:
     return 2 + table.scaled + table.sheared
 
 
-def _clips(table: ClipTable, definition: Definition, plays: Plays) -> Arrays:
-    """`sample` float32[R, J, texels, 4], the rest pose first; `parent` int32[J], joints by their depth; `clip` int32[P, 4]: the
-    first sample, how many, whether it loops, its transform group; first -1 for a clip that the body does not have. `group`
+def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) -> Arrays:
+    """`sample` float32[R, J, texels, 4], the rest pose first; `parent` int32[J], joints by depth; `clip` int32[P, 3, 4]: the
+    first sample (-1 of a clip that the body does not have), how many, 1 where it loops and 2 where it is added, its transform
+    group; then first samples and how many of the clips to the left and the right, up and down, that it gives way to. `group`
     float32[G, J]: weights of joints, first those of the whole rig."""
-    joints, kept, clips = len(table.order), [np.array([0])], []
-    groups = ["", *sorted({on for _, on in plays} - {""})]
-    count = 1
-    for name, on in plays:
-        if name not in table.names:
-            clips.append((-1, 1, 0, 0))
-            continue
+    joints, kept = len(table.order), [np.array([0])]
+    groups = ["", *sorted({each.on for each in plays} - {""})]
+    places: dict[str, tuple[int, int]] = {}
+    for name in dict.fromkeys(name for each in plays for name in (each.clip, *each[3:]) if name in table.names):
         number = table.number(name) + 1
         first, length = int(table.first[number]), int(table.counts[number])
+        places[name] = sum(map(len, kept)), length
         kept.append(np.arange(first, first + length))
-        clips.append((count, length, int(table.loops[number]), groups.index(on)))
-        count += length
+    clips = []
+    for each in plays:
+        first, length = places.get(each.clip, (-1, 1))
+        again = first >= 0 and bool(table.loops[table.number(each.clip) + 1])
+        ways = [number for way in each[3:] for number in places.get(way, (-1, 1))]
+        clips.append((first, length, int(again) + 2 * int(each.add), groups.index(each.on), *ways))
     rows = table.samples[np.concatenate(kept)]
     sample = np.zeros((len(rows), joints, _texels(table), 4), np.float32)
     at = 0
@@ -100,7 +131,7 @@ def _clips(table: ClipTable, definition: Definition, plays: Plays) -> Arrays:
     return {
         "sample": sample,
         "parent": np.where(parents >= 0, place[parents], -1).astype(np.int32),
-        "clip": np.array(clips, np.int32).reshape(-1, 4),
+        "clip": np.array(clips, np.int32).reshape(-1, 12),
         "group": np.stack(weights).astype(np.float32),
     }
 
@@ -148,4 +179,5 @@ def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
         "joint": place[mesh.joint].astype(np.int32),
         "part": np.append(_parts(body.legs, len(table.order)), 0)[mesh.joint].astype(np.int32),
         "inverse": mesh.inverse,
+        "layer": body.masks.astype(np.uint32),
     }

@@ -292,7 +292,8 @@ export type Told =
 // slot            arrays
 // frame           NAME/id i32[n] NAME/position f32[n,3] NAME/heading i8[n,3] NAME/up i8[n,3] NAME/size f32[n] NAME/speed f32[n]
 //                 NAME/born i32[n] NAME/state/MACHINE u8[n] NAME/column/ATTRIBUTE f32[n];
-//                 NAME/plays/MACHINE u16[n,6]: clip and the one before, how far through each is, what each weighs; 65535 is none, 1;
+//                 NAME/plays/MACHINE u16[n,3,2 or 3]: clip and those before, how far through, what each weighs; 65535 is none, 1;
+//                 NAME/wears u32[n] NAME/look/GROUP i8[n,3] NAME/lean i8[n,3];
 //                 NAME/feet i16[n,l,3] NAME/stance i16[n,6]: see feet.ts;
 //                 item/NAME/position f32[m,3] item/NAME/size f32[m] item/NAME/amount/ATTRIBUTE f32[m];
 //                 feelers f32[k,2,3] feelers/hit u8[k] of those who are followed; rows by id. header: frame, light,
@@ -301,10 +302,10 @@ export type Told =
 // paths           NAME/id i32[n] NAME/path f32[n,count,3]: where agents will be, from `frame` of the header on, nan where one is not
 //                 there; header: frame, count
 // mesh:NAME       position f32[n,3] face u32[m,3]; header: role `ground`, `obstacle`; moves: comes each frame
-// rig:SPECIES     sample f32[r,j,texels,4] parent i32[j] clip i32[p,4] group f32[g,j] leg f32[l,2,4]: what is played, see rig.ts;
+// rig:SPECIES     sample f32[r,j,texels,4] parent i32[j] clip i32[p,3,4] group f32[g,j] leg f32[l,2,4] look f32[k,j]: what is played, see rig.ts;
 //                 LEVEL/position f32[n,3] LEVEL/normal i8[n,3] LEVEL/face u32[m,3] LEVEL/colour u8[n,4] (linear, as roots; how
 //                 much of the agent's own) LEVEL/bone u16[n,4] LEVEL/weight f32[n,4] LEVEL/joint i32[b] LEVEL/part i32[b]
-//                 LEVEL/inverse f32[b,3,4], LEVEL `low` and `fine`; header: machines, joints, texels, base, length, idle, bending
+//                 LEVEL/inverse f32[b,3,4], LEVEL `low` and `fine`; header: machines, joints, texels, base, length, idle, looks, leans, bending
 // item:KIND:NAME  position f32[n,3] face u32[m,3] colour f32[n,3]: an item's mesh, radius 1, up +y; header: items (name), index, shape
 // fieldmesh:NAME  position f32[n,3] face u32[m,3]: before the first `field`, and where ground was dug or has moved
 // field:NAME      value u8[n]: 0 nothing, 1 is 1e-8 and 255 is 1e8, in even steps of their powers of ten

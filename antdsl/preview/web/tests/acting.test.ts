@@ -12,7 +12,7 @@ function shown(plays: Plays, row: number, t: number) {
     const [a, b] = [plays.data[k + place] as number, plays.data[k + place + 1] as number];
     return a + (b - a) * t;
   };
-  return { clips: [plays.data[k], plays.data[k + 1]], turns: [at(2), at(4)], weights: [at(6), at(8)] };
+  return { clips: [plays.data[k], plays.data[k + 1]], turns: [at(4), at(6)], weights: [at(10), at(12)] };
 }
 
 function playing(...frames: number[][]): Plays {

@@ -60,14 +60,14 @@ describe("a herd between two frames", () => {
 
   test("idles by the clock of the frame, each from a start of its own", () => {
     const ants = herd(frame([1, 2], [0, 0, 0, 0, 0, 0]));
-    ants.acting({ machines: [], loops: [true], legs: 0, idle: [0, 2] });
-    const turn = (row: number) => ants.plays.data[12 * row + 3] as number;
+    ants.acting({ machines: [], loops: [true], legs: 0, looks: [], leans: false, idle: [0, 2] });
+    const turn = (row: number) => ants.plays.data[16 * row + 5] as number;
     expect(turn(0)).toBeCloseTo(0.618, 3);
     expect(turn(1)).toBeCloseTo(0.236, 3);
     ants.clock = 1;
     ants.take(frame([1, 2], [0, 0, 0, 0, 0, 0]), 1, false);
     expect(turn(0)).toBeCloseTo(0.118, 3);
-    expect((ants.plays.data[2] as number) - turn(0)).toBeCloseTo(-0.5, 3); // through the end of the clip
+    expect((ants.plays.data[4] as number) - turn(0)).toBeCloseTo(-0.5, 3); // through the end of the clip
   });
 
   test("has columns of its own species", () => {

@@ -35,6 +35,7 @@ void stand() {
 /** As it is at rest, in the agent's colour. */
 const STILL = /* glsl */ `
 vec4 painted() { return vec4(1.0); }
+bool bare() { return false; }
 void posed(out vec3 place, out vec3 across) {
   place = position;
   across = normal;
@@ -45,12 +46,15 @@ const SKIN = /* glsl */ `
 attribute vec4 colour;
 attribute vec4 bone;
 attribute vec4 weight;
+attribute float layer;
+attribute float wears;
 uniform highp sampler2D firstRow;
 uniform highp sampler2D secondRow;
 uniform highp sampler2D thirdRow;
 uniform int bones;
 uniform int perRow;
 vec4 painted() { return vec4(colour.rgb * colour.rgb, colour.a); }
+bool bare() { return layer > 0.5 && (uint(layer + 0.5) & uint(wears + 0.5)) == 0u; } // of a layer that it does not wear
 void posed(out vec3 place, out vec3 across) {
   int left = (gl_InstanceID % perRow) * bones;
   int row = gl_InstanceID / perRow;
@@ -76,7 +80,7 @@ ${STAND}
 POSE
 void main() {
   stand();
-  if (tone.a < 0.5) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; } // drawn in full by another call
+  if (tone.a < 0.5 || bare()) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; } // drawn in full by another call, or not worn
   vec3 place, across;
   posed(place, across);
   vec3 world = here + turned * (place * bodyLength);

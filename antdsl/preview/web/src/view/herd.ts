@@ -2,6 +2,7 @@
 
 import type { NumberArray, Packet, Species } from "../protocol";
 import { Feet } from "./feet";
+import { Gaze } from "./gaze";
 import { NONE, Plays } from "./plays";
 
 /** What is drawn of an agent: one row in each array. Places and sizes in mm, turns as signed bytes. */
@@ -13,6 +14,7 @@ export class Rows {
   upA = new Int8Array(0);
   upB = new Int8Array(0);
   size = new Float32Array(0);
+  wears = new Float32Array(0); // layers beside the body's own, a bit for each
   tone = new Uint8Array(0); // display colour and a fourth
   version = 0; // changes when the arrays are other ones
 
@@ -26,6 +28,7 @@ export class Rows {
     const room = Math.ceil(count * 1.3) + 8;
     for (const name of ["placeA", "placeB"] as const) this[name] = new Float32Array(room * 3);
     this.size = new Float32Array(room);
+    this.wears = new Float32Array(room);
     for (const name of ["headA", "headB", "upA", "upB"] as const) this[name] = new Int8Array(room * 4);
     this.tone = new Uint8Array(room * 4);
     this.version++;
@@ -39,6 +42,7 @@ export class Rows {
         this[name][4 * row + axis] = from[name][4 * other + axis] as number;
     }
     this.size[row] = from.size[other] as number;
+    this.wears[row] = from.wears[other] as number;
   }
 }
 
@@ -50,6 +54,8 @@ export interface Acts {
   machines: string[];
   loops: boolean[];
   legs: number;
+  looks: string[]; // the transform groups that it looks with
+  leans: boolean; // clips give way to others as it turns and climbs
   idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
 }
 
@@ -57,6 +63,7 @@ export class Herd {
   readonly rows = new Rows();
   readonly plays = new Plays();
   readonly feet = new Feet();
+  readonly gaze = new Gaze();
   clock = 0; // seconds from frame 0
   private machines: string[] = [];
   private idle: Acts["idle"] = null;
@@ -84,6 +91,7 @@ export class Herd {
       was.reserve(known);
       for (const key of ["placeA", "placeB"] as const) was[key].set(rows[key].subarray(0, 3 * known));
       for (const key of ["headA", "headB", "upA", "upB"] as const) was[key].set(rows[key].subarray(0, 4 * known));
+      was.wears.set(rows.wears.subarray(0, known));
     }
     rows.reserve(count);
     if (this.from.length < count) this.from = new Int32Array(rows.capacity);
@@ -94,22 +102,25 @@ export class Herd {
     const head = this.column("heading");
     const up = this.column("up");
     const size = this.column("size");
+    const wears = this.column("wears");
     for (let row = 0, other = 0; row < count; row++) {
       const id = ids[row] as number;
       while (other < known && (old[other] as number) < id) other++;
       const before = other < known && old[other] === id ? other : -1;
       this.from[row] = before;
+      rows.wears[row] = wears ? (wears[row] as number) : before < 0 ? 0 : (was.wears[before] as number);
       this.stand(row, before, t, place, head, up, size ? (size[row] as number) : 1);
     }
     this.act(t);
   }
 
   /** What it can do with its body is other than before. */
-  acting({ machines, loops, legs, idle }: Acts): void {
+  acting({ machines, loops, legs, looks, leans, idle }: Acts): void {
     this.machines = machines;
     this.idle = idle;
     this.plays.begin(idle ? ["", ...machines] : machines, loops);
     this.feet.begin(legs);
+    this.gaze.begin([...looks.map((group) => `look/${group}`), ...(leans ? ["lean"] : [])]);
     this.from.fill(-1);
     this.act(1);
   }
@@ -118,6 +129,8 @@ export class Herd {
     const told = this.machines.map((machine) => this.column(`plays/${machine}`));
     this.plays.take(this.idle ? [this.idling(...this.idle), ...told] : told, this.count, this.from, t);
     this.feet.take(this.column("feet"), this.column("stance"), this.count, this.from, t);
+    const looks = this.gaze.groups.map((group) => this.column(group));
+    this.gaze.take(looks, this.count, this.from, t);
   }
 
   /** What agents play where no machine says otherwise: each from a start of its own, by the clock of the frame. */

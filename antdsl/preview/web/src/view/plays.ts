@@ -2,25 +2,17 @@
 
 import type { NumberArray } from "../protocol";
 
-export const TEXELS = 3; // of four numbers, of what one machine of an agent plays
+export const TEXELS = 4; // of four numbers, of what one machine of an agent plays
 export const NONE = 65535; // the number of no clip
 const PART = 4 * TEXELS;
 const WHOLE = 65535;
 
-// Places in a part: clip and the one before it, how far through each is and how much it weighs, at first and at last.
-const CLIP = 0;
-const TURN_A = 2;
-const TURN_B = 3;
-const BEFORE_TURN_A = 4;
-const BEFORE_TURN_B = 5;
-const WEIGHT_A = 6;
-const WEIGHT_B = 7;
-const BEFORE_WEIGHT_A = 8;
-const BEFORE_WEIGHT_B = 9;
-/** By slot, the clip and the one before it: where turns and weights lie. */
+// Places in a part: the clip and those before it, then by slot how far through each is, at first and at last, and how much it
+// weighs.
 const SLOTS = [
-  { turn: [TURN_A, TURN_B], weight: [WEIGHT_A, WEIGHT_B] },
-  { turn: [BEFORE_TURN_A, BEFORE_TURN_B], weight: [BEFORE_WEIGHT_A, BEFORE_WEIGHT_B] },
+  { turn: [4, 5], weight: [10, 11] },
+  { turn: [6, 7], weight: [12, 13] },
+  { turn: [8, 9], weight: [14, 15] },
 ] as const;
 
 export class Plays {
@@ -44,7 +36,7 @@ export class Plays {
     this.version++;
   }
 
-  /** Take a frame: of each machine uint16 [n, 6], or nothing where the frame does not tell. `from`: the row before of each row, or
+  /** Take a frame: of each machine uint16 [n, 3, 2 or 3], or nothing where the frame does not tell. `from`: the row before of each row, or
    * -1; rows go on from what they show, `t` of the way. */
   take(told: (NumberArray | undefined)[], count: number, from: Int32Array, t: number): void {
     const { width } = this;
@@ -56,41 +48,43 @@ export class Plays {
         const k = row * width + PART * machine;
         const other = from[row] as number;
         const before = other >= 0 && (other + 1) * width <= this.was.length ? other * width + PART * machine : -1;
-        if (now) this.go(k, now, 6 * row, before, t);
+        if (now) this.go(k, now, now.length / count / 3, row, before, t);
         else this.stay(k, before, t);
       }
     }
     this.version++;
   }
 
-  /** A part goes from what it showed to what it is told. */
-  private go(k: number, told: NumberArray, at: number, before: number, t: number): void {
+  /** A part goes from what it showed to what it is told, `many` clips a row. */
+  private go(k: number, told: NumberArray, many: number, row: number, before: number, t: number): void {
     const { data } = this;
-    for (let slot = 0; slot < 2; slot++) {
+    for (let slot = 0; slot < SLOTS.length; slot++) {
       const { turn, weight } = SLOTS[slot] as (typeof SLOTS)[number];
-      data[k + CLIP + slot] = told[at + slot] as number;
-      const [a, b] = [(told[at + 2 + slot] as number) / WHOLE, (told[at + 4 + slot] as number) / WHOLE];
-      data[k + turn[0]] = a;
-      data[k + turn[1]] = a;
-      data[k + weight[0]] = b;
-      data[k + weight[1]] = b;
+      const at = 3 * many * row + slot;
+      const there = slot < many;
+      data[k + slot] = there ? (told[at] as number) : NONE;
+      const [far, much] = there ? [(told[at + many] as number) / WHOLE, (told[at + 2 * many] as number) / WHOLE] : [0, 0];
+      data[k + turn[0]] = far;
+      data[k + turn[1]] = far;
+      data[k + weight[0]] = much;
+      data[k + weight[1]] = much;
     }
     if (before < 0 || !this.known(k, before)) return;
-    for (let slot = 0; slot < 2; slot++) this.follow(k, slot, before, t);
+    for (let slot = 0; slot < SLOTS.length; slot++) this.follow(k, slot, before, t);
   }
 
   /** Whether what was played is played still, if only as what gives way: else it is done at once. */
   private known(k: number, before: number): boolean {
-    const last = this.was[before + CLIP] as number;
-    return last === NONE || last === this.data[k + CLIP] || last === this.data[k + CLIP + 1];
+    const last = this.was[before] as number;
+    return last === NONE || SLOTS.some((_, slot) => this.data[k + slot] === last);
   }
 
   private follow(k: number, slot: number, before: number, t: number): void {
     const { data, was } = this;
-    const clip = data[k + CLIP + slot] as number;
+    const clip = data[k + slot] as number;
     if (clip === NONE) return;
     const { turn, weight } = SLOTS[slot] as (typeof SLOTS)[number];
-    const same = [slot, 1 - slot].find((each) => was[before + CLIP + each] === clip);
+    const same = [slot, 0, 1, 2].find((each) => was[before + each] === clip);
     data[k + weight[0]] = 0;
     if (same === undefined) return;
     const old = SLOTS[same] as (typeof SLOTS)[number];
@@ -104,9 +98,9 @@ export class Plays {
   /** A part stays as it is shown. */
   private stay(k: number, before: number, t: number): void {
     const { data, was } = this;
-    for (let slot = 0; slot < 2; slot++) {
+    for (let slot = 0; slot < SLOTS.length; slot++) {
       const { turn, weight } = SLOTS[slot] as (typeof SLOTS)[number];
-      data[k + CLIP + slot] = before < 0 ? NONE : (was[before + CLIP + slot] as number);
+      data[k + slot] = before < 0 ? NONE : (was[before + slot] as number);
       for (const part of [turn, weight]) {
         const value = before < 0 ? 0 : mixed(was, before, part, t);
         data[k + part[0]] = value;

@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import type { Feet } from "./feet";
+import type { Gaze } from "./gaze";
 import { Pass } from "./passes";
 import type { Plays } from "./plays";
 import { BENT, BONES, JOINTS, LEGS } from "./poseshaders";
@@ -13,6 +14,7 @@ const LONGEST = 8192; // texels that a side of the textures has at most
 export interface Acting {
   plays: Plays;
   feet: Feet;
+  gaze: Gaze;
 }
 
 /** Rows of four numbers each, as a texture that grows. */
@@ -42,6 +44,7 @@ export class Poser {
   private readonly bones: Pass;
   private readonly plays = new Lines();
   private readonly stances = new Lines();
+  private readonly gazes = new Lines();
   private rows = 0; // of agents that there is room for
   private perRow = 1;
   private known = "";
@@ -53,14 +56,16 @@ export class Poser {
   ) {
     const { rig } = skin;
     const all = { table: rig.table, joints: rig.joints, texels: rig.texels, base: rig.base, perRow: 1, count: 0, t: 1, legs: 0 };
+    const gaze = { looks: rig.looks.length, leans: Number(rig.leans), lookAt: rig.lookAt };
     const clips = {
       samples: rig.samples,
       clips: rig.clips,
       groups: rig.groups,
       machines: rig.machines.length + Number(rig.idle !== null),
       plays: null,
+      ...gaze,
     };
-    const legs = { legAt: rig.legAt, unitLength: rig.length, ...rig.bending };
+    const legs = { ...gaze, legAt: rig.legAt, unitLength: rig.length, ...rig.bending };
     this.joints = new Pass(renderer, JOINTS, 4, rig.joints, { ...all, ...clips });
     this.legs = rig.legs ? new Pass(renderer, LEGS, 3, rig.legs, { ...all, ...legs, legs: rig.legs }) : null;
     this.bent = rig.legs ? new Pass(renderer, BENT, 3, rig.legs, { ...all, ...legs, legs: rig.legs }) : null;
@@ -90,8 +95,8 @@ export class Poser {
 
   /** Pose agents as they are `t` of the way: the first `count` rows, or the `chosen` ones. Nothing is done where nothing has
    * changed. */
-  pose({ plays, feet }: Acting, count: number, t: number, chosen: readonly number[] | null): void {
-    const told = `${plays.version} ${feet.version} ${count} ${chosen ? chosen.join() : ""}`;
+  pose({ plays, feet, gaze }: Acting, count: number, t: number, chosen: readonly number[] | null): void {
+    const told = `${plays.version} ${feet.version} ${gaze.version} ${count} ${chosen ? chosen.join() : ""}`;
     const now = `${told} ${t}`;
     if (now === this.known || count === 0 || this.skin.bones === 0) return;
     this.known = now;
@@ -99,6 +104,7 @@ export class Poser {
     if (told !== this.filled) {
       this.filled = told;
       this.plays.fill(plays.data, plays.width, count, chosen);
+      if (gaze.width) this.gazes.fill(gaze.data, gaze.width, count, chosen);
       if (feet.told) this.stances.fill(feet.data, feet.width, count, chosen);
     }
     this.run({ count, perRow: this.perRow, t }, feet.told);
@@ -114,13 +120,13 @@ export class Poser {
 
   dispose(): void {
     for (const pass of [this.joints, this.legs, this.bent, this.bones]) pass?.dispose();
-    for (const lines of [this.plays, this.stances]) lines.texture.dispose();
+    for (const lines of [this.plays, this.stances, this.gazes]) lines.texture.dispose();
   }
 
   private run(values: { count: number; perRow: number; t: number }, stand: boolean): void {
-    this.joints.run({ ...values, plays: this.plays.texture });
+    this.joints.run({ ...values, plays: this.plays.texture, gazes: this.gazes.texture });
     const [moves, turns, scales, shears] = this.joints.textures;
-    const local = { ...values, moves, turns, scales, shears };
+    const local = { ...values, moves, turns, scales, shears, gazes: this.gazes.texture };
     const { legs, bent } = this;
     if (!legs || !bent || !stand) {
       this.bones.run({ ...local, legs: 0 });

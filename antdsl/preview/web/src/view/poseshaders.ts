@@ -1,6 +1,6 @@
 // How agents are posed, pass by pass, one pixel for each joint, leg or bone of each agent:
-// - joints: what is played, blended joint by joint as antdsl/bodies/agents/machine_clips.py says: the two clips of a machine to
-//   their mean, each machine over those before it; all rotations by normalised linear interpolation on the shorter way;
+// - joints: what is played, blended joint by joint as antdsl/bodies/agents/machine_clips.py says: the clips of a machine to
+//   their mean, each machine over those before it, what is added over all; all rotations by normalised linear interpolation on the shorter way;
 // - legs: where hip, knee and foot of each leg are; then how each leg is bent so that its foot is where it stands, by two-bone
 //   inverse kinematics as antdsl/bodies/agents/leg_ik.py says;
 // - bones: the matrix that the vertices of a mesh go by.
@@ -49,6 +49,9 @@ uniform int texels;
 uniform int machines;
 uniform int clips;
 uniform int groups;
+uniform sampler2D gazes;
+uniform int looks;
+uniform int leans;
 
 struct Joint { vec3 move; vec4 turn; vec3 scale; vec3 shear; };
 
@@ -60,22 +63,14 @@ Joint sampled(int row) {
   return made;
 }
 
-Joint played(vec4 clip, float turn) {
-  float last = clip.y - 1.0;
-  float moment = (clip.z > 0.5 ? fract(turn) : clamp(turn, 0.0, 1.0)) * last;
-  float whole = min(floor(moment), max(last - 1.0, 0.0));
-  int row = int(clip.x + whole + 0.5);
-  Joint a = sampled(row), b = sampled(min(row + 1, int(clip.x + last + 0.5)));
+Joint played(float start, float many, float far) {
+  float moment = far * (many - 1.0);
+  float whole = min(floor(moment), max(many - 2.0, 0.0));
+  int row = int(start + whole + 0.5);
+  Joint a = sampled(row), b = sampled(min(row + 1, int(start + many - 0.5)));
   float s = moment - whole;
   return Joint(mix(a.move, b.move, s), unit(mix(a.turn, b.turn, s)), mix(a.scale, b.scale, s), mix(a.shear, b.shear, s));
 }
-
-/** How much of a clip there is at the joint. */
-float share(vec4 clip, float weight) {
-  return clip.x < 0.0 || weight <= 0.0 ? 0.0 : weight * at(table, groups + int(clip.w + 0.5) * joints + item).x;
-}
-
-vec4 clipOf(float number) { return number > 65534.5 ? vec4(-1.0, 1.0, 0.0, 0.0) : at(table, clips + int(number + 0.5)); }
 
 void add(inout Joint sum, Joint more, float part) {
   sum.move += more.move * part;
@@ -84,26 +79,75 @@ void add(inout Joint sum, Joint more, float part) {
   sum.turn += more.turn * (dot(sum.turn, more.turn) < 0.0 ? -part : part);
 }
 
+/** Adds a part of a clip, less what it gives way to as the agent turns and climbs. */
+void addClip(inout Joint sum, int number, float turn, float part) {
+  int k = clips + 3 * number;
+  vec4 clip = at(table, k), side = at(table, k + 1), slope = at(table, k + 2);
+  float far = mod(clip.z, 2.0) > 0.5 ? fract(turn) : clamp(turn, 0.0, 1.0);
+  vec4 share = vec4(0.0);
+  if (leans > 0) {
+    int here = 2 * (agent * (looks + leans) + looks);
+    vec2 lean = mix(at(gazes, here).xy, at(gazes, here + 1).xy, t);
+    share = clamp(vec4(lean.x, -lean.x, lean.y, -lean.y), 0.0, 1.0);
+    share *= vec4(greaterThanEqual(vec4(side.x, side.z, slope.x, slope.z), vec4(0.0)));
+    share /= max(dot(share, vec4(1.0)), 1.0);
+  }
+  float rest = 1.0 - dot(share, vec4(1.0));
+  if (rest > 0.0) add(sum, played(clip.x, clip.y, far), part * rest);
+  if (share.x > 0.0) add(sum, played(side.x, side.y, far), part * share.x);
+  if (share.y > 0.0) add(sum, played(side.z, side.w, far), part * share.y);
+  if (share.z > 0.0) add(sum, played(slope.x, slope.y, far), part * share.z);
+  if (share.w > 0.0) add(sum, played(slope.z, slope.w, far), part * share.w);
+}
+
+/** How much of a clip there is at the joint, of those that are added or of the others. */
+float share(float number, float weight, bool added) {
+  if (number > 65534.5 || weight <= 0.0) return 0.0;
+  vec4 clip = at(table, clips + 3 * int(number + 0.5));
+  if (clip.x < 0.0 || (clip.z > 1.5) != added) return 0.0;
+  return weight * at(table, groups + int(clip.w + 0.5) * joints + item).x;
+}
+
+/** The mean of what a machine plays at the joint, and how much of it there is. */
+float mean(int machine, bool added, out Joint found) {
+  int k = (agent * machines + machine) * ${TEXELS};
+  vec4 number = at(plays, k), a = at(plays, k + 1), b = at(plays, k + 2), c = at(plays, k + 3);
+  float own = share(number.x, mix(b.z, b.w, t), added);
+  float before = share(number.y, mix(c.x, c.y, t), added);
+  float earlier = share(number.z, mix(c.z, c.w, t), added);
+  float total = own + before + earlier;
+  found = Joint(vec3(0.0), vec4(0.0), vec3(0.0), vec3(0.0));
+  if (total < 1e-6) return 0.0;
+  if (earlier > 0.0) addClip(found, int(number.z + 0.5), mix(b.x, b.y, t), earlier / total);
+  if (before > 0.0) addClip(found, int(number.y + 0.5), mix(a.z, a.w, t), before / total);
+  if (own > 0.0) addClip(found, int(number.x + 0.5), mix(a.x, a.y, t), own / total);
+  found.turn = unit(found.turn);
+  return total;
+}
+
+vec4 times(vec4 a, vec4 b) { return vec4(a.w * b.xyz + b.w * a.xyz + cross(a.xyz, b.xyz), a.w * b.w - dot(a.xyz, b.xyz)); }
+
 void main() {
   if (outside()) discard;
-  Joint pose = sampled(0);
-  pose.turn = unit(pose.turn);
+  Joint rest = sampled(0);
+  rest.turn = unit(rest.turn);
+  Joint pose = rest, found;
   for (int machine = 0; machine < machines; machine++) {
-    int k = (agent * machines + machine) * ${TEXELS};
-    vec4 a = at(plays, k), b = at(plays, k + 1), c = at(plays, k + 2);
-    vec4 clip = clipOf(a.x), before = clipOf(a.y);
-    float clipShare = share(clip, mix(b.z, b.w, t)), beforeShare = share(before, mix(c.x, c.y, t));
-    float total = clipShare + beforeShare;
-    if (total < 1e-6) continue;
-    Joint mean = Joint(vec3(0.0), vec4(0.0), vec3(0.0), vec3(0.0));
-    if (beforeShare > 0.0) add(mean, played(before, mix(b.x, b.y, t)), beforeShare / total);
-    if (clipShare > 0.0) add(mean, played(clip, mix(a.z, a.w, t)), clipShare / total);
-    mean.turn = unit(mean.turn);
-    float over = min(total, 1.0);
+    float over = min(mean(machine, false, found), 1.0);
+    if (over <= 0.0) continue;
     Joint sum = Joint(pose.move * (1.0 - over), pose.turn * (1.0 - over), pose.scale * (1.0 - over), pose.shear * (1.0 - over));
-    add(sum, mean, over);
+    add(sum, found, over);
     sum.turn = unit(sum.turn);
     pose = sum;
+  }
+  for (int machine = 0; machine < machines; machine++) {
+    float much = mean(machine, true, found);
+    if (much <= 0.0) continue;
+    pose.move += (found.move - rest.move) * much;
+    vec4 turn = times(found.turn, vec4(-rest.turn.xyz, rest.turn.w));
+    turn *= turn.w < 0.0 ? -much : much;
+    turn.w += 1.0 - much;
+    pose.turn = unit(times(unit(turn), pose.turn));
   }
   first = vec4(pose.move, 0.0);
   second = pose.turn;
@@ -136,29 +180,55 @@ mat4 local(int joint) {
   return mat4(vec4(x, 0.0), vec4(y, 0.0), vec4(z, 0.0), vec4(texelFetch(moves, here, 0).xyz, 1.0));
 }`;
 
+/** Joints in the space of the agent, turned to where it looks as antdsl/bodies/agents/driving.py says. */
+const WORLD = /* glsl */ `
+uniform sampler2D gazes;
+uniform int looks;
+uniform int leans;
+uniform int lookAt;
+vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }
+
+mat4 looking(mat4 m, int joint) {
+  vec3 ahead = normalize(vec3(base[0].x, base[1].x, base[2].x));
+  for (int k = 0; k < looks; k++) {
+    float weight = at(table, lookAt + k * joints + joint).x;
+    if (weight <= 0.0) continue;
+    int here = 2 * (agent * (looks + leans) + k);
+    vec3 way = mix(at(gazes, here).xyz, at(gazes, here + 1).xyz, t) * base;
+    way /= max(length(way), 1e-12);
+    vec4 q = 1.0 + dot(ahead, way) < 1e-6 ? vec4(0.0, 0.0, 0.0, 1.0) : unit(vec4(cross(ahead, way), 1.0 + dot(ahead, way)));
+    q = unit(mix(vec4(0.0, 0.0, 0.0, 1.0), q, weight));
+    m = mat4(vec4(turned(q, m[0].xyz), 0.0), vec4(turned(q, m[1].xyz), 0.0), vec4(turned(q, m[2].xyz), 0.0), m[3]);
+  }
+  return m;
+}
+
+int chain[64];
+int above(int joint) {
+  int found = 0;
+  while (joint >= 0 && found < 64) {
+    chain[found++] = joint;
+    joint = parent(joint);
+  }
+  return found;
+}`;
+
 /** Hip, knee and foot of each leg by the clips. */
 export const LEGS = /* glsl */ `
 ${COMMON}
 ${LOCAL}
+${WORLD}
 uniform int legAt;
 void main() {
   if (outside()) discard;
   ivec3 leg = ivec3(round(at(table, legAt + 2 * item).xyz));
-  vec4 foot = vec4(0.0), knee = vec4(0.0), hip = vec4(0.0);
-  int joint = leg.z;
-  for (int depth = 0; depth < 256 && joint >= 0; depth++) {
-    if (joint == leg.z) foot.w = 1.0;
-    if (joint == leg.y) knee.w = 1.0;
-    if (joint == leg.x) hip.w = 1.0;
-    mat4 m = local(joint);
-    foot = m * foot;
-    knee = m * knee;
-    hip = m * hip;
-    joint = parent(joint);
+  mat4 m = mat4(1.0);
+  for (int k = above(leg.z) - 1; k >= 0; k--) {
+    m = looking(m * local(chain[k]), chain[k]);
+    if (chain[k] == leg.x) first = m[3];
+    if (chain[k] == leg.y) second = m[3];
   }
-  first = hip;
-  second = knee;
-  third = foot;
+  third = m[3];
 }`;
 
 const STANCES = /* glsl */ `
@@ -167,8 +237,7 @@ uniform sampler2D knees;
 uniform sampler2D stances;
 uniform float unitLength;
 vec4 stance(int number) { return at(stances, agent * (2 * legs + ${STANCE}) + number); }
-vec3 upward() { return vec3(base[0].y, base[1].y, base[2].y) * unitLength; }
-vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }`;
+vec3 upward() { return vec3(base[0].y, base[1].y, base[2].y) * unitLength; }`;
 
 const REACH = /* glsl */ `
 uniform sampler2D feet;
@@ -206,6 +275,7 @@ ${STANCES}
 ${REACH}
 uniform int legAt;
 
+vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }
 vec4 onto(vec3 a, vec3 b) { return unit(vec4(cross(a, b), max(1.0 + dot(a, b), 1e-6))); }
 
 void main() {
@@ -235,6 +305,7 @@ void main() {
 export const BONES = /* glsl */ `
 ${COMMON}
 ${LOCAL}
+${WORLD}
 ${STANCES}
 uniform sampler2D bones;
 uniform sampler2D legTurns;
@@ -267,14 +338,11 @@ void main() {
   int bone = 4 * item;
   vec4 own = at(bones, bone);
   mat4 made = mat4(1.0);
-  int joint = int(round(own.x));
-  for (int depth = 0; depth < 256 && joint >= 0; depth++) {
-    made = local(joint) * made;
-    joint = parent(joint);
-  }
-  if (legs > 0) made = standing(made, int(round(own.y)));
+  for (int k = above(int(round(own.x))) - 1; k >= 0; k--) made = looking(made * local(chain[k]), chain[k]);
+  bool stands = legs > 0 && own.x > -0.5;
+  if (stands) made = standing(made, int(round(own.y)));
   made = mat4(base) * made * transpose(mat4(at(bones, bone + 1), at(bones, bone + 2), at(bones, bone + 3), vec4(0.0, 0.0, 0.0, 1.0)));
-  if (legs > 0) {
+  if (stands) {
     vec4 a = stance(0), b = stance(1), now = mix(a, b, t);
     vec4 tilt = unit(vec4(now.yzw, sqrt(max(1.0 - dot(now.yzw, now.yzw), 0.0))));
     made = turn(made, tilt, vec3(0.0));

@@ -6,7 +6,7 @@ import type { NumberArray, Packet } from "../protocol";
 export const WIDE = 1024; // texels in a row of a texture that holds a list
 
 /** Clips and joints, as textures that hold lists of four numbers. `table`: first the parent of each joint; from `clips` on each
- * clip's first sample, how many, whether it loops and its transform group; from `groups` on the weights of joints. */
+ * clip's first sample, how many, how it plays and its transform group, with those that it gives way to; from `groups` on the weights of joints. */
 export interface Rig {
   joints: number;
   texels: number; // of a joint in a sample: translation, rotation, scale and shear where there are any
@@ -18,6 +18,9 @@ export interface Rig {
   machines: string[];
   loops: boolean[];
   idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
+  leans: boolean;
+  looks: string[]; // transform groups; from `lookAt` on in the table: the weights of joints
+  lookAt: number;
   legs: number;
   legAt: number; // in the table: of each leg hip, knee and foot as joints, and the axis of a straight knee
   length: number; // of the body, in the definition's units
@@ -58,6 +61,7 @@ export function rigOf(packet: Packet): Rigged {
   const clip = packet.arrays.get("clip") as NumberArray;
   const group = packet.arrays.get("group") as NumberArray;
   const leg = packet.arrays.get("leg") ?? new Float32Array(0);
+  const looks = [...(packet.arrays.get("look") as NumberArray)].flatMap((each) => [each, 0, 0, 0]);
   const joints = parent.length;
   const table = [...parent].flatMap((each) => [each, 0, 0, 0]);
   table.push(...clip);
@@ -68,12 +72,15 @@ export function rigOf(packet: Packet): Rigged {
     texels: Number(packet.header.texels),
     base: new THREE.Matrix3().fromArray(base.filter((_, k) => k % 4 < 3)).transpose(),
     samples: list(packet.arrays.get("sample") as NumberArray),
-    table: list([...table, ...weights, ...leg]),
+    table: list([...table, ...weights, ...leg, ...looks]),
     clips: joints,
     groups: joints + clip.length / 4,
     machines: packet.header.machines as string[],
-    loops: [...clip].filter((_, k) => k % 4 === 2).map((each) => each > 0),
+    loops: [...clip].filter((_, k) => k % 12 === 2).map((each) => each % 2 === 1),
     idle: (packet.header.idle as number[]).length ? (packet.header.idle as [number, number]) : null,
+    leans: packet.header.leans === true,
+    looks: packet.header.looks as string[],
+    lookAt: joints + clip.length / 4 + group.length + leg.length / 4,
     legs: leg.length / 8,
     legAt: joints + clip.length / 4 + group.length,
     length: Number(packet.header.length),
@@ -97,6 +104,7 @@ function skinOf(rig: Rig, packet: Packet, level: string): Skin {
   put("colour", 4, true);
   put("bone", 4, false);
   put("weight", 4, false);
+  geometry.setAttribute("layer", new THREE.BufferAttribute(Float32Array.from(take("layer")), 1));
   geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(take("face")), 1));
   const rest = Float32Array.from(take("position"));
   const point = new THREE.Vector3();

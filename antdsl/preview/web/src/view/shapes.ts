@@ -18,6 +18,7 @@ export function rowAttributes(rows: Rows): Map<string, THREE.InstancedBufferAttr
     made.set(name, new THREE.InstancedBufferAttribute(rows[name], 4, true));
   }
   made.set("size", new THREE.InstancedBufferAttribute(rows.size, 1));
+  made.set("wears", new THREE.InstancedBufferAttribute(rows.wears, 1));
   made.set("tone", new THREE.InstancedBufferAttribute(rows.tone, 4, true));
   for (const attribute of made.values()) attribute.setUsage(THREE.DynamicDrawUsage);
   return made;
