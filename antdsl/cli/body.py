@@ -50,7 +50,7 @@ def body(
     from antdsl.scene.paths import Roots
 
     roots = Roots(file.resolve().parent, grants(root))
-    if str(file) in BODIES and not file.exists():
+    if str(file) in BODIES and not file.is_file():
         found, report = library_body(str(file)), Report()
     else:
         found, report = read_definition(file, roots, prim=prim, rate=rate)
