@@ -58,7 +58,7 @@ def body(
         typer.echo(body_document(found, report), nl=False)
     else:
         show(report)
-        for line in body_lines(found) if found is not None and not quiet else ():
+        for line in body_lines(found) if found is not None and not quiet and to is None else ():
             typer.echo(line)
     if found is not None and report.ok and to is not None:
         _written(found, file, to, layer, quiet)
@@ -95,8 +95,6 @@ def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) 
         (to.parent / path).parent.mkdir(parents=True, exist_ok=True)
         write_whole(to.parent / path, files[path], sync=False)
     if not quiet:
-        typer.echo(
-            f"{to}: " + (f"and {len(parts)} files in {to.parent / to.stem}" if parts else f"{len(files[to.name]):,} bytes")
-        )
+        typer.echo(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")
         for note in notes:
             typer.echo(f"note: {note}")
