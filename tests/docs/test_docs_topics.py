@@ -14,7 +14,7 @@ TOPICS = (
 
 def test_each_topic_has_a_row_and_a_sample_that_is_run() -> None:
     assert re.findall(r"^\| (\w[^|]*) \|", PAGE, flags=re.M)[1:] == list(TOPICS)
-    parts = dict(re.findall(r"^## (.*)\n(.*?)(?=^## |\Z)", PAGE, flags=re.M | re.S))
+    parts = dict(re.findall(r"^## ([^\n]*)\n(.*?)(?=^## |\Z)", PAGE, flags=re.M | re.S))
     assert tuple(parts) == TOPICS
     for topic, text in parts.items():
         assert re.search(r"^```(console run|ant )", text, flags=re.M), topic
