@@ -22,15 +22,20 @@ class Capsule:
 
 BODIES: dict[str, Callable[[bool], Body]] = {"ant": ant, "person": person, "arrow": arrow, "ball": ball}
 
-# As long and wide as the meshes: of an ant from gaster to head; of who stands, shoulder to shoulder all round.
-_ANT = Capsule(0.92, 0.23, 0.165, -0.04)
+# Of an ant as long and wide as from gaster to head; of who stands, shoulder to shoulder all round; hunters and rabbits keep each
+# other as far off as the documents' balls do.
+_ANT, _BALL = Capsule(0.92, 0.23, 0.165, -0.04), Capsule(1.0, 1.0, 0.5)
 CAPSULES: dict[str, Capsule] = {
     "ant": _ANT,
     "ant_queen": _ANT,
     "ant_soldier": _ANT,
+    "roach": _ANT,
+    "spider": _ANT,
+    "hunter": _BALL,
+    "rabbit": _BALL,
     "person": Capsule(0.84, 0.84, 1.1),
     "arrow": Capsule(1.0, 0.6, 0.15),
-    "ball": Capsule(1.0, 1.0, 0.5),
+    "ball": _BALL,
 }
 
 _WORDS: tuple[tuple[str, str], ...] = (
@@ -43,9 +48,11 @@ _WORDS: tuple[tuple[str, str], ...] = (
     ("fish", "arrow"),
     ("flock", "arrow"),
     ("sheep", "ball"),
-    ("rabbit", "ball"),
-    ("hunter", "ball"),
-    ("prey", "ball"),
+    ("rabbit", "rabbit"),
+    ("prey", "rabbit"),
+    ("hunter", "hunter"),
+    ("roach", "roach"),
+    ("spider", "spider"),
     ("queen", "ant_queen"),
     ("soldier", "ant_soldier"),
 )

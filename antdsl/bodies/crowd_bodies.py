@@ -116,11 +116,6 @@ def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], repor
         named |= set(dressed)
         body = worn.get(line.species)
         place = scene.span("crowd", number, "wear")
-        if line.wear and body is None:
-            report.warning(
-                "missing-key", f"`{line.species}` wears layers, and has no `body` with any", place,
-                f"add `body: {line.species}.glb`, or another file of a body",
-            )  # fmt: skip
         for name in dressed:
             if body is not None and name not in body.layers:
                 near, known = nearest_name(name, list(body.layers)), ", ".join(f"`{each}`" for each in list(body.layers)[:_SHOWN])
@@ -193,7 +188,8 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
             else:
                 want("transform group", shown.group, body.groups, Label(shown.span, "turned here"))
         for line in _plays(machine):
-            want("clip", line.clip, body.clips, Label(line.span, "played here"))
+            for clip in (line.clip, *line.ways):
+                want("clip", clip, body.clips, Label(line.span, "played here"))
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
         for test in _tests(machine):
             want("mark", test.mark, marks, Label(test.span, "asked for here"))

@@ -20,7 +20,7 @@ from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.driving import Driven, with_channels, with_looks
 from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs
-from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
 from antdsl.bodies.agents.poses import Poses, local_transforms
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.body import vertex_normals
@@ -40,7 +40,7 @@ class PosedBody:
     is one so called, else the first that is not called `collision`, and of `layers` beside it; those that it does not have are
     passed over. `fine` is for agents that are large in a picture, `coarse` for those that are small."""
 
-    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str]], layers: Sequence[str] = ()) -> None:
+    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | Played], layers: Sequence[str] = ()) -> None:
         self.clips, self.layers, self._whole, self.name = tuple(clips), tuple(layers), definition, definition.name
         self._played = (*self.clips, (definition.idle, ""))
         self._table = clip_table(definition)
@@ -111,9 +111,18 @@ class PosedBody:
         return self._whole
 
     @property
+    def shaded(self) -> Definition:
+        """The same with what is drawn alone, and normals for all of it."""
+        return self._definition
+
+    @property
     def bindings(self) -> tuple[Binding, ...]:
         """The bindings of the layers that are drawn, static ones of a layer first."""
         return self._bindings
+
+    def with_clips(self, clips: Sequence[tuple[str, str] | Played]) -> PosedBody:
+        """The same for agents that play other clips."""
+        return PosedBody(self._whole, clips, self.layers)
 
     def poses(
         self,
@@ -127,7 +136,7 @@ class PosedBody:
     ) -> Poses:
         """Transforms and channels of `count` agents that play what their machines say and show what is `driven`, in the
         definition's space, `local` too; with `feet` legs are bent to where these are, and trunks moved with them."""
-        playing = machines_playing(self._table, self._played, machines, count)
+        playing = machines_playing(self._table, self._played, machines, count, driven.lean)
         poses = posed(self._table, self._definition.groups, playing, local=local, threads=threads)
         poses = with_channels(self._table, poses, driven.channels)
         poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])

@@ -61,3 +61,19 @@ def number_set(text: str | None, flag: str) -> frozenset[int] | None:
             raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,8..12", param_hint=flag)
         found.update(range(low, high + 1))
     return frozenset(found)
+
+
+def open_time(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
+    """`A..B` as when a shutter opens and closes, in frames from the frame itself; at most one frame, which is near. None for
+    None."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)", text.strip(), re.ASCII)
+    if found is None or len(text) > 32:
+        raise typer.BadParameter(f"`{text}` is no time: write `-0.25..0.25`, in frames", param_hint=flag)
+    first, last = float(found[1]), float(found[2])
+    if not -1 <= first < last <= 1 or last - first > 1:
+        raise typer.BadParameter(
+            f"`{text}` is not open for at most one frame, from -1 to 1; write `-0.25..0.25`", param_hint=flag
+        )
+    return first, last

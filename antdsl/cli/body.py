@@ -50,16 +50,19 @@ def body(
     from antdsl.scene.paths import Roots
 
     roots = Roots(file.resolve().parent, grants(root))
+    report = Report()
+    found: Definition | None
     if str(file) in BODIES and not file.is_file():
-        found, report = library_body(str(file)), Report()
+        found = library_body(str(file))
     else:
         found, report = read_definition(file, roots, prim=prim, rate=rate)
     if as_json:
         typer.echo(body_document(found, report), nl=False)
     else:
         show(report)
-        for line in body_lines(found) if found is not None and not quiet and to is None else ():
-            typer.echo(line)
+        if found is not None and not quiet and to is None:
+            for line in body_lines(found):
+                typer.echo(line)
     if found is not None and report.ok and to is not None:
         _written(found, file, to, layer, quiet)
     if not report.ok:

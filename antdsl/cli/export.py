@@ -27,10 +27,42 @@ def export(
     ),
     ids: str = typer.Option(None, "--ids", metavar="3,8..12", help="Only these agents. [default: all]", show_default=False),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Which frames. [default: all]", show_default=False),
+    skeletons: int = typer.Option(
+        None,
+        "--skeletons",
+        metavar="N",
+        min=0,
+        max=100_000,
+        show_default=False,
+        help="Of USD: up to N agents of a species have a skeleton each, more are instances of a bank of poses. [default: 200]",
+    ),
+    shutter: str = typer.Option(
+        None,
+        "--shutter",
+        metavar="A..B",
+        show_default=False,
+        help="Of USD: samples between frames, from A to B around each frame.",
+    ),
+    samples: int = typer.Option(
+        None, "--samples", metavar="N", min=2, max=33, show_default=False, help="How many of them. [default: 3]"
+    ),
+    chunk: int = typer.Option(
+        None,
+        "--chunk",
+        metavar="N",
+        min=1,
+        max=100_000,
+        show_default=False,
+        help="Of USD: values of N frames to a file. [default: one]",
+    ),
+    copies: bool = typer.Option(
+        None, "--copies", show_default=False, help="Of USD: agents with skeletons are no instances, as Blender needs them."
+    ),
+    close: bool = typer.Option(None, "--close", show_default=False, help="Of USD: bodies as they are for close-ups."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
-    from antdsl.cli.arguments import frame_range, number_set
+    from antdsl.cli.arguments import frame_range, number_set, open_time
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.exports import EXPORTS, export_for
@@ -49,6 +81,21 @@ def export(
             f"`{to.name}` cannot be written as `{word}`: there is {', '.join(export.forms)}", param_hint="--as"
         )
     between, chosen = frame_range(frames), number_set(ids, "--ids")
+    wanted = {
+        "skeletons": skeletons,
+        "shutter": open_time(shutter),
+        "samples": samples,
+        "chunk": chunk,
+        "copies": copies,
+        "close": close,
+    }
+    given = {name: value for name, value in wanted.items() if value is not None}
+    for name in sorted(given.keys() - export.takes(word)):
+        forms = [f"`{each.endings[0]}` as `{w}`" for each in EXPORTS for w in each.forms if name in each.takes(w)]
+        raise typer.BadParameter(f"`{to.name}` as `{word}` does not take this; {', '.join(forms)} does", param_hint=f"--{name}")
+    if "samples" in given and "shutter" not in given:
+        raise typer.BadParameter("say when they are: `--shutter -0.25..0.25`", param_hint="--samples")
+    options = (export.options[word](**given),) if word in export.options else ()
     try:
         found = open_cache(cache)
         there = [f for f in found.frames() if between is None or between.first <= f <= between.last]
@@ -65,7 +112,7 @@ def export(
                 inputs += found.made_from()
         gallery = Gallery(found if chosen is None else SomeAgents(found.folder, found.manifest, chosen))
         to.parent.mkdir(parents=True, exist_ok=True)
-        notes = export.forms[word](gallery, there, to)
+        notes = export.forms[word](gallery, there, to, *options)
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:

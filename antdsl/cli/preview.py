@@ -77,7 +77,7 @@ def _live(scene: Path, choices: Choices, threads: int) -> Live:
     from antdsl.preview.live import Live
     from antdsl.runtime import Options
 
-    live = Live.open(scene, choices, Options(threads=at_once(threads)))
+    live = Live.open(scene, choices, Options(threads=at_once(threads), feet=True))
     show(live.report, to_stderr=True)
     if verdict(live.report) is Exit.INPUT_OUTPUT:
         raise Stop(Exit.INPUT_OUTPUT)

@@ -88,7 +88,6 @@ def run(
         threads=at_once(threads, quiet),
         shuffle_rows=shuffle,
         on_fault=on_fault.value,
-        feet=True,
     )
     with keeping_inputs(files, folders):  # another cache too, that the scene begins with
         recording = _begin(shot, folder, options, choices, resume, force)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import body_of
@@ -22,7 +23,7 @@ from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.foot_arrays import feet_of
-from antdsl.outputs.cache.manifest import CameraEntry, MeshEntry, SpeciesEntry
+from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, MeshEntry, SpeciesEntry
 from antdsl.outputs.cache.shown_arrays import driven, layers_of, worn_masks
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
@@ -235,7 +236,7 @@ class Gallery:
         if (number, mask) not in self._worn:
             if number not in self._definitions:
                 self._definitions[number] = self._definition(species)
-            clips = tuple((clip.name, clip.on) for clip in species.clips)
+            clips = tuple(Played(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
             self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
         return self._worn[number, mask]
 

@@ -15,7 +15,7 @@ from antdsl.outputs.numbered_files import NoExport, numbered
 from antdsl.outputs.pictures.light import decoded, encoded
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.poses_export import FEWER, worn_crowds
-from antdsl.outputs.usd_parts import ROOT, Samples, box, identifier, still_mesh, vectors
+from antdsl.outputs.usd.values import ROOT, Out, Samples, box, identifier, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import whole
@@ -52,32 +52,30 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
         stage.SetStartTimeCode(frames[0])
         stage.SetEndTimeCode(frames[-1])
         stage.SetDefaultPrim(geom.Xform.Define(stage, ROOT).GetPrim())
-        made: dict[str, tuple[Samples, ...]] = {}
+        out, made = Out(stage), dict[str, tuple[Samples, ...]]()
         for frame in frames:
             for each in _posed(gallery, frame, there):
                 if each.name not in made:
-                    made[each.name] = _usd_mesh(stage, each)
+                    made[each.name] = _usd_mesh(out, each)
                 points, extent, normals = made[each.name]
                 points.set(frame, each.points)
                 extent.set(frame, box(each.points))
                 normals.set(frame, each.normals)
         stage.Save()
-        del made, stage
+        del made, out, stage
     return notes
 
 
-def _usd_mesh(stage: Any, part: Part) -> tuple[Samples, ...]:
+def _usd_mesh(out: Out, part: Part) -> tuple[Samples, ...]:
     species, _, number = part.name.rpartition("_")
-    geom = pxr("UsdGeom")
-    geom.Xform.Define(stage, f"{ROOT}/{identifier(species)}")
-    mesh = still_mesh(stage, f"{ROOT}/{identifier(species)}/agent_{number}", part.points, part.faces)
-    mesh.SetNormalsInterpolation("vertex")
+    pxr("UsdGeom").Xform.Define(out.stage, f"{ROOT}/{identifier(species)}")
+    made = mesh(out.stage, f"{ROOT}/{identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
     assert part.colours is not None
-    mesh.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(part.colours)))
-    attributes = (mesh.GetPointsAttr(), mesh.GetExtentAttr(), mesh.CreateNormalsAttr())
+    made.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(part.colours)))
+    attributes = (made.GetPointsAttr(), made.GetExtentAttr(), made.GetNormalsAttr())
     for attribute in attributes:
         attribute.Clear()
-    return tuple(Samples(attribute, vectors, np.float32) for attribute in attributes)
+    return tuple(out.samples(attribute, vectors, np.float32) for attribute in attributes)
 
 
 def _throughout(gallery: Gallery, frames: list[int]) -> tuple[dict[str, set[int]], list[str]]:

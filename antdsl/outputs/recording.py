@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -71,11 +71,11 @@ class NothingToResume(Exception):
 
 
 def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
-    """Bind the shot; with `resume`, put the world where the last good checkpoint left it.
+    """Bind the shot, with feet; with `resume`, put the world where the last good checkpoint left it.
 
     A checkpoint is good when the files of all frames up to it are whole and the world made from it has the hash that the cache
     has for that frame."""
-    inputs = {**shot.inputs, **start_hash(shot)}
+    inputs, options = {**shot.inputs, **start_hash(shot)}, replace(options, feet=True)
     kept: Whole | None = None
     if resume:
         kept = whole_part(folder, inputs, shot.frames.first, shot.frames.last)

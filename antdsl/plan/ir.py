@@ -305,10 +305,20 @@ class LayerPlan:
 
 @dataclass(frozen=True, slots=True)
 class ClipPlan:
-    """A clip of the body by its name, on the joints of a transform group ("": all)."""
+    """A clip of the body by its name, on the joints of a transform group ("": all). `add`: it lies over all others by its
+    differences from the rest pose. `left`, `right`, `up`, `down`: what it gives way to as an agent turns, climbs or goes down."""
 
     name: str
     on: str = ""
+    add: bool = False
+    left: str = ""
+    right: str = ""
+    up: str = ""
+    down: str = ""
+
+    @property
+    def leans(self) -> bool:
+        return any((self.left, self.right, self.up, self.down))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

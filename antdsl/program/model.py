@@ -96,13 +96,17 @@ class Give:
 @value
 class Play:
     """`clip` is played as long as the state lasts, on the joints of the transform group `on` ("": all), `speed` times as fast as
-    it goes and with the share `weight` (None: 1)."""
+    it goes and with the share `weight` (None: 1). Where `again` holds as an agent comes into the state, it begins anew.
+    `add`: it is added to what is played besides."""
 
     clip: str
     on: str
     speed: Expr | None
     weight: Expr | None
     span: Span
+    again: Expr | None = None
+    add: bool = False
+    ways: tuple[str, str, str, str] = ("", "", "", "")  # clips for who turns left or right, climbs, goes down
 
 
 @value

@@ -182,7 +182,7 @@ def _clips(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDAr
     """Numbers of clips into those that these clips have now; where one is played no more, none is."""
     number = np.array([after.clips.index(clip) if clip in after.clips else -1 for clip in before.clips] + [-1])
     for machine in after.machines:
-        for register in (f"{machine.name}.clip", f"{machine.name}.clip_before"):
+        for register in (f"{machine.name}.{part}" for part in ("clip", "clip_before", "clip_earlier")):
             if register in values:
                 values[register] = number[values[register]].astype(values[register].dtype)
 

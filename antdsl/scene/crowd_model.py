@@ -25,7 +25,8 @@ from antdsl.scene.values import (
 )
 
 NONE = "none"  # of the layers of a part, the one that is none
-BODY_WORDS = ("ant", "ant_queen", "ant_soldier", "person", "arrow", "ball")  # of the library of bodies
+# Of the library of bodies.
+BODY_WORDS = ("ant", "ant_queen", "ant_soldier", "roach", "spider", "hunter", "rabbit", "person", "arrow", "ball")
 Body = Annotated[str, BeforeValidator(word_or_file(*BODY_WORDS))]
 Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]

@@ -253,7 +253,8 @@ class Setting:
     `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
     ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
     the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
-    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up; `legs`: what those that have gaits stand on."""
+    keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up;
+    `legs`: what those that have gaits stand on."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1

@@ -82,7 +82,7 @@ def test_placed_shapes_face_outwards_with_colours(shape):
 
 
 def test_names_choose_bodies_and_shapes():
-    assert [body_of(name) for name in ("forager", "person", "boids", "hunter")] == ["ant", "person", "arrow", "ball"]
+    assert [body_of(name) for name in ("forager", "person", "boids", "hunter")] == ["ant", "person", "arrow", "hunter"]
     assert [shape_of("food", "apple"), shape_of("food", "donut"), shape_of("nest", "home"), shape_of("food", "a")] == [
         "apple",
         "ring",

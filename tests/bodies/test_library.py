@@ -124,7 +124,7 @@ def feet_in(body: Definition, name: str) -> tuple[np.ndarray, np.ndarray]:
     return world[:, [body.rig.joint(leg.foot) for leg in body.legs]][..., 3], clip.stride * np.linspace(0, 1, clip.samples)
 
 
-@pytest.mark.parametrize("word", [word for word in sorted(BODIES) if word not in ("arrow", "ball", "person")])
+@pytest.mark.parametrize("word", [word for word in sorted(BODIES) if word not in ("arrow", "ball")])
 def test_feet_on_the_ground_stay_where_they_are(word: str) -> None:
     body = library_body(word)
     for name, clip in body.clips.items():
@@ -133,7 +133,7 @@ def test_feet_on_the_ground_stay_where_they_are(word: str) -> None:
             assert feet[:, :, 1].min() > -0.02
             down = (feet[:-1, :, 1] < 3e-6) & (feet[1:, :, 1] < 3e-6)
             slid = np.abs(np.diff(feet[:, :, 0] + gone[:, None], axis=0))
-            assert down.mean() > 0.3 and slid[down].max() < 1e-4, name
+            assert down.mean() > 0.15 and slid[down].max() < 1e-4, name
 
 
 @pytest.mark.parametrize("word", [word for word in sorted(BODIES) if library_body(word).legs])

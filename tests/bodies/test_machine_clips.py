@@ -11,7 +11,7 @@ from rigs import definition, matrix, still, turn
 from antdsl.bodies.agents.blending import OVER, posed
 from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.layer import TransformGroup
-from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
 
 # A trunk, an arm and a leg beside each other; clips put them at heights: rest 0, low 1, high 3.
 JOINTS = {"trunk": "", "arm": "", "leg": ""}
@@ -85,3 +85,55 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
     for k in range(5):
         alone = posed(table, body.groups, machines_playing(table, clips, [whole.rows(np.array([k]))], 1)).world
         assert np.array_equal(alone[0], together[k])
+
+
+@pytest.mark.parametrize(
+    "clips, wanted",
+    [
+        ((Played("low"), Played("high", add=True)), [4, 4, 4]),  # 1, and 3 more than at rest
+        ((Played("low"), Played("high", "arms", add=True)), [1, 4, 1]),
+        ((Played("high", add=True), Played("low")), [4, 4, 4]),  # what is added lies over all machines
+        ((Played("high", "half", add=True), Played("low")), [1, 2.5, 4]),
+        ((Played("high", add=True), Played("low", add=True)), [4, 4, 4]),
+    ],
+)
+def test_what_is_added_lies_over_all_others(clips: tuple[Played, ...], wanted: list[float]) -> None:
+    table = clip_table(BODY)
+    found = posed(table, BODY.groups, machines_playing(table, clips, [machine(0), machine(1)], 1)).world
+    assert [float(y) for y in found[0, :, 1, 3]] == pytest.approx(wanted, abs=1e-5)
+
+
+def test_what_is_added_fades_and_gives_way_to_what_is_not() -> None:
+    table, clips = clip_table(BODY), (Played("low"), Played("high", add=True))
+    for fade in (0.0, 0.25, 1.0):
+        machines = [machine(0), machine(-1, before=1, fade=fade)]
+        found = posed(table, BODY.groups, machines_playing(table, clips, machines, 1)).world
+        assert float(found[0, 0, 1, 3]) == pytest.approx(1 + 3 * fade, abs=1e-5)
+    # over: half of what is added, and half of a walk that lies over the rest
+    found = posed(table, BODY.groups, machines_playing(table, clips, [machine(0, before=1, fade=0.5)], 1)).world
+    assert float(found[0, 0, 1, 3]) == pytest.approx(0.5 + 1.5, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "lean, height",
+    [
+        ((0, 0), 1),
+        ((1, 0), 3),
+        ((0.5, 0), 2),
+        ((-1, 0), 0),
+        ((-0.5, 0), 0.5),
+        ((0, 0.5), 2),
+        ((1, 1), 3),
+        ((0.5, -1), 2),
+        ((9, 0), 3),
+    ],
+)
+def test_clips_give_way_as_an_agent_turns_and_climbs(lean: tuple[float, float], height: float) -> None:
+    zero = still("zero", {j: {"t": (0, 0, 0)} for j in JOINTS})
+    body = replace(definition(JOINTS, LOW, HIGH, zero), groups=BODY.groups)
+    table, clips = clip_table(body), (Played("low", left="high", right="zero", up="high"),)
+    leans = np.array([lean], np.float32)
+    found = posed(table, body.groups, machines_playing(table, clips, [machine(0)], 1, leans)).world
+    assert float(found[0, 0, 1, 3]) == pytest.approx(height, abs=1e-5)
+    pair = machines_playing(table, clips, [machine(0).rows(np.array([0, 0]))], 2, np.array([lean, (0, 0)], np.float32))
+    assert [float(y) for y in posed(table, body.groups, pair).world[:, 0, 1, 3]] == pytest.approx([height, 1], abs=1e-5)

@@ -183,7 +183,8 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
     one = UsdGeom.Xformable(everybody["agent_0"])
     assert [op.GetOpName() for op in one.GetOrderedXformOps()] == ["xformOp:translate", "xformOp:rotateXYZ", "xformOp:scale"]
     shape = everybody["agent_0"].GetChild("body")
-    assert shape.IsInstance() and shape.GetPrototype() == everybody["agent_1"].GetChild("body").GetPrototype()
+    assert shape.IsA(UsdGeom.Mesh) and len(UsdGeom.Mesh(shape).GetPointsAttr().Get()) > 50
+    assert shape.HasAuthoredPayloads() and len(UsdGeom.PrimvarsAPI(shape).GetPrimvar("displayColor").Get(3)) == 1
     assert stage.GetPrimAtPath("/World/ground").IsA(UsdGeom.Mesh)
     UsdValidation = pytest.importorskip("pxr.UsdValidation")
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()

@@ -163,8 +163,8 @@ def test_what_the_body_does_not_have_is_told(wear: str, program: str, message: s
     assert shot is None and report.errors[0].message == message and help in (report.errors[0].help or "")
 
 
-def test_a_crowd_that_wears_layers_wants_a_body(tmp_path: Path) -> None:
+def test_a_body_of_the_library_is_asked_as_well(tmp_path: Path) -> None:
     scene = folder_with(tmp_path, "hat")
     scene.write_text(scene.read_text().replace("body: bug.json, ", ""))
     _, report = open_scene(scene)
-    assert "`bug` wears layers, and has no `body` with any" in [each.message for each in report.sorted()]
+    assert "the body of `bug` has no layer `hat`" in [each.message for each in report.errors]

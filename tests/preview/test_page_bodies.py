@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +20,20 @@ from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
+from antdsl.bodies.agents.leg_ik import Legs, PlacedFeet
+from antdsl.bodies.agents.legs import Leg
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.body import orientation
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.preview.binary_packets import pack
+from antdsl.preview.timeline import Light
 from antdsl.preview.viewing.plays import packed
 from antdsl.preview.viewing.rigs import rig_packet
+from antdsl.preview.viewing.stances import stances
+from antdsl.runtime.feet.state import Feet
+from antdsl.runtime.feet.trunk import quaternions
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -93,7 +100,7 @@ def machines(count: int, seed: int = 7) -> tuple[MachineClips, MachineClips]:
     return found[0], found[1]
 
 
-def frame(plays: tuple[MachineClips, ...], number: int = 20) -> bytes:
+def frame(plays: tuple[MachineClips, ...], number: int = 20, feet: Mapping[str, NDArray[Any]] | None = None) -> bytes:
     count = len(plays[0].clip)
     loops = np.array([True, False, True, False, False])
     side = np.arange(count, dtype=np.float32)
@@ -107,6 +114,7 @@ def frame(plays: tuple[MachineClips, ...], number: int = 20) -> bytes:
         "ant/state/main": np.zeros(count, np.uint8),
     }  # fmt: skip
     arrays |= {f"ant/plays/{name}": packed(each, loops) for name, each in zip(("main", "arms"), plays, strict=True)}
+    arrays |= {f"ant/{name}": array for name, array in (feet or {}).items()}
     return pack("frame", arrays, frame=number, light=False, felt=[])
 
 
@@ -117,12 +125,38 @@ def rig(body: Definition) -> bytes:
 def wanted(body: Definition, plays: tuple[MachineClips, ...], level: PosedBody) -> NDArray[np.float64]:
     """The matrices [n, B, 3, 4] of the bones of a mesh, by what antdsl itself makes of what is played."""
     table = clip_table(body)
-    world = posed(table, body.groups, machines_playing(table, PLAYS, plays, len(plays[0].clip))).world
+    return in_bones(body, level, posed(table, body.groups, machines_playing(table, PLAYS, plays, len(plays[0].clip))).world)
+
+
+def in_bones(body: Definition, level: PosedBody, world: NDArray[np.float32]) -> NDArray[np.float64]:
     square = np.tile(np.eye(4), (len(world), len(level.mesh.joint), 1, 1))
     square[:, :, :3] = world[:, level.mesh.joint]
     inverse = np.tile(np.eye(4), (len(level.mesh.joint), 1, 1))
     inverse[:, :3] = level.mesh.inverse
     return np.asarray((body.base()[None, None] @ square @ inverse[None])[:, :, :3])
+
+
+def legged() -> Definition:
+    """The same with two legs, one of which has a joint below its foot; a clip leaves them free."""
+    body = crane()
+    clips = {**body.clips, "reach": replace(body.clips["reach"], feet=False)}
+    return replace(body, legs=(Leg("left", "j3", "j4", "j5"), Leg("right", "j1", "j2", "j6")), clips=clips)
+
+
+def standing(count: int) -> tuple[Feet, Light]:
+    """Feet here and there around agents that look anywhere, on sloping ground."""
+    random = np.random.default_rng(9)
+    position = random.uniform(0, 60, (count, 3)).astype(np.float32)
+    heading, up = (
+        np.rint(127 * random.normal(mean, 0.3, (count, 3))).clip(-127, 127).astype(np.int8) for mean in ((1, 0, 0), (0, 1, 0))
+    )
+    light = Light(np.arange(10, 10 + count), position, heading, up, np.full(count, 4, np.float32), {})
+    feet = Feet.none(2)
+    feet.shown = position.T[:, :, None] + random.normal(0, 2.5, (3, count, 2))
+    feet.swing = np.where(random.random((count, 2)) < 0.6, np.float32(-1), np.float32(0.5))
+    feet.rise, feet.slope = random.normal(0, 0.3, count).astype(np.float32), random.normal(0, 0.3, (2, count)).astype(np.float32)
+    feet.phase = np.zeros(count, np.float32)
+    return feet, light
 
 
 def bones(page: Stage, agent: int) -> NDArray[np.float64]:
@@ -155,6 +189,28 @@ def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
     assert len(level.coarse.mesh.joint) == len(level.mesh.joint) == 8
     for row in (0,) if near else range(60):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
+
+
+def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
+    body, plays, count = legged(), machines(40), 40
+    feet, light = standing(count)
+    legs, level, table = Legs(body), PosedBody(body, PLAYS), clip_table(body)
+    stands = legs.kept(PLAYS, plays, count)
+    assert 0 < stands.min() < 0.9 and stands.max() == 1
+    placed = PlacedFeet(feet.shown.transpose(1, 2, 0), feet.down.astype(np.uint8), feet.phase, feet.rise, quaternions(feet.slope))
+    turned = orientation(light.heading.astype(np.float64), light.up.astype(np.float64))
+    beside = placed.beside(light.position, turned, light.size).less(stands)
+    poses = posed(table, body.groups, machines_playing(table, PLAYS, plays, count))
+    found = in_bones(body, level, legs.bent(poses, beside, stands).world)
+    columns = found.transpose(0, 1, 3, 2).astype(np.float32)
+    across = legs.on_trunk(columns[:, :, :3].reshape(count, -1, 3), beside.level()).reshape(count, -1, 3, 3)
+    places = legs.on_trunk(np.ascontiguousarray(columns[:, :, 3]), beside)
+    expected = np.concatenate([across, places[:, :, None]], axis=2).transpose(0, 1, 3, 2)
+    assert np.abs(expected - wanted(body, plays, level)).max() > 0.3, "legs and trunks are moved"
+    page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays, feet=stances(legs, feet, light, stands)))
+    page.page.wait_for_timeout(300)
+    for row in range(count):
+        assert np.abs(bones(page, 10 + row) - expected[row]).max() < 2e-3, row
 
 
 def test_between_two_frames_clips_go_on_and_blend(page: Stage) -> None:

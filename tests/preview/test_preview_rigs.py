@@ -11,6 +11,7 @@ import pytest
 from live_client import Page
 from preview_page import copied
 
+from antdsl.bodies.library.table import library_body
 from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.viewing.plays import NONE
@@ -108,5 +109,7 @@ def test_a_body_that_is_broken_is_told_at_its_place_and_the_old_one_stays(live: 
 def test_a_species_that_loses_its_file_gets_a_body_of_the_library(live: Live, scene: Path) -> None:
     page = Page(live)
     page.until(lambda: "rig:walker" in page.packets)
+    program = scene.with_name("walker.ant")
+    program.write_text(program.read_text().replace("play wave(on: arms)", "play look(on: feelers)"))
     scene.write_text(scene.read_text().replace(" body: walker.json,", ""))
-    page.until(lambda: unpack(page.packets["rig:walker"])[0]["joints"] > 13)
+    page.until(lambda: unpack(page.packets["rig:walker"])[0]["joints"] == len(library_body("ant").rig.names))

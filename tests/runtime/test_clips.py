@@ -96,7 +96,7 @@ def test_two_that_cover_ground_keep_step() -> None:
 
 def test_weights_and_groups() -> None:
     states = f"state one {{ play walk(weight: 0.25); steer {GOES}; when after 0.3 s -> two }}"
-    seen = shown(states + f"\nstate two {{ play walk(on: arms, weight: 7); steer {GOES} }}", 6)
+    seen = shown(states + f"\nstate two {{ play walk(on: arms, weight: size / 1 mm); steer {GOES} }}", 6)
     assert seen.every("main.clip_weight") == [1] + [0.25] * 3 + [1] * 3
     assert [(clip.name, clip.on) for clip in seen.world.plan.species["a"].clips] == [("walk", ""), ("walk", "arms")]
 
@@ -158,7 +158,11 @@ def test_an_edit_that_numbers_clips_anew_lets_them_go_on() -> None:
         ("play wave; play walk", "two-writers", "play it in a machine of its own, `machine arms { … }`"),
         ("enter { play wave }", "misplaced", "write `play wave` as a line of the state itself"),
         ("play wave(on: 3)", "wrong-argument", "write `play wave(on: arms)`"),
+        ("play wave(left: 3)", "wrong-argument", "write `play wave(left: wave_left)`"),
         ("play wave(speed: 2 mm)", "wrong-unit", None),
+        ("play wave(speed: -3)", "out-of-range", "write `play wave(speed: 1.5)`"),
+        ("play wave(weight: 7)", "out-of-range", "write `play wave(weight: 0.5)`"),
+        ("play wave(add: age > 1 s)", "wrong-argument", "write `play wave(add: true)`"),
         ("play wave(loud: 2)", "unknown-argument", None),
         ("when clip over -> s", "unknown-name", "write `clip done`, or for a mark `clip at over`"),
         ("when after 1 s -> s over 3 mm", "wrong-unit", None),
@@ -170,3 +174,21 @@ def test_mistakes_are_told_with_what_to_write(line: str, code: str, help: str | 
     _, report = checked(f"ant 1\nspecies a {{\n  start s\n  state s {{\n    steer heading\n    {line}\n  }}\n}}\n")
     assert [d.code for d in report.errors] == [code], [(d.code, d.message, d.help) for d in report.errors]
     assert report.errors[0].span is not None and help in (None, report.errors[0].help)
+
+
+def test_how_much_an_agent_turns_and_climbs() -> None:
+    # 45 degrees a second to the left; left of +x is -z where +y is up
+    steer = "face rotate(heading, about: up, by: 4.5 deg)"
+    line = "play walk(left: lean_left, right: lean_right, up: climb, down: descend)"
+    turning = f"max_turn 45 deg/s\nstate one {{ {line}; {steer}; steer {GOES} }}"
+    seen = shown(turning, 20, start="one")
+    turned = np.array(seen.every("lean:turn"))
+    headings = np.array([seen.every(f"heading.{axis}") for axis in "xz"]).T
+    rate = np.degrees(np.arctan2(headings[1:-1, 1] * headings[2:, 0] - headings[1:-1, 0] * headings[2:, 1],
+                                 (headings[1:-1] * headings[2:]).sum(axis=1))) * 10  # fmt: skip
+    assert turned[0] == 0 and turned[-1] == pytest.approx(rate[-2] / 90, abs=0.05) and turned[-1] > 0.2
+    assert seen.every("lean:slope") == pytest.approx([0] * 21, abs=1e-6), "the ground is level"
+    (clip,) = seen.world.plan.species["a"].clips
+    assert (clip.left, clip.right, clip.up, clip.down) == ("lean_left", "lean_right", "climb", "descend") and clip.leans
+    straight = shown(f"state one {{ {line}; steer {GOES} }}", 6)
+    assert straight.every("lean:turn") == pytest.approx([0] * 7, abs=1e-6)

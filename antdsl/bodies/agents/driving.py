@@ -20,11 +20,13 @@ from antdsl.bodies.agents.spoken import spoken_names
 class Driven:
     """Of n agents. `channels` float32[n] by spoken name: the value of a channel of the rig whatever clips say, NaN where clips
     say it. `looks` float32[n, 3] by transform group: unit vectors in the space of the agent (+x ahead, +y up), (1, 0, 0) for
-    who looks straight ahead. `ids` int64[n]: what draws go by."""
+    who looks straight ahead. `ids` int64[n]: what draws go by. `lean` float32[n, 2]: how much each turns, to the left above 0,
+    and climbs, from -1 to 1; None where no clip goes by that."""
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     looks: Mapping[str, Floats] = field(default_factory=dict)
     ids: NDArray[np.int64] | None = None
+    lean: Floats | None = None
 
     def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Driven:
         """The same of some agents."""
@@ -32,6 +34,7 @@ class Driven:
             {name: each[chosen] for name, each in self.channels.items()},
             {name: each[chosen] for name, each in self.looks.items()},
             None if self.ids is None else self.ids[chosen],
+            None if self.lean is None else self.lean[chosen],
         )
 
 

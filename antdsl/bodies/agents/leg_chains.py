@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ def chain(rig: Rig, leg: Leg) -> Chain:
     """The chain of a leg. Raises KeyError for a joint that the rig does not have."""
     upper, lower, foot = rig.joint(leg.upper), rig.joint(leg.lower), rig.joint(leg.foot)
     below = [_below(rig, joint) for joint in (upper, lower, foot)]
-    thigh, shank = (np.flatnonzero(a & ~b) for a, b in zip(below[:2], below[1:], strict=True))
+    thigh, shank = (np.flatnonzero(a & ~b) for a, b in pairwise(below))
     return Chain(upper, lower, foot, thigh, shank, np.flatnonzero(below[2]))
 
 

@@ -1,8 +1,8 @@
 """Legs bent so that feet are where they stand: two-bone inverse kinematics of many agents, one leg after the other.
 
-The knee is opened or closed by the law of cosines in the plane that it has in the pose; then the whole leg is turned about the hip
-by the shortest way to the goal. So the knee stays on its side. Joints between keep what they have; the foot and all below it keeps
-its turn, so that its angle to the ground is the clip's. A goal that is out of reach is gone towards."""
+The knee is opened or closed by the law of cosines in the plane that it has in the pose; then the whole leg is turned about the
+hip by the shortest way to the goal. So the knee stays on its side. Joints between keep what they have; the foot and all below it
+keep their turn, so that the angle to the ground is the clip's. A goal that is out of reach is gone towards."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import Floats, Numbers, composed, normalised
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.leg_chains import Chain, Joints, chain, standing_joints
-from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.agents.machine_clips import MachineClips, Played
 from antdsl.bodies.agents.poses import Poses
 
 STRAIGHT = 0.9995  # of both bones together: a leg is never quite straight, or its knee would have no side
 _FOLDED = 1.02  # times the difference of both bones
 _SUNK = 0.25  # of a leg: how far a trunk comes down in a pose so that feet that stand are in reach
 _PLANE = 1e-3  # of both bones' product: a knee whose sine is less says nothing of its plane
+BENDING = {"straight": STRAIGHT, "folded": _FOLDED, "sunk": _SUNK, "plane": _PLANE}  # for those who bend legs elsewhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,16 +100,25 @@ class Legs:
         """How many there are."""
         return len(self._chains)
 
-    def kept(self, clips: Sequence[tuple[str, str]], machines: Sequence[MachineClips], count: int) -> Floats:
+    @property
+    def chains(self) -> Sequence[Chain]:
+        """The joints of each."""
+        return self._chains
+
+    def straight_axes(self) -> Floats:
+        """The axes float32[L, 3], in the definition's space, about which knees bend that are straight in a pose."""
+        return np.concatenate([self._straight_axis(each) for each in self._chains], axis=1).T
+
+    def kept(self, clips: Sequence[tuple[str, str] | Played], machines: Sequence[MachineClips], count: int) -> Floats:
         """How much the feet of `count` agents stand, float32[n] from 0 to 1: less as clips play that leave feet free, by the
         same layers and weights that their poses have."""
         stands = np.ones(count, np.float32)
-        free = np.array([name in self._free for name, _ in clips] + [False])
-        moves = np.array([not group or self._groups.get(group, False) for _, group in clips] + [False])
+        played = [Played(*each) for each in clips]
+        free = np.array([each.clip in self._free for each in played] + [False])
+        moves = np.array([not each.add and (not each.on or self._groups.get(each.on, False)) for each in played] + [False])
         for machine in machines:
-            fade = np.clip(machine.fade, 0, 1)
             weight, loose = np.zeros(count, np.float32), np.zeros(count, np.float32)
-            for clip, share in ((machine.before, machine.before_weight * fade), (machine.clip, machine.weight * (1 - fade))):
+            for clip, _, share in machine.slots():
                 row = np.where((clip >= 0) & (clip < len(clips)), clip, len(clips))
                 heeded = np.maximum(np.nan_to_num(share), 0) * moves[row]
                 weight += heeded
@@ -178,18 +188,27 @@ class Legs:
     def _knee_axis(self, world: Floats, leg: Chain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
         """The unit axis [3, n] about which the knee opens; that of the standing pose where a leg is straight."""
         axis = _cross(thigh, shank)
-        hip, knee, foot = (self._rest[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
-        rest = _cross(hip - knee, foot - knee)
-        if _length(rest)[0] <= _PLANE * _length(hip - knee)[0] * _length(foot - knee)[0]:
-            rest = _cross(self._front[:, None], hip - foot)  # a knee that bends to the front
+        rest = self._straight_axis(leg)
         straight = _length(axis) <= np.float32(_PLANE) * size
         axis = np.where(straight, rest - thigh * (_dot(rest, thigh) / _dot(thigh, thigh)), axis)
         return _unit(axis)
 
+    def _straight_axis(self, leg: Chain) -> Floats:
+        hip, knee, foot = (self._rest[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
+        rest = _cross(hip - knee, foot - knee)
+        if _length(rest)[0] <= _PLANE * _length(hip - knee)[0] * _length(foot - knee)[0]:
+            rest = _cross(self._front[:, None], hip - foot)  # a knee that bends to the front
+        return rest
+
     def _with_trunk(self, world: Floats, feet: FeetOfBodies) -> None:
         """Moves all joints as `rise` and `tilt` say, in place."""
-        base = self._base
-        own = np.einsum("ar,abn,bs->rsn", base, _rotation(feet.tilt), base).astype(np.float32)
+        base, turn = self._base, _rotation(feet.tilt)
+        half = [
+            [(turn[a, 0] * base[0, s] + turn[a, 1] * base[1, s]) + turn[a, 2] * base[2, s] for s in range(3)] for a in range(3)
+        ]
+        own = np.array([
+            [(base[0, r] * half[0][s] + base[1, r] * half[1][s]) + base[2, r] * half[2][s] for s in range(3)] for r in range(3)
+        ], np.float32)  # fmt: skip
         _turn(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.rise)), np.float32))
         world[:, 3] += base[1][:, None, None] * (feet.rise * self._length)
 

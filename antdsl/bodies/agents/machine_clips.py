@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.blending import INTERPOLATE, NO_PARENT, OVER, ClipTree, Playing
+from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, NO_PARENT, OVER, ClipTree, Playing
 from antdsl.bodies.agents.clip_table import REST, ClipTable
 
 
@@ -17,7 +18,8 @@ from antdsl.bodies.agents.clip_table import REST, ClipTable
 class MachineClips:
     """What one machine of each of n agents plays. `clip` and `before` int[n] count what the species plays, -1 for none: the clip
     of the state, and the one that gives way to it. `turns` and `before_turns` float32[n]: how often each has been played through;
-    `weight` and `before_weight` their shares from 0 to 1; `fade`: as much of the pose is still the one before's."""
+    `weight` and `before_weight` their shares from 0 to 1; `fade`: as much of the pose is still the one before's. Of that,
+    `earlier_fade` is still the clip's that gave way to the one before as it began to give way itself; None where none did."""
 
     clip: NDArray[np.int16]
     turns: Floats
@@ -26,50 +28,140 @@ class MachineClips:
     before_turns: Floats
     before_weight: Floats
     fade: Floats
+    earlier: NDArray[np.int16] | None = None
+    earlier_turns: Floats | None = None
+    earlier_weight: Floats | None = None
+    earlier_fade: Floats | None = None
 
     def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> MachineClips:
         """The same of some agents."""
-        return MachineClips(*(getattr(self, name)[chosen] for name in FIELDS))
+        parts: list[Any] = [getattr(self, name) for name in FIELDS]
+        kept: list[Any] = [None if part is None else part[chosen] for part in parts]
+        return MachineClips(*kept)
+
+    def slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
+        """Clips, turns and shares of the pose float32[n], the one that gave way first before the others."""
+        fade = np.clip(self.fade, 0, 1)
+        if self.earlier is None or self.earlier_turns is None or self.earlier_weight is None or self.earlier_fade is None:
+            part = np.zeros_like(fade)
+            yield self.before, self.before_turns, part
+        else:
+            part = np.clip(self.earlier_fade, 0, 1)
+            yield self.earlier, self.earlier_turns, self.earlier_weight * (part * fade)
+        yield self.before, self.before_turns, self.before_weight * ((1 - part) * fade)
+        yield self.clip, self.turns, self.weight * (1 - fade)
 
 
-FIELDS = ("clip", "turns", "weight", "before", "before_turns", "before_weight", "fade")
+EARLIER = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
+FIELDS = ("clip", "turns", "weight", "before", "before_turns", "before_weight", "fade", *EARLIER)
 
 
-def machines_playing(table: ClipTable, clips: Sequence[tuple[str, str]], machines: Sequence[MachineClips], count: int) -> Playing:
-    """What `count` agents play. `clips`: the name and the transform group ("" for the whole rig) of what their states play; a
-    name that the table does not have stands for no clip.
+class Played(NamedTuple):
+    """What a line of a state plays: a clip on the joints of a transform group ("": the whole rig). With `add` it lies over all
+    others by its differences from the rest pose. `left`, `right`, `up` and `down` are the clips that it gives way to as an
+    agent turns, climbs or goes down, "" for none."""
 
-    A machine's layer is the mean of its two clips by fade and weight, and lies over those of the machines before it by as much as
-    the two weigh together: a clip that gives way to none fades out, and what is below shows."""
-    numbers = np.array([_number(table, name) for name, _ in clips] + [REST], np.int32)
-    seconds = np.array([table.duration(n) if n != REST else 0.0 for n in numbers])
-    loops = np.array([bool(table.loops[n + 1]) for n in numbers])
-    groups = ["", *sorted({group for _, group in clips} - {""})]
-    group_of = np.array([groups.index(group) for _, group in clips] + [0])
-    slots = 2 * len(machines)
-    chosen, times = np.full((count, slots), REST, np.int32), np.zeros((count, slots))
-    weights, layers = np.zeros((count, slots), np.float32), np.ones((count, 1 + len(machines)), np.float32)
-    used = np.zeros((count, slots), np.int64)
-    for k, machine in enumerate(machines):
-        fade = np.clip(machine.fade, 0, 1)
-        told = (
-            (machine.before, machine.before_turns, machine.before_weight * fade),
-            (machine.clip, machine.turns, machine.weight * (1 - fade)),
-        )
-        for slot, (clip, turns, weight) in enumerate(told, 2 * k):
-            row = np.where((clip >= 0) & (clip < len(clips)), clip, len(clips))
-            chosen[:, slot], used[:, slot] = numbers[row], group_of[row]
-            exact = turns.astype(np.float64)
-            times[:, slot] = np.where(loops[row], exact - np.floor(exact), np.minimum(exact, 1.0)) * seconds[row]
-            weights[:, slot] = weight
-        layers[:, 1 + k] = weights[:, 2 * k] + weights[:, 2 * k + 1]
+    clip: str
+    on: str = ""
+    add: bool = False
+    left: str = ""
+    right: str = ""
+    up: str = ""
+    down: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Slot:
+    """A clip of each agent: of which machine, whether it is added, its row among the clips, times, weights and groups."""
+
+    machine: int
+    add: bool
+    clips: NDArray[np.int32]
+    times: NDArray[np.float64]
+    weights: Floats
+    groups: NDArray[np.int64]
+
+
+def machines_playing(
+    table: ClipTable, clips: Sequence[tuple[str, str] | Played], machines: Sequence[MachineClips], count: int,
+    lean: Floats | None = None,
+) -> Playing:  # fmt: skip
+    """What `count` agents play. `clips`: what their states play; a name that the table does not have stands for no clip.
+    `lean` float32[n, 2]: how much each turns, to the left above 0, and climbs, from -1 to 1.
+
+    A machine's layer is the mean of its clips by fade and weight, and lies over those of the machines before it by as much as
+    they weigh together: a clip that gives way to none fades out, and what is below shows. What is added lies over all of them, in
+    the order of machines."""
+    played = [Played(*each) for each in clips]
+    groups = ["", *sorted({each.on for each in played} - {""})]
+    slots = [
+        slot
+        for k, machine in enumerate(machines)
+        for slot in _slots(table, played, groups, k, machine, lean)
+        if not slot.add or slot.weights.any()
+    ]
+    chosen, times = np.full((count, len(slots)), REST, np.int32), np.zeros((count, len(slots)))
+    weights, used = np.zeros((count, len(slots)), np.float32), np.zeros((count, len(slots)), np.int64)
+    for place, slot in enumerate(slots):
+        chosen[:, place], times[:, place] = slot.clips, slot.times
+        weights[:, place], used[:, place] = slot.weights, slot.groups
+    added = sorted({slot.machine for slot in slots if slot.add})
+    # Layer 0 has those of the machines over each other; what is added has layers of its own behind the topmost.
+    layer_of = tuple(2 + len(machines) + added.index(slot.machine) if slot.add else 1 + slot.machine for slot in slots)
+    modes: tuple[int, ...] = (OVER, *(INTERPOLATE,) * len(machines))
+    parents: tuple[int, ...] = (NO_PARENT, *(0,) * len(machines))
+    if added:
+        top = len(modes)
+        modes = (*modes, ADDITIVE, *(INTERPOLATE,) * len(added))
+        parents = (top, *(0,) * len(machines), NO_PARENT, *(top,) * len(added))
+    layers = np.ones((count, len(modes)), np.float32)
+    for layer in {*range(1, 1 + len(machines)), *layer_of}:
+        layers[:, layer] = weights[:, [place for place, each in enumerate(layer_of) if each == layer]].sum(axis=1)
     # Who has the same groups in the same places shares a tree; what has no weight may be of any group.
     used[weights == 0] = 0
     kinds, tree = np.unique(used, axis=0, return_inverse=True)
-    layer_of = tuple(1 + slot // 2 for slot in range(slots))
-    modes, parents = (OVER, *(INTERPOLATE,) * len(machines)), (NO_PARENT, *(0,) * len(machines))
     trees = tuple(ClipTree(layer_of, tuple(groups[g] for g in kind), modes, parents) for kind in kinds)
     return Playing(trees, tree.reshape(-1).astype(np.int32), chosen, times, weights, layers)
+
+
+def _slots(
+    table: ClipTable, played: Sequence[Played], groups: Sequence[str], number: int, machine: MachineClips, lean: Floats | None
+) -> Iterator[_Slot]:
+    """The clips that a machine plays, those that are added apart from the others."""
+    names = [(each.clip, each.left, each.right, each.up, each.down) for each in played]
+    numbers = np.array([[_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
+    seconds = np.array([[table.duration(n) if n != REST else 0.0 for n in row] for row in numbers])
+    loops = np.array([bool(table.loops[n + 1]) for n in numbers[:, 0]])
+    group_of = np.array([groups.index(each.on) for each in played] + [0])
+    adds = np.array([each.add for each in played] + [False])
+    parts = list(machine.slots())
+    for clip, turns, weight in parts if parts[0][2].any() else parts[1:]:  # seldom do three clips play at once
+        row = np.where((clip >= 0) & (clip < len(played)), clip, len(played))
+        exact = turns.astype(np.float64)
+        far = np.where(loops[row], exact - np.floor(exact), np.minimum(exact, 1.0))
+        for way, share in enumerate(_shares(numbers[row], lean)):
+            if share is None:
+                continue
+            for add in (False, True) if adds.any() else (False,):
+                yield _Slot(
+                    number, add, numbers[row, way], far * seconds[row, way],
+                    np.where(adds[row] == add, weight * share, np.float32(0)), group_of[row],
+                )  # fmt: skip
+
+
+def _shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
+    """How much of each agent's clip is the clip itself, and how much the ones to the left, the right, up and down, [n, 5]: None
+    for a way that nobody goes."""
+    ones = np.ones(len(numbers), np.float32)
+    if lean is None or not (numbers[:, 1:] != REST).any():
+        yield ones
+        return
+    ways = np.stack([lean[:, 0], -lean[:, 0], lean[:, 1], -lean[:, 1]], axis=1)
+    ways = np.where(numbers[:, 1:] != REST, np.clip(np.nan_to_num(ways), 0, 1), 0).astype(np.float32)
+    ways /= np.maximum(ways.sum(axis=1), 1)[:, None]
+    yield 1 - ways.sum(axis=1)
+    for way in ways.T:
+        yield np.ascontiguousarray(way) if way.any() else None
 
 
 def _number(table: ClipTable, name: str) -> int:

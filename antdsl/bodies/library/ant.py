@@ -11,6 +11,7 @@ from antdsl.bodies.library import ant_rig
 from antdsl.bodies.library.ant_clips import CLIPS
 from antdsl.bodies.library.ant_close import close
 from antdsl.bodies.library.ant_crowd import crowd
+from antdsl.bodies.library.insect_legs import BONES, legs_of
 from antdsl.bodies.library.lazy_shapes import LazyShapes
 from antdsl.bodies.library.modelling import Model, rig_of
 from antdsl.bodies.library.surfaces import ellipsoid
@@ -58,7 +59,7 @@ def ant(build: ant_rig.Build = ant_rig.WORKER) -> Definition:
             "mandible_r",
             *(f"{name}_{side}" for name in ("scape", "funiculus", "club") for side in "lr"),
         ],
-        "forelegs": [f"{bone}_{side}1" for bone in ant_rig.BONES for side in "lr"],
+        "forelegs": [f"{bone}_{side}1" for bone in BONES for side in "lr"],
         "gaster": ["petiole", "gaster", "gaster_tip"],
     }
     return Definition(
@@ -67,7 +68,7 @@ def ant(build: ant_rig.Build = ant_rig.WORKER) -> Definition:
         {"body": worn("body", "ant"), "close": worn("close", "ant_close"), "load": worn("load", "crumb")},
         {clip.name: clip for clip in (make(rig) for make in CLIPS)},
         {name: TransformGroup(name, tuple((joint, 1.0) for joint in members)) for name, members in groups.items()},
-        materials=MATERIALS, length=1.0, unit=MILLIMETRES, legs=ant_rig.legs(), gaits=ant_rig.GAITS, idle="idle",
+        materials=MATERIALS, length=1.0, unit=MILLIMETRES, legs=legs_of(3), gaits=ant_rig.GAITS, idle="idle",
     )  # fmt: skip
 
 

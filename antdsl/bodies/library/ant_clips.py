@@ -9,9 +9,10 @@ import numpy as np
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.library import ant_rig
-from antdsl.bodies.library.motions import FAST, Array, Motion, X, Y, Z, footpath
+from antdsl.bodies.library.insect_legs import chains_of
+from antdsl.bodies.library.motions import FAST, Array, Motion, X, Y, Z, steps
 
-CHAINS = ant_rig.chains()
+CHAINS = chains_of(3)
 _SIDES = (("l", -1.0), ("r", 1.0))
 
 
@@ -59,11 +60,6 @@ def _going(rig: Rig, number: int, bob: float) -> Motion:
     return m
 
 
-def _step(m: Motion, number: int) -> None:
-    for leg, chain in enumerate(CHAINS):
-        m.reach(chain, footpath(ant_rig.GAITS[number], leg, m.phase, m.rest(chain.tip)))
-
-
 def idle(rig: Rig) -> Clip:
     """Stands: feelers sway, it looks about, the gaster breathes, once it shifts its weight."""
     m = Motion(rig, 6.0)
@@ -81,7 +77,7 @@ def idle(rig: Rig) -> Clip:
 def walk(rig: Rig) -> Clip:
     m = _going(rig, 1, 0.004)
     _feelers(m, 12.0, 1)
-    _step(m, 1)
+    steps(m, ant_rig.GAITS[1], CHAINS)
     return m.clip("walk", stride=ant_rig.GAITS[1].stride, marks={"left": 0.0, "right": 0.5})
 
 
@@ -90,7 +86,7 @@ def run(rig: Rig) -> Clip:
     m.turn("gaster", Z, -9.0)
     m.turn("head", Z, 4.0)
     _feelers(m, 9.0, 1, drop=-6.0)
-    _step(m, 2)
+    steps(m, ant_rig.GAITS[2], CHAINS)
     return m.clip("run", stride=ant_rig.GAITS[2].stride, marks={"left": 0.0, "right": 0.5})
 
 
@@ -102,7 +98,7 @@ def carry(rig: Rig) -> Clip:
     m.turn("gaster", Z, 6.0)
     _jaws(m, 17.0)
     _feelers(m, 7.0, 1, drop=-16.0, still=0.9)
-    _step(m, 1)
+    steps(m, ant_rig.GAITS[1], CHAINS)
     return m.clip("carry", stride=ant_rig.GAITS[1].stride, marks={"left": 0.0, "right": 0.5})
 
 

@@ -4,12 +4,12 @@ in a ball inside the other, so that nothing gapes when they turn."""
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from antdsl.bodies.library import ant_rig as rig
 from antdsl.bodies.library.hair import hairs
+from antdsl.bodies.library.insect_legs import fine_leg
 from antdsl.bodies.library.modelling import Model, bands, profile
-from antdsl.bodies.library.surfaces import Array, Point, Surface, ellipsoid, limb, loft, smooth_through
+from antdsl.bodies.library.surfaces import Array, Surface, ellipsoid, limb, loft, smooth_through
 
 _TERGITES = 5
 
@@ -22,8 +22,8 @@ def close(model: Model, build: rig.Build) -> None:
     _head(model, build)
     _mandibles(model, build)
     _antennae(model, build)
-    for number in (1, 2, 3):
-        _leg(model, number)
+    for number, points in enumerate(rig.LEGS, 1):
+        fine_leg(model, number, points)
 
 
 def _lathe(rows: Array, sides: int, square: float = 1.0, flat_below: float = 0.0) -> Surface:
@@ -251,66 +251,3 @@ def _antennae(model: Model, build: rig.Build) -> None:
     radius = (0.0070 + 0.0035 * at) * (0.72 + 0.28 * np.sin(np.pi * np.clip(inside * 0.9 + 0.08, 0, 1)) ** 0.6)
     radius[-3:] *= (0.92, 0.70, 0.30)
     model.both(loft(path, radius, radius, 8), [(0.40, "funiculus_r"), (0.62, "club_r")], "leg", "funiculus")
-
-
-def _leg(model: Model, number: int) -> None:
-    names = [f"{bone}_r{number}" for bone in rig.BONES]
-    coxa, femur, knee, ankle, claw = (np.array(at) for at in rig.LEGS[number - 1])
-    inner = coxa + np.array([0.0, 0.012, -0.012])
-    model.both(
-        limb([_p(inner), _p(coxa), _p(coxa + 0.55 * (femur - coxa)), _p(femur)], [0.016, 0.024, 0.022, 0.013], 10, 6),
-        names[0],
-        "thorax",
-        "coxa",
-    )
-    way = (knee - femur) / np.linalg.norm(knee - femur)
-    # The trochanter is the first piece of the femur; the femur is thickest before its middle.
-    model.both(
-        limb([_p(femur - 0.004 * way), _p(femur + 0.016 * way), _p(femur + 0.030 * way)], [0.0130, 0.0145, 0.0110], 10, 4),
-        names[1],
-        "leg",
-        "trochanter",
-    )
-    bow = np.array([0.0, 0.008, 0.0])
-    thigh = [femur + 0.022 * way, femur + 0.30 * (knee - femur) + bow, femur + 0.65 * (knee - femur) + bow, knee]
-    model.both(limb([_p(p) for p in thigh], [0.0105, 0.0175, 0.0145, 0.0100], 10, 8), names[1], "leg", "femur")
-    model.both(ellipsoid(_p(knee), (0.0112, 0.0112, 0.0112), 1), names[2], "joint", "knee")
-    shin = [knee, knee + 0.18 * (ankle - knee), knee + 0.60 * (ankle - knee), ankle]
-    shank = limb([_p(p) for p in shin], [0.0085, 0.0100, 0.0115, 0.0085], 8, 7)
-    model.both(shank, names[2], "leg", "tibia")
-    down, out = (ankle - knee) / np.linalg.norm(ankle - knee), (claw - ankle) / np.linalg.norm(claw - ankle)
-    spur = [ankle - 0.012 * down, ankle + 0.006 * down + 0.012 * out, ankle + 0.010 * down + 0.026 * out]
-    model.both(loft(np.array(spur), [0.0040, 0.0028, 0.0004], [0.0040, 0.0028, 0.0004], 4), names[2], "leg", "spur")
-    _tarsus(model, names[3], ankle, claw)
-    hairs(model, shank, names[2], 10, 0.020, seed=10 + number, lean=_p(down * 1.4), both=True)
-
-
-def _tarsus(model: Model, joint: str, ankle: Array, claw: Array) -> None:
-    """Five pieces, the first the longest, then two claws with a pad between them."""
-    edges = np.array([0.0, 0.40, 0.58, 0.72, 0.84, 1.0])
-    at, radius = [], []
-    for k in range(5):
-        a, b = edges[k], edges[k + 1]
-        at += [a + 0.04 * (b - a), a + 0.5 * (b - a), a + 0.90 * (b - a)]
-        radius += [0.0050 - 0.0003 * k, 0.0058 - 0.0003 * k, 0.0078 - 0.0005 * k]
-    bend = np.array([0.0, -0.004, 0.0])
-    raised = np.array([0.0, 0.006, 0.0])
-    where = np.array(at)[:, None]
-    path = ankle + (claw + raised - ankle) * where + bend * np.sin(np.pi * where)
-    path = np.concatenate([[ankle - 0.002 * (claw - ankle)], path])
-    model.both(loft(path, np.array([0.0072, *radius]), np.array([0.0072, *radius]), 7), joint, "leg", "tarsus")
-    out = (claw - ankle) * np.array([1.0, 0.0, 1.0])
-    out /= np.linalg.norm(out)
-    side = np.array([-out[2], 0.0, out[0]])
-    foot = path[-1]
-    for sign in (-1.0, 1.0):
-        tip = foot + 0.026 * out + sign * 0.016 * side
-        tip[1] = 0.0015
-        curve = [foot, foot + 0.014 * out + sign * 0.010 * side + np.array([0.0, 0.005, 0.0]), tip]
-        size = [0.0042, 0.0032, 0.0004]
-        model.both(loft(np.array(curve), size, size, 5), joint, "jaw", "claw")
-    model.both(ellipsoid(_p(foot + 0.010 * out), (0.006, 0.004, 0.006), 0), joint, "joint", "pad")
-
-
-def _p(at: Array | NDArray[np.float64]) -> Point:
-    return (float(at[0]), float(at[1]), float(at[2]))

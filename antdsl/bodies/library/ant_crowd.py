@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from antdsl.bodies.library import ant_rig as rig
+from antdsl.bodies.library.insect_legs import crowd_leg
 from antdsl.bodies.library.modelling import Model
 from antdsl.bodies.library.surfaces import Point, Surface, loft
 
 
-def lathe(rows: list[tuple[float, float, float, float]], sides: int, shift: Point = (0.0, 0.0, 0.0)) -> Surface:
+def lathe(rows: Sequence[tuple[float, float, float, float]], sides: int, shift: Point = (0.0, 0.0, 0.0)) -> Surface:
     """A body along x of rows (x, y, half its height, half its width)."""
     table = np.array(rows)
     path = np.stack([table[:, 0], table[:, 1], np.zeros(len(table))], 1) + np.array(shift)
@@ -54,23 +57,8 @@ def crowd(model: Model, build: rig.Build) -> None:
 
 def _limbs(model: Model, build: rig.Build) -> None:
     table = rig.joints(build)
-    for number in (1, 2, 3):
-        names = [f"{bone}_r{number}" for bone in rig.BONES]
-        points = [table[name][1] for name in names]
-        radii = np.array([0.020, 0.020, 0.015, 0.010, 0.004])
-        made = loft(points, radii, radii, 3)
-        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(np.array(points), axis=0), axis=1))])
-        at = length / length[-1]
-        # Each joint bends its ring by half: what is before it follows the bone before.
-        follows = [
-            (0.0, names[0]),
-            (at[1] + 0.01, names[1]),
-            (at[2] - 0.06, names[1]),
-            (at[2] + 0.06, names[2]),
-            (at[3] - 0.05, names[2]),
-            (at[3] + 0.05, names[3]),
-        ]
-        model.both(made, follows, "leg", "leg")
+    for number, points in enumerate(rig.LEGS, 1):
+        crowd_leg(model, number, points)
     scape, funiculus, club = (table[f"{name}_r"][1] for name in ("scape", "funiculus", "club"))
     radii = np.array([0.009, 0.011, 0.010, 0.006])
     path = [scape, funiculus, club, rig.funiculus_end(build)]

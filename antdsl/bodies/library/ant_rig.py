@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from antdsl.bodies.agents.legs import Gait, Leg
-from antdsl.bodies.library.motions import Chain
+from antdsl.bodies.agents.legs import Gait
+from antdsl.bodies.library.insect_legs import Joints, leg_joints
 from antdsl.bodies.library.surfaces import Point
 
 HEIGHT = 0.17  # of the thorax over the ground
@@ -36,12 +36,11 @@ WAIST: Point = (-0.095, 0.142, 0.0)
 PETIOLE_END: Point = (-0.152, 0.142, 0.0)
 
 # The right legs from front to hind: coxa, femur, tibia (the knee), tarsus (the ankle), claw.
-LEGS: tuple[tuple[Point, Point, Point, Point, Point], ...] = (
+LEGS: tuple[Joints, ...] = (
     ((0.165, 0.142, 0.034), (0.190, 0.100, 0.062), (0.285, 0.232, 0.168), (0.372, 0.030, 0.248), (0.425, 0.0, 0.290)),
     ((0.082, 0.136, 0.040), (0.088, 0.097, 0.076), (0.072, 0.248, 0.208), (0.038, 0.030, 0.336), (0.036, 0.0, 0.402)),
     ((0.006, 0.134, 0.040), (-0.008, 0.097, 0.074), (-0.130, 0.276, 0.178), (-0.310, 0.030, 0.300), (-0.380, 0.0, 0.338)),
 )
-BONES = ("coxa", "femur", "tibia", "tarsus", "claw")
 
 
 def joints(build: Build) -> dict[str, tuple[str, Point]]:
@@ -63,12 +62,7 @@ def joints(build: Build) -> dict[str, tuple[str, Point]]:
         ):
             made[f"{name}_{side}"] = (parent if parent == "head" else f"{parent}_{side}", (at[0], at[1], sign * at[2]))
     made["load"] = ("head", load_place(build))
-    for number, points in enumerate(LEGS, 1):
-        for side, sign in (("l", -1.0), ("r", 1.0)):
-            parent = "thorax"
-            for bone, at in zip(BONES, points, strict=True):
-                made[f"{bone}_{side}{number}"] = (parent, (at[0], at[1], sign * at[2]))
-                parent = f"{bone}_{side}{number}"
+    made |= leg_joints(LEGS, "thorax")
     return made
 
 
@@ -96,19 +90,6 @@ def load_place(build: Build) -> Point:
     """Between the tips of the jaws."""
     at = head_place((0.148, -0.030, 0.0), build)
     return (at[0] + 0.085 * build.head * build.jaws, at[1] - 0.014 * build.head * build.jaws, 0.0)
-
-
-def legs() -> tuple[Leg, ...]:
-    """The legs, left before right, from front to hind."""
-    return tuple(
-        Leg(f"{side}{number}", f"femur_{side}{number}", f"tibia_{side}{number}", f"claw_{side}{number}")
-        for number in (1, 2, 3)
-        for side in ("l", "r")
-    )
-
-
-def chains() -> tuple[Chain, ...]:
-    return tuple(Chain(leg.upper, leg.lower, f"tarsus_{leg.name}", leg.foot) for leg in legs())
 
 
 # By leg: l1, r1, l2, r2, l3, r3. Slow ants lift one leg after the other from hind to front, fast ones front and hind of one side

@@ -46,7 +46,8 @@ class Model:
             share[:, 0] = 1
         else:
             row, share = self._blended(along, follows)
-        middle = along[surface.faces].mean(axis=1)
+        # Both triangles of a quad have the same middle, so that materials meet in a straight line.
+        middle = (along[surface.faces].min(axis=1) + along[surface.faces].max(axis=1)) / 2
         names = [material] * len(middle) if isinstance(material, str) else [str(each) for each in material(middle)]
         for name in sorted(set(names) - set(self._materials)):
             self._materials.append(name)

@@ -77,9 +77,9 @@ class Motion:
         self._used.add(number)
         self._scale[:, number] *= np.stack([np.sqrt(by), by, by], 1)
 
-    def reach(self, chain: Chain, tip: Array, level: float = 1.0, knee: Array | None = None) -> None:
-        """Puts the tip of a leg at `tip` [F, 3]. `level`: whether what is beyond the ankle keeps its pitch (1) or goes with the
-        shank (0). `knee` [3]: towards where the knee points, else as in the rest pose."""
+    def reach(self, chain: Chain, tip: Array, level: float = 1.0, pitch: Array | float = 0.0) -> None:
+        """Puts the tip of a leg at `tip` [F, 3]. `level`: whether what is beyond the ankle keeps its pitch (1), `pitch` degrees
+        up from that of the rest pose, or goes with the shank (0)."""
         rig = self.rig
         upper, lower, ankle, end = (rig.joint(name) for name in (chain.upper, chain.lower, chain.ankle, chain.tip))
         places, turns = _places(rig, self._move, self._turn)
@@ -90,8 +90,9 @@ class Motion:
         was, now = rest_tip - rest_hip, tip - hip
         yaw = np.arctan2(-now[:, 2], now[:, 0]) - np.arctan2(-was[2], was[0])
         yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
-        far = np.hypot(was[0], was[2]) > 0.15 * np.linalg.norm(was)  # legs straight down do not turn with it
-        beyond = _rotation(Y, yaw if far else np.zeros(self.samples))
+        far = abs(was[2]) > 0.3 * np.linalg.norm(was)  # legs straight down do not turn with it
+        turned = _rotation(Y, yaw if far else np.zeros(self.samples))
+        beyond = turned @ _rotation(Z, np.broadcast_to(np.radians(pitch), self.samples))
         goal = tip - np.einsum("nij,j->ni", beyond, rest_tip - rest_ankle) if level > 0 else tip
         first, second = np.linalg.norm(rest_knee - rest_hip), np.linalg.norm(rest_ankle - rest_knee)
         if level <= 0:
@@ -100,11 +101,12 @@ class Motion:
         length = np.linalg.norm(way, axis=1)
         reach = np.clip(length, abs(first - second) * 1.02 + 1e-9, (first + second) * 0.998)
         way = way / np.maximum(length, 1e-12)[:, None]
-        bend = rest_knee - rest_hip if knee is None else np.asarray(knee)
-        pole = np.einsum("nij,j->ni", parent, bend)
-        if far and knee is None:
-            pole = np.einsum("nij,nj->ni", beyond, pole)
-        pole = pole - way * (pole * way).sum(1, keepdims=True)
+        # The leg bends in the plane that it bends in at rest, turned as the trunk is and, of legs to the side, as the leg is.
+        across = np.cross(rest_ankle - rest_hip, rest_knee - rest_hip)
+        normal = np.einsum("nij,j->ni", parent, across)
+        if far:
+            normal = np.einsum("nij,nj->ni", turned, normal)
+        pole = np.cross(normal, way)
         pole /= np.maximum(np.linalg.norm(pole, axis=1, keepdims=True), 1e-12)
         ahead = (first**2 - second**2 + reach**2) / (2 * reach)
         aside = np.sqrt(np.maximum(first**2 - ahead**2, 0.0))
@@ -152,9 +154,26 @@ def footpath(gait: Gait, leg: int, phase: Array, rest: Array) -> Array:
     own = (phase + gait.phases[leg]) % 1.0
     travel = gait.stride * gait.duty
     swing = np.clip((own - gait.duty) / (1 - gait.duty), 0.0, 1.0)
-    eased = swing * swing * (3 - 2 * swing)
-    ahead = np.where(own < gait.duty, travel * (0.5 - own / gait.duty), travel * (eased - 0.5))
+    ahead = np.where(own < gait.duty, travel * (0.5 - own / gait.duty), travel * (_eased(swing) - 0.5))
     return np.asarray(rest + np.stack([ahead, gait.lift * np.sin(np.pi * swing) ** 2, np.zeros_like(own)], 1))
+
+
+def steps(m: Motion, gait: Gait, chains: Sequence[Chain], off: float = 0.0, on: float = 0.0, heel: float = 0.0) -> None:
+    """Puts all legs where they are in a gait. The heel leaves the ground first, by `off` degrees, and comes down first, the toes
+    up by `on`, where it is `heel` behind the tip."""
+    for leg, chain in enumerate(chains):
+        own = (m.phase + gait.phases[leg]) % 1.0
+        stand, swing = own / gait.duty, (own - gait.duty) / (1 - gait.duty)
+        down = on * (1 - _eased(stand / 0.18)) - off * _eased((stand - 0.55) / 0.45)
+        pitch = np.where(own < gait.duty, down, -off + (off + on) * _eased(swing * 1.15))
+        tip = footpath(gait, leg, m.phase, m.rest(chain.tip))
+        tip[:, 1] += heel * np.sin(np.radians(np.maximum(pitch, 0.0)))
+        m.reach(chain, tip, pitch=pitch)
+
+
+def _eased(share: Array) -> Array:
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray(share * share * (3 - 2 * share))
 
 
 def _places(rig: Rig, move: Array, turn: Array) -> tuple[Array, Array]:

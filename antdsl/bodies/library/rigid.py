@@ -28,20 +28,6 @@ def ball() -> Definition:
     )
 
 
-def person() -> Definition:
-    """Somebody who stands: head, trunk, arms, two legs."""
-    return _rigid("person", {"body": _figure}, {"skin": (0.52, 0.30, 0.20), "cloth": (0.06, 0.08, 0.13)})
-
-
-def _figure(model: Model) -> None:
-    for name, at, half, material in (
-        ("head", (0.05, 1.72, 0.0), (0.15, 0.19, 0.14), "skin"), ("trunk", (0.0, 1.15, 0.0), (0.20, 0.42, 0.29), "state"),
-        ("arm", (0.0, 1.10, 0.34), (0.09, 0.38, 0.08), "state"), ("arm", (0.0, 1.10, -0.34), (0.09, 0.38, 0.08), "state"),
-        ("leg", (0.03, 0.42, 0.13), (0.12, 0.42, 0.12), "cloth"), ("leg", (-0.03, 0.42, -0.13), (0.12, 0.42, 0.12), "cloth"),
-    ):  # fmt: skip
-        model.add(ellipsoid(at, half, 1), "root", material, name)
-
-
 def _dart(model: Model) -> None:
     corners = np.array([(0.5, 0.14, 0.0), (-0.5, 0.10, 0.30), (-0.5, 0.10, -0.30), (-0.30, 0.30, 0.0), (-0.32, 0.04, 0.0)])
     faces = np.array([(0, 3, 1), (0, 2, 3), (0, 1, 4), (0, 4, 2), (1, 3, 4), (2, 4, 3)])

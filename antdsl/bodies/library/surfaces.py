@@ -113,7 +113,12 @@ def _frames(path: Array, up: Array) -> tuple[Array, Array]:
 
 
 def limb(
-    path: Sequence[Point], radii: Sequence[float], sides: int, rings: int = 0, flat: float = 1.0, up: Point = (0.0, 1.0, 0.0)
+    path: Sequence[Point],
+    radii: Sequence[float] | Array,
+    sides: int,
+    rings: int = 0,
+    flat: float = 1.0,
+    up: Point = (0.0, 1.0, 0.0),
 ) -> Surface:
     """A tube through the points of `path` with a radius at each, `flat` times as wide as it is high. `rings`: how many between
     its ends, which are round then; without as many as points."""

@@ -7,11 +7,25 @@ from functools import cache
 
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.library.ant import ant, queen, soldier
-from antdsl.bodies.library.rigid import arrow, ball, person
+from antdsl.bodies.library.hunter import hunter
+from antdsl.bodies.library.person import person
+from antdsl.bodies.library.rabbit import rabbit
+from antdsl.bodies.library.rigid import arrow, ball
+from antdsl.bodies.library.roach import roach
+from antdsl.bodies.library.spider import spider
 
 BODIES: dict[str, Callable[[], Definition]] = {
-    "ant": ant, "ant_queen": queen, "ant_soldier": soldier, "person": person, "arrow": arrow, "ball": ball,
-}  # fmt: skip
+    "ant": ant,
+    "ant_queen": queen,
+    "ant_soldier": soldier,
+    "person": person,
+    "hunter": hunter,
+    "rabbit": rabbit,
+    "roach": roach,
+    "spider": spider,
+    "arrow": arrow,
+    "ball": ball,
+}
 
 
 @cache

@@ -1,7 +1,7 @@
 """What agents play, in the frames of a cache: `clips.SPECIES.MACHINE.FIELD`, one row an agent of the species, by id.
 
-`clip` and `before` int16 count the clips of the species in the manifest, -1 for none; `turns`, `before_turns`, `weight`,
-`before_weight` and `fade` float32."""
+`clip`, `before` and `earlier` int16 count the clips of the species in the manifest, -1 for none; `turns`, `weight`, `fade` and
+the like float32. What concerns `earlier` is in a frame only where anybody has such a clip."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
+from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS, MachineClips
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.runtime.world import Population
 
@@ -21,6 +21,8 @@ _REGISTERS = {
     "clip": ("clip", np.int16), "turns": ("clip_turns", np.float32), "weight": ("clip_weight", np.float32),
     "before": ("clip_before", np.int16), "before_turns": ("clip_before_turns", np.float32),
     "before_weight": ("clip_before_weight", np.float32), "fade": ("clip_fade", np.float32),
+    "earlier": ("clip_earlier", np.int16), "earlier_turns": ("clip_earlier_turns", np.float32),
+    "earlier_weight": ("clip_earlier_weight", np.float32), "earlier_fade": ("clip_earlier_fade", np.float32),
 }  # fmt: skip
 
 
@@ -31,20 +33,31 @@ def playing(population: Population) -> Iterator[str]:
 
 def clips_playing(population: Population, rows: NDArray[np.intp]) -> dict[str, NDArray[Any]]:
     """The arrays of a species: of its agents at some rows."""
-    return {
-        f"clips.{population.name}.{machine}.{field}": population.now[f"{machine}.{register}"][rows].astype(kind)
-        for machine in playing(population)
-        for field, (register, kind) in _REGISTERS.items()
-    }
+    found: dict[str, NDArray[Any]] = {}
+    for machine in playing(population):
+        now = {
+            field: population.now[f"{machine}.{register}"][rows].astype(kind) for field, (register, kind) in _REGISTERS.items()
+        }
+        three = bool(((now["earlier_fade"] > 0) & (now["fade"] > 0)).any())
+        found |= {f"clips.{population.name}.{machine}.{field}": now[field] for field in FIELDS if three or field not in EARLIER}
+    return found
+
+
+def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> MachineClips | None:
+    """What a machine of `count` agents plays; None where the arrays do not say."""
+    parts: list[NDArray[Any] | None] = []
+    for field in FIELDS:
+        found = arrays.get(f"clips.{species}.{machine}.{field}")
+        if found is not None and found.shape == (count,):
+            parts.append(np.nan_to_num(np.asarray(found, _REGISTERS[field][1])))
+        elif field in EARLIER:
+            parts.append(None)
+        else:
+            return None
+    return MachineClips(*parts)  # type: ignore[arg-type]
 
 
 def machines_of(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[MachineClips, ...] | None:
     """What the machines of a species play in a frame with `count` agents of it; None where the frame does not say."""
-    found = []
-    for machine in species.playing:
-        values = [arrays.get(f"clips.{species.name}.{machine}.{field}") for field in FIELDS]
-        if any(each is None or each.shape != (count,) for each in values):
-            return None
-        numbers = (np.nan_to_num(np.asarray(v, _REGISTERS[field][1])) for v, field in zip(values, FIELDS, strict=True))
-        found.append(MachineClips(*numbers))
-    return tuple(found)
+    found = [machine_clips(species.name, machine, arrays, count) for machine in species.playing]
+    return None if any(each is None for each in found) else tuple(each for each in found if each is not None)

@@ -1,8 +1,8 @@
 """Feet in the frames of a cache: `feet.SPECIES.FIELD`, one row an agent of the species, by id.
 
 `P` float32[n, L, 3], scene units: where each foot stands or swings, in the order of the body's legs; `down` uint8[n, L]: which
-stand; `phase` float32[n]: of the gait; `rise` float32[n] (scene units) and `tilt` float32[n, 4] (x y z w): how much higher than it
-rests and turned from `orient` the trunk is."""
+stand; `phase` float32[n]: of the gait; `rise` float32[n] (scene units) and `tilt` float32[n, 4] (x y z w): how much higher than
+it rests and turned from `orient` the trunk is."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
     if feet is None:
         return {}
     place = (feet.shown.transpose(1, 2, 0) + world.origin) * scale
-    values = {
+    values: dict[str, NDArray[Any]] = {
         "P": place.astype(np.float32),
         "down": feet.down.astype(np.uint8),
         "phase": feet.phase,
@@ -41,4 +41,5 @@ def feet_of(species: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet |
     found = {name: arrays.get(f"feet.{species}.{name}") for name in shapes}
     if not legs or any(array is None or array.shape != shapes[name] for name, array in found.items()):
         return None
-    return PlacedFeet(**{name: np.asarray(array, np.uint8 if name == "down" else np.float32) for name, array in found.items()})
+    place, phase, rise, tilt = (np.asarray(found[name], np.float32) for name in ("P", "phase", "rise", "tilt"))
+    return PlacedFeet(place, np.asarray(found["down"], np.uint8), phase, rise, tilt)

@@ -4,6 +4,7 @@ units."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, Literal
 
 import numpy as np
@@ -305,7 +306,7 @@ def _species(
         name=population.name,
         body=body,
         definition=definition,
-        clips=tuple(ClipEntry(name=clip.name, on=clip.on) for clip in population.plan.clips),
+        clips=tuple(ClipEntry(**asdict(clip)) for clip in population.plan.clips),
         playing=tuple(playing(population)),
         wears=layers_worn(population, setting),
         channels=population.plan.channels,

@@ -60,10 +60,16 @@ class BodyEntry(Part):
 
 
 class ClipEntry(Part):
-    """A clip that states play, on the joints of a transform group (empty: all)."""
+    """A clip that states play, on the joints of a transform group (empty: all). `add`: it is added to all others; `left`,
+    `right`, `up`, `down`: what it gives way to as an agent turns, climbs or goes down."""
 
     name: Word
     on: Word = ""
+    add: bool = False
+    left: Word = ""
+    right: Word = ""
+    up: Word = ""
+    down: Word = ""
 
 
 class SpeciesEntry(Part):

@@ -2,7 +2,8 @@
 
 `wears.SPECIES` uint64: a mask of layers of the body, bit k for layer k of the species' `wears` in the manifest.
 `channels.SPECIES.NAME` float32: the value that a state sets, NaN where none does. `looks.SPECIES.GROUP` float32[n, 3]: where the
-joints of a transform group look, by the heading, the body's up and what is right of both."""
+joints of a transform group look, by the heading, the body's up and what is right of both. `leans.SPECIES` float32[n, 2]: how
+much each turns, to the left above 0, and climbs, from -1 to 1, where clips go by that."""
 
 from __future__ import annotations
 
@@ -47,6 +48,8 @@ def shown(population: Population, rows: NDArray[np.intp], setting: Setting) -> d
     for group in plan.looks:
         parts = [now[f"look:{group}.{axis}"][rows] for axis in _AXES]
         arrays[f"looks.{name}.{group}"] = np.stack(parts, axis=1).astype(np.float32)
+    if "lean:turn" in plan.registers:
+        arrays[f"leans.{name}"] = np.stack([now["lean:turn"][rows], now["lean:slope"][rows]], axis=1)
     return arrays
 
 
@@ -68,10 +71,12 @@ def driven(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64]) -> Dri
     count = len(ids)
     channels = {name: arrays.get(f"channels.{species.name}.{name}") for name in species.channels}
     looks = {name: arrays.get(f"looks.{species.name}.{name}") for name in species.looks}
+    lean = arrays.get(f"leans.{species.name}")
     return Driven(
         {name: np.asarray(v, np.float32) for name, v in channels.items() if v is not None and v.shape == (count,)},
         {name: np.asarray(v, np.float32) for name, v in looks.items() if v is not None and v.shape == (count, 3)},
         ids,
+        None if lean is None or lean.shape != (count, 2) else np.asarray(lean, np.float32),
     )
 
 

@@ -7,7 +7,7 @@ from math import inf
 
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Kind, Node, begun_with
-from antdsl.plan.lowering import appearance, pair_values
+from antdsl.plan.lowering import appearance, leaning, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import as_truth, keeps_moving, lower
 from antdsl.plan.lowering.machines import MachineWriter
@@ -72,6 +72,7 @@ def born(w: Writer, machines: list[MachineWriter]) -> None:
     for machine in machines:
         machine.enter_start()
     appearance.begin(w, [machine.machine.states[machine.machine.start] for machine in machines])
+    leaning.begin(w)
 
 
 def _unless_given(w: Writer, name: str, default: Value) -> Value:

@@ -6,13 +6,16 @@ the ground that the agent covers, so that feet do not slide; others by the clock
 
 Of each machine that plays: `clip`, the number of the clip in `SpeciesPlan.clips` (-1 for none), `clip_turns` and, before the last
 step, `clip_last`, `clip_weight`; the clip before with its turns and weight, `clip_before`, `clip_before_turns` and
-`clip_before_weight`; `clip_fade`, the share that it still has, and `clip_over`, the time in which that goes from 1 to 0."""
+`clip_before_weight`; `clip_fade`, the share that it still has, and `clip_fading`, the time in which that goes from 1 to 0;
+`clip_over`, that of the next. A change while one clip gives way to another moves both back by a place: `clip_earlier` with all
+that goes with it has `clip_earlier_fade` of the share of what gives way. A further change waits (`clip_waits`) until that is 0,
+so that no pose ever jumps."""
 
 from __future__ import annotations
 
 from antdsl.plan import ir
 from antdsl.plan.ir import Kind, Node
-from antdsl.plan.lowering.expressions import scalar
+from antdsl.plan.lowering.expressions import scalar, truth
 from antdsl.plan.lowering.writer import Writer
 from antdsl.program import model
 from antdsl.source import Span
@@ -20,7 +23,17 @@ from antdsl.source import Span
 OVER = 0.15  # s, in which one clip gives way to the next where no change says otherwise
 NONE = -1
 _BEFORE = 1e-6  # turns: where a clip that begins was before, so that it comes past a mark at its start
-_START = "~clip.start"
+_START, _LAST, _BEGINS, _WAITS = "~clip.start", "~clip.last", "~clip.begins", "~clip.waits"
+_NUMBERS = (
+    "clip_turns", "clip_last", "clip_weight", "clip_before_turns", "clip_before_weight", "clip_fade",
+    "clip_earlier_turns", "clip_earlier_weight", "clip_earlier_fade",
+)  # fmt: skip
+# Which registers take over from which as another clip begins, in this order.
+_BACK = (
+    ("clip_earlier", "clip_before"), ("clip_earlier_turns", "clip_before_turns"), ("clip_earlier_weight", "clip_before_weight"),
+    ("clip_earlier_fade", "clip_fade"), ("clip_earlier_fading", "clip_fading"), ("clip_before", "clip"),
+    ("clip_before_turns", "clip_turns"), ("clip_before_weight", "clip_weight"), ("clip_fading", "clip_over"),
+)  # fmt: skip
 
 
 def clips_of(species: model.Species) -> tuple[ir.ClipPlan, ...]:
@@ -28,8 +41,12 @@ def clips_of(species: model.Species) -> tuple[ir.ClipPlan, ...]:
     found: dict[ir.ClipPlan, None] = {}
     for machine in species.machines:
         for line in _lines(machine):
-            found.setdefault(ir.ClipPlan(line.clip, line.on))
+            found.setdefault(_planned(line))
     return tuple(found)
+
+
+def _planned(line: model.Play) -> ir.ClipPlan:
+    return ir.ClipPlan(line.clip, line.on, line.add, *line.ways)
 
 
 def plays(machine: model.Machine) -> bool:
@@ -40,11 +57,13 @@ def plays(machine: model.Machine) -> bool:
 def declare(w: Writer, machine: model.Machine) -> None:
     """The registers of a machine that plays."""
     name = machine.name
-    for part in ("clip", "clip_before"):
+    for part in ("clip", "clip_before", "clip_earlier"):
         w.declare(f"{name}.{part}", Kind.I32, "memory", NONE)
-    for part in ("clip_turns", "clip_last", "clip_weight", "clip_before_turns", "clip_before_weight", "clip_fade"):
+    for part in _NUMBERS:
         w.declare(f"{name}.{part}", Kind.F32, "memory")
-    w.declare(f"{name}.clip_over", Kind.F32, "memory", OVER)
+    for part in ("clip_over", "clip_fading", "clip_earlier_fading"):
+        w.declare(f"{name}.{part}", Kind.F32, "memory", OVER)
+    w.declare(f"{name}.clip_waits", Kind.BOOL, "memory")
 
 
 def begin(w: Writer, machine: model.Machine) -> None:
@@ -62,34 +81,57 @@ def begin(w: Writer, machine: model.Machine) -> None:
 
 def give_way(w: Writer, machine: model.Machine, over: model.Expr | None, span: Span) -> None:
     """A change says in what time the clip of the state that is left gives way."""
-    if plays(machine):
-        w.store(f"{machine.name}.clip_over", w.b.number(OVER) if over is None else scalar(w, over), span)
+    w.store(f"{machine.name}.clip_over", w.b.number(OVER) if over is None else scalar(w, over), span)
+    w.store(f"{machine.name}.clip_waits", w.b.false, span)
+
+
+def enter(w: Writer, machine: model.Machine, state: model.State) -> None:
+    """Who comes into a state whose clip is to be played `again` has it begin anew, also where it is playing already."""
+    line = next((line for line in state.body if isinstance(line, model.Play)), None)
+    if line is not None and line.again is not None:
+        w.store(f"{machine.name}.clip_waits", truth(w, line.again), line.span)
 
 
 def rest(w: Writer, machine: model.Machine, state: model.State) -> None:
     """A state without a clip, in a machine that has some: the clip before gives way to none."""
     if plays(machine) and not any(isinstance(line, model.Play) for line in state.body):
-        _become(w, machine.name, w.b.row(NONE), w.b.number(0), state.span)
-        _fade(w, machine.name, state.span)
-        w.store(f"{machine.name}.clip_weight", w.b.number(0), state.span)
+        _step(w, machine.name, w.b.row(NONE), None, w.b.number(0), state.span)
 
 
 def play(w: Writer, machine: str, line: model.Play) -> None:
     """A line of the state that the agent is in."""
-    b, clip = w.b, _number(w, line)
-    begins = b("ne", w.read(f"{machine}.clip"), clip)
-    pace = _pace(w, clip)
-    if line.speed is not None:
-        pace = b("mul", pace, scalar(w, line.speed))
-    turns, step = w.read(f"{machine}.clip_turns"), b("mul", pace, w.run("dt"))
-    goes_on = b("where", begins, turns, b("add", turns, step))
-    held = b("where", _loops(w, clip), goes_on, b("min", goes_on, b.number(1)))
-    w.store(f"{machine}.clip_last", turns, line.span)
-    w.store(f"{machine}.clip_turns", held, line.span)
-    _become(w, machine, clip, step, line.span)
-    _fade(w, machine, line.span)
+    b = w.b
+    speed = None if line.speed is None else scalar(w, line.speed)
     weight = b.number(1) if line.weight is None else b("min", b("max", scalar(w, line.weight), b.number(0)), b.number(1))
-    w.store(f"{machine}.clip_weight", weight, line.span)
+    _step(w, machine, _number(w, line), speed, weight, line.span)
+
+
+def _step(w: Writer, machine: str, clip: Node, speed: Node | None, weight: Node, span: Span) -> None:
+    """A step of a machine in which `clip` is wanted: it begins, waits until it can, or goes on."""
+    b, now, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
+    none = clip is b.row(NONE)
+    wished = b("ne", now, clip) if none else b("or", b("ne", now, clip), w.read(f"{machine}.clip_waits"))
+    shares = (w.read(f"{machine}.{share}") for share in ("clip_fade", "clip_earlier_fade"))
+    three = b("and", *(b("gt", share, b.number(0)) for share in shares))
+    own = b.number(1) if speed is None else speed
+    first = _first_turns(w, machine, clip, b("mul", b("mul", _pace(w, clip), own), w.run("dt")))
+    held = (
+        (_BEGINS, Kind.BOOL, b("and", wished, b("not", three))), (_WAITS, Kind.BOOL, b("and", wished, three)),
+        (_START, Kind.F32, first[0]), (_LAST, Kind.F32, first[1]),
+    )  # fmt: skip
+    for name, kind, node in held:
+        w.declare(name, kind, "temp")
+        w.store(name, node, span)
+    begins, waits = w.read(_BEGINS), w.read(_WAITS)
+    pace = b("mul", _pace(w, now), b("where", waits, b.number(1), own))
+    goes_on = b("add", turns, b("mul", pace, w.run("dt")))
+    further = b("where", _loops(w, now), goes_on, b("min", goes_on, b.number(1)))
+    w.store(f"{machine}.clip_waits", waits, span)
+    w.store(f"{machine}.clip_last", turns, span)
+    w.store(f"{machine}.clip_turns", b("where", waits if none else b("not", begins), further, turns), span)
+    _become(w, machine, clip, span)
+    _fade(w, machine, span)
+    w.store(f"{machine}.clip_weight", b("where", waits, w.read(f"{machine}.clip_weight"), weight), span)
 
 
 def test(w: Writer, e: model.ClipTest) -> Node:
@@ -99,44 +141,51 @@ def test(w: Writer, e: model.ClipTest) -> Node:
     if not plays(names):
         return b.false
     turns, last = w.read(f"{machine}.clip_turns"), w.read(f"{machine}.clip_last")
+    begun = b("not", w.read(f"{machine}.clip_waits"))
     if not e.mark:
-        return b("ge", turns, b.number(1))
+        return b("and", begun, b("ge", turns, b.number(1)))
     mark = b("clip.value", w.read(f"{machine}.clip"), attrs=(f"mark {e.mark}",))
     whole = [b("floor", b("sub", each, mark)) for each in (turns, last)]
     once = b("and", b("lt", last, mark), b("ge", turns, mark))
     passed = b("or", b("and", _loops(w, w.read(f"{machine}.clip")), b("gt", whole[0], whole[1])), once)
-    return b("and", passed, b("ge", mark, b.number(0)))
+    return b("and", begun, b("and", passed, b("ge", mark, b.number(0))))
 
 
-def _become(w: Writer, machine: str, clip: Node, step: Node, span: Span | None) -> None:
-    """Another clip begins at its start, or in step with the one before where both cover ground, which it then goes on with by so
-    many turns (`step`)."""
-    b, before = w.b, w.read(f"{machine}.clip")
-    turns = w.read(f"{machine}.clip_turns")
-    w.declare(_START, Kind.F32, "temp")
-    with w.region(b("ne", before, clip), span or w.species.span):
-        both = b("and", _walks(w, before), _walks(w, clip))
-        part = b("sub", turns, b("floor", turns))
-        w.store(_START, b("where", both, b("add", part, step), b.number(0)), span)
-        w.store(f"{machine}.clip_before_turns", turns, span)
-        w.store(f"{machine}.clip_before_weight", w.read(f"{machine}.clip_weight"), span)
+def _first_turns(w: Writer, machine: str, clip: Node, step: Node) -> tuple[Node, Node]:
+    """Where another clip begins, and where it was before: at its start, or in step with the one before where both cover ground,
+    which it then goes on with by so many turns (`step`)."""
+    b, before, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
+    both = b("and", b("ne", before, clip), b("and", _walks(w, before), _walks(w, clip)))
+    part = b("sub", turns, b("floor", turns))
+    return b("where", both, b("add", part, step), b.number(0)), b("where", both, part, b.number(-_BEFORE))
+
+
+def _become(w: Writer, machine: str, clip: Node, span: Span | None) -> None:
+    """Another clip begins, and those before move back by a place."""
+    b = w.b
+    with w.region(w.read(_BEGINS), span or w.species.span):
+        for to, source in _BACK:
+            w.store(f"{machine}.{to}", w.read(f"{machine}.{source}"), span)
         w.store(f"{machine}.clip_fade", b.number(1), span)
-        w.store(f"{machine}.clip_last", b("where", both, part, b.number(-_BEFORE)), span)
-        w.store(f"{machine}.clip_before", before, span)
+        w.store(f"{machine}.clip_last", w.read(_LAST), span)
         w.store(f"{machine}.clip", clip, span)
         w.store(f"{machine}.clip_turns", w.read(_START), span)
 
 
 def _fade(w: Writer, machine: str, span: Span | None) -> None:
-    """The clip before has less of a share, and goes on meanwhile."""
+    """The clips before have less of a share, and go on meanwhile."""
     b, dt = w.b, w.run("dt")
-    fade, before = w.read(f"{machine}.clip_fade"), w.read(f"{machine}.clip_before")
-    with w.region(b("gt", fade, b.number(0)), span or w.species.span):
-        left = b("sub", fade, b("div", dt, b("max", w.read(f"{machine}.clip_over"), dt)))
-        turns = b("add", w.read(f"{machine}.clip_before_turns"), b("mul", _pace(w, before), dt))
-        held = b("where", _loops(w, before), turns, b("min", turns, b.number(1)))
-        w.store(f"{machine}.clip_before_turns", held, span)
-        w.store(f"{machine}.clip_fade", b("max", left, b.number(0)), span)
+    with w.region(b("gt", w.read(f"{machine}.clip_fade"), b.number(0)), span or w.species.span):
+        for which, share, over in (
+            ("clip_earlier", "clip_earlier_fade", "clip_earlier_fading"),
+            ("clip_before", "clip_fade", "clip_fading"),
+        ):
+            before = w.read(f"{machine}.{which}")
+            left = b("sub", w.read(f"{machine}.{share}"), b("div", dt, b("max", w.read(f"{machine}.{over}"), dt)))
+            turns = b("add", w.read(f"{machine}.{which}_turns"), b("mul", _pace(w, before), dt))
+            held = b("where", _loops(w, before), turns, b("min", turns, b.number(1)))
+            w.store(f"{machine}.{which}_turns", held, span)
+            w.store(f"{machine}.{share}", b("max", left, b.number(0)), span)
 
 
 def _pace(w: Writer, clip: Node) -> Node:
@@ -152,7 +201,7 @@ def _pace(w: Writer, clip: Node) -> Node:
 
 def _number(w: Writer, line: model.Play) -> Node:
     """The number of the clip of a line."""
-    return w.b.row(clips_of(w.species).index(ir.ClipPlan(line.clip, line.on)))
+    return w.b.row(clips_of(w.species).index(_planned(line)))
 
 
 def _loops(w: Writer, clip: Node) -> Node:

@@ -11,7 +11,7 @@ from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
-from antdsl.plan.lowering import appearance, birth, blending, clips, collisions, pair_values
+from antdsl.plan.lowering import appearance, birth, blending, clips, collisions, leaning, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import measures_pushes, own, scalar, truth, vector
 from antdsl.plan.lowering.lazy import lazy
@@ -86,6 +86,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     for latch in species.latches:
         w.declare(latch.key or latch.name, Kind.BOOL, "memory")
     appearance.declare(w)
+    leaning.declare(w)
     machines = [MachineWriter(w, machine) for machine in species.machines]
     born = _born(w, machines)
     with w.block() as done:
@@ -95,6 +96,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
         for machine in machines:
             machine.act()
         appearance.settle(w)
+        leaning.settle(w)
         stand_still(w, machines)
         act = done()
     with w.block() as done:

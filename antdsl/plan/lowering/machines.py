@@ -234,6 +234,7 @@ class MachineWriter:
             if (self.shared[key] == 1) == (key in here):
                 self.w.store(counter, self.w.b.number(0), state.span)
         write(self.w, state.enter, f"{self.site}.{state.name}.enter")
+        clips.enter(self.w, self.machine, state)
 
     def advance(self) -> None:
         advance(self.w, self.name)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from antdsl.plan.ir import Plan
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.timeline import Light
-from antdsl.preview.viewing.bodies import body_of_species
+from antdsl.preview.viewing.acting import acts
 from antdsl.preview.viewing.feelers import felt
-from antdsl.preview.viewing.plays import plays
 from antdsl.preview.viewing.seen import Packets, Seen, Wanted
 from antdsl.preview.viewing.units import unit_for, worth
 from antdsl.program.model import Program
@@ -48,7 +47,7 @@ class Agents:
         for name, population in world.populations.items():
             light = lights[name] if name in lights else Light.of(population)
             arrays |= _remembered({name: light}) | _now(population, factors)
-            arrays |= _plays(population, seen)
+            arrays |= acts(world, seen.shot, population, light)
         arrays |= _items(world, seen.shot.program)
         feelers, whose = _feelers(world, seen.shot.program, seen.wanted)
         yield "frame", pack("frame", arrays | feelers, frame=world.frame, light=False, felt=whose)
@@ -62,15 +61,6 @@ def _now(population: Population, factors: Mapping[tuple[str, str], float]) -> Ar
         if species == name:
             arrays[f"{name}/column/{column}"] = now[column][rows].astype(np.float32) * np.float32(factor)
     return arrays
-
-
-def _plays(population: Population, seen: Seen) -> Mapping[str, NDArray[Any]]:
-    """What agents play."""
-    if not population.plan.clips:
-        return {}
-    clips = body_of_species(seen.shot, population.name).clips
-    loops = [clips[clip.name].loop if clip.name in clips else False for clip in population.plan.clips]
-    return plays(population, population.in_id_order(), loops)
 
 
 def _speed(population: Population) -> NDArray[np.float32]:

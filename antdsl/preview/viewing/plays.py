@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.machine_clips import FIELDS, MachineClips
-from antdsl.outputs.cache.clip_arrays import clips_playing, playing
-from antdsl.runtime import Population
+from antdsl.bodies.agents.machine_clips import MachineClips
 
 NONE = 65535  # the number of no clip
 _WHOLE = 65535  # one turn of a clip, or a weight of 1
 
 
-def plays(population: Population, rows: NDArray[np.intp], loops: Sequence[bool]) -> dict[str, NDArray[np.uint16]]:
-    """`SPECIES/plays/MACHINE` uint16[n, 6] of agents at some rows, for machines that play: clip, the one before, how far through
-    each is, the weight of each. `loops`: of each clip that the species plays; one that does not ends with its last sample."""
-    arrays, found = clips_playing(population, rows), {}
-    again = np.array([*loops, False])
-    for machine in playing(population):
-        told = MachineClips(*(arrays[f"clips.{population.name}.{machine}.{name}"] for name in FIELDS))
-        found[f"{population.name}/plays/{machine}"] = packed(told, again)
-    return found
-
-
 def packed(told: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """What one machine of n agents plays, uint16[n, 6]. `loops`: of each clip, and False for none."""
+    """What one machine of n agents plays, uint16[n, 6]: clip, the one before, how far through each is, the weight of each.
+    `loops`: of each clip that the species plays, and False for none; one that does not ends with its last sample."""
     fade = np.clip(np.nan_to_num(told.fade), 0, 1)
     made = np.empty((len(fade), 6), np.uint16)
     slots = ((told.clip, told.turns, told.weight, 1 - fade), (told.before, told.before_turns, told.before_weight, fade))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.clip_table import ClipTable, clip_table
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.leg_ik import BENDING, Legs
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.clip_arrays import playing
 from antdsl.preview.binary_packets import pack
@@ -44,15 +45,22 @@ def rig_packet(species: str, definition: Definition, plays: Plays, machines: tup
 
 
 @lru_cache(maxsize=8)
+def posed_body(definition: Definition, plays: Plays) -> PosedBody:
+    """A body that plays some clips, made once."""
+    return PosedBody(definition, plays)
+
+
+@lru_cache(maxsize=8)
 def _rig(definition: Definition, plays: Plays) -> tuple[Arrays, dict[str, Any]]:
-    body, table = PosedBody(definition, plays), clip_table(definition)
+    body, table = posed_body(definition, plays), clip_table(definition)
     idle = definition.clips.get(definition.idle)
     arrays = _clips(table, definition, plays if idle is None else (*plays, (definition.idle, "")))
+    arrays |= _legs(body.legs, table)
     for level, each in (("low", body.coarse), ("fine", body.fine)):
         arrays |= {f"{level}/{name}": array for name, array in _mesh(each, table).items()}
     return arrays, {
         "joints": len(table.order), "texels": _texels(table), "length": float(definition.length),
-        "base": [round(float(x), 9) for x in definition.base()[:3].reshape(-1)], "bending": {},
+        "base": [round(float(x), 9) for x in definition.base()[:3].reshape(-1)], "bending": BENDING,
         "idle": [] if idle is None or idle.duration <= 0 else [len(plays), idle.duration],
     }  # fmt: skip
 
@@ -85,8 +93,7 @@ def _clips(table: ClipTable, definition: Definition, plays: Plays) -> Arrays:
         part = rows[:, at : at + width * joints].reshape(len(rows), width, joints)
         sample[:, :, texel, :width] = part.transpose(0, 2, 1)
         at += width * joints
-    place = np.empty(joints, np.int32)
-    place[table.order] = np.arange(joints)
+    place = _depths(table)
     parents = np.asarray(table.rig.parents)[table.order]
     ones = np.ones(joints, np.float32)
     weights = [ones if not name else table.weights(definition.groups[name])[0] for name in groups]
@@ -98,13 +105,38 @@ def _clips(table: ClipTable, definition: Definition, plays: Plays) -> Arrays:
     }
 
 
+def _depths(table: ClipTable) -> NDArray[np.int32]:
+    """The place of each joint of the rig among joints by their depth."""
+    place = np.empty(len(table.order), np.int32)
+    place[table.order] = np.arange(len(table.order))
+    return place
+
+
+def _legs(legs: Legs | None, table: ClipTable) -> Arrays:
+    """`leg` float32[L, 2, 4]: hip, knee and foot, joints by depth, and the axis about which a straight knee bends."""
+    if legs is None:
+        return {}
+    found, place = np.zeros((legs.count, 2, 4), np.float32), _depths(table)
+    found[:, 0, :3] = [place[[each.upper, each.lower, each.foot]] for each in legs.chains]
+    found[:, 1, :3] = legs.straight_axes()
+    return {"leg": found}
+
+
+def _parts(legs: Legs | None, joints: int) -> NDArray[np.int32]:
+    """Of each joint of the rig the part of a leg that it is: three times the leg and 1 thigh, 2 shank, 3 foot; 0 of none."""
+    found = np.zeros(joints, np.int32)
+    for number, each in enumerate(legs.chains if legs is not None else ()):
+        for piece, those in enumerate((each.thigh, each.shank, each.sole), 1):
+            found[those] = 3 * number + piece
+    return found
+
+
 def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
     """`position` and `normal` float32[v, 3] in the rest pose, `face` uint32[m, 3], `colour` uint8[v, 4] (linear colours as square
     roots, and how much of the agent's own), `bone` uint8 or uint16[v, 4], `weight` uint8[v, 4]; `joint` int32[B] by depth and
     `inverse` float32[B, 3, 4] of the bones."""
     mesh = body.mesh
-    place = np.append(np.empty(len(table.order), np.int32), -1)  # of a bone without a joint: -1
-    place[table.order] = np.arange(len(table.order))
+    place = np.append(_depths(table), -1)  # of a bone without a joint: -1
     colour = np.sqrt(np.clip(np.column_stack([body.own, np.square(body.tint)]), 0, 1))
     return {
         "position": mesh.points,
@@ -114,6 +146,6 @@ def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
         "bone": mesh.bones.astype(np.uint16),
         "weight": mesh.weights,
         "joint": place[mesh.joint].astype(np.int32),
-        "part": np.zeros(len(mesh.joint), np.int32),
+        "part": np.append(_parts(body.legs, len(table.order)), 0)[mesh.joint].astype(np.int32),
         "inverse": mesh.inverse,
     }

@@ -7,11 +7,14 @@ from antdsl.program import model
 from antdsl.program.declarations.amounts import Block
 from antdsl.program.kinds import Kind
 from antdsl.program.names.scope import NUMBER, Scope
+from antdsl.program.typed import Expr
 from antdsl.program.types.arguments import Slot, arranged, type_all
-from antdsl.program.types.operators import wanted
+from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.operators import condition, wanted
 from antdsl.syntax import nodes
 
-_SLOTS = (Slot("speed", required=False), Slot("weight", required=False), Slot("on", required=False))
+_NUMBERS, _NAMES, _CONDITIONS = ("speed", "weight"), ("on", "left", "right", "up", "down"), ("again", "add")
+_SLOTS = tuple(Slot(name, required=False) for name in ("speed", "weight", "on", "again", "add", "left", "right", "up", "down"))
 
 
 def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
@@ -29,20 +32,52 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
         )  # fmt: skip
         return None
     given = {name: arguments[0].value for name, arguments in found.items()}
-    numbers = {
-        name: wanted(scope, given[name], NUMBER, f"`{name}` of `play`") if name in given else None for name in ("speed", "weight")
-    }
-    if any(each is not None and each.type.kind is Kind.BAD for each in numbers.values()):
+    said: dict[str, Expr] = {}
+    for name in (each for each in (*_NUMBERS, *_CONDITIONS) if each in given):
+        who = f"`{name}` of `play`"
+        said[name] = wanted(scope, given[name], NUMBER, who) if name in _NUMBERS else condition(scope, given[name], who)
+    names = {name: _name(scope, clip, name, given[name]) for name in _NAMES if name in given}
+    if any(each.type.kind is Kind.BAD for each in said.values()) or None in names.values():
         return None
-    on = given.get("on")
-    if on is not None and not isinstance(on, nodes.NameRef):
-        text = " ".join(on.span.text.split())
-        scope.report.error(
-            "wrong-argument", f"`on` of `play` names a transform group of the body, and `{text}` is no name", on.span,
-            f"write `play {clip}(on: arms)`",
-        )  # fmt: skip
+    if not all([_sensible(scope, clip, name, each) for name, each in said.items()]):
         return None
-    return model.Play(clip, on.name.text if isinstance(on, nodes.NameRef) else "", numbers["speed"], numbers["weight"], line.span)
+    add = constant_behind(said["add"]) if "add" in said else None
+    on, left, right, up, down = (names.get(name) or "" for name in _NAMES)
+    return model.Play(
+        clip, on, said.get("speed"), said.get("weight"), line.span, said.get("again"), add is not None and add.number != 0,
+        (left, right, up, down),
+    )  # fmt: skip
+
+
+def _name(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> str | None:
+    """A name of the body's that an argument gives; None after a complaint."""
+    if isinstance(node, nodes.NameRef):
+        return node.name.text
+    what, sample = ("a transform group", "arms") if argument == "on" else ("a clip", f"{clip}_{argument}")
+    scope.report.error(
+        "wrong-argument", f"`{argument}` of `play` names {what} of the body, and `{' '.join(node.span.text.split())}` is no name",
+        node.span, f"write `play {clip}({argument}: {sample})`",
+    )  # fmt: skip
+    return None
+
+
+def _sensible(scope: Scope, clip: str, argument: str, found: Expr) -> bool:
+    """Whether a value can be what it is for; a complaint where a constant cannot."""
+    known = constant_behind(found)
+    text = " ".join(found.span.text.split())
+    words, help = "", ""
+    if argument == "add" and known is None:
+        words, help = (
+            f"`add` of `play` is the same for all, and `{text}` may be another for each",
+            f"write `play {clip}(add: true)`",
+        )
+    elif argument == "weight" and known is not None and not 0 <= known.number <= 1:
+        words, help = f"`{text}` is no share of a pose, which is from 0 to 1", f"write `play {clip}(weight: 0.5)`"
+    elif argument == "speed" and known is not None and known.number < 0:
+        words, help = f"a clip goes ahead only, and `{text}` is below 0", f"write `play {clip}(speed: 1.5)`"
+    if words:
+        scope.report.error("out-of-range" if known is not None else "wrong-argument", words, found.span, help)
+    return not words
 
 
 def one_clip(scope: Scope, node: nodes.State) -> None:

@@ -65,4 +65,4 @@ def _reach(legs: LegsData) -> Floats:
     across = length * length - height * height - down[:, 2] * down[:, 2]
     ahead = np.sqrt(np.maximum(across, 0.0))
     found = np.minimum(ahead + down[:, 0], ahead - down[:, 0])
-    return np.maximum(found, 0.05 * legs.length).astype(np.float32)
+    return np.asarray(np.maximum(found, 0.05 * legs.length), np.float32)

@@ -86,7 +86,9 @@ class Floor:
             if not near.size:
                 continue
             if isinstance(seen, RayScene):
-                self._on_mesh(world, k, seen, near, origin, way, found)
+                near = _close(seen, near, origin, way)
+                if near.size:
+                    self._on_mesh(world, k, seen, near, origin, way, found)
             elif isinstance(seen, SolidFeelers):
                 _on_solid(k, seen, near, origin, way, found)
         return found
@@ -110,7 +112,7 @@ class Floor:
                 slope = seen.volume.gradient(points[:, near].T).astype(np.float64)
                 landed = seen.volume.project(points[:, near].T, _unit_rows(slope), float(reach.max()))
                 place, face = landed.points, np.zeros(near.size, np.int32)
-                distance = np.where(landed.found, vec.length(tuple((landed.points - points[:, near].T).T)), np.inf)  # type: ignore[arg-type]
+                distance = np.where(landed.found, _length((landed.points - points[:, near].T).T), np.inf)
             nearer = distance < least[near]
             rows = near[nearer]
             least[rows] = distance[nearer]
@@ -135,7 +137,7 @@ class Floor:
 
     def _on_mesh(self, world: World, k: int, seen: RayScene, near: Rows, origin: Places, way: Places, found: Found) -> None:
         a, w = origin[:, near], way[:, near]
-        which, part, _, face = seen.cast_within(np.ascontiguousarray(a.T), np.ascontiguousarray(w.T), world.options.threads)
+        which, part, face = _met(seen, np.ascontiguousarray(a.T), np.ascontiguousarray(w.T), world.options.threads)
         nearer = part < found.part[near[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
         found.put(near[which], self._hits(world, k, part, a[:, which] + w[:, which] * part, face))
@@ -151,27 +153,31 @@ class Floor:
 
 
 def seek(
-    world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64]
-) -> Found:
+    world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64],
+    thorough: bool = True,
+) -> Found:  # fmt: skip
     """Ground for feet that want to stand at places, seen from hips, all float64[3, k]. `leg` float64[k]: how far a foot joint may
-    be from its hip (mm); `sole` float64[k]: how far it is above the ground that it stands on."""
+    be from its hip (mm); `sole` float64[k]: how far it is above the ground that it stands on. Without `thorough`
+    only what is on the straight way, wherever that is: for a foot that lifts, and looks again when it lands."""
     way = (wanted - hip) * _BEYOND
     found = floor.cast(world, hip, way)
+    if not thorough:
+        return found
     fits = _in_reach(found, hip, up, leg, sole)
-    off = vec.length(tuple(found.place - wanted))  # type: ignore[arg-type]
+    off = _length(found.place - wanted)
     rows = np.flatnonzero(~(fits & (off <= _NEAR * leg)))
     if rows.size:
-        found.put(rows, _searched(world, floor, *(v[:, rows] for v in (hip, wanted, up)), leg[rows], sole[rows],
-                                  found.take(rows), fits[rows], off[rows]))  # fmt: skip
+        eyes, goals, ups = (v[:, rows] for v in (hip, wanted, up))
+        found.put(rows, _searched(world, floor, eyes, goals, ups, leg[rows], sole[rows], found.take(rows), fits[rows]))
     return found
 
 
 def _searched(
     world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64],
-    first: Found, fits: NDArray[np.bool_], off: NDArray[np.float64],
+    first: Found, fits: NDArray[np.bool_],
 ) -> Found:  # fmt: skip
     """As `seek`, for places that the straight way from the hip does not lead to: from above them, then the nearest."""
-    height = np.maximum(vec.dot(hip - wanted, up), 0.2 * leg)  # type: ignore[arg-type]
+    height = np.maximum(vec.dot(hip - wanted, up), 0.2 * leg)
     above = wanted + up * height
     level = floor.cast(world, hip, above - hip)
     down = floor.cast(world, above, -up * (2.0 * height + leg))
@@ -180,7 +186,7 @@ def _searched(
     for hits, good in ((first, fits), (level, None), (down, free)):
         ok = _in_reach(hits, hip, up, leg, sole)
         ok &= np.isfinite(hits.part) if good is None else good
-        away = np.where(ok, vec.length(tuple(hits.place - wanted)), np.inf)  # type: ignore[arg-type]
+        away = np.where(ok, _length(hits.place - wanted), np.inf)
         better = away < nearest
         best.put(better, hits.take(better))
         nearest = np.minimum(nearest, away)
@@ -188,10 +194,27 @@ def _searched(
     if rows.size:
         close = floor.nearest(world, wanted[:, rows], np.minimum(leg[rows], nearest[rows]))
         seen = floor.cast(world, hip[:, rows], (close.place - hip[:, rows]) * (1.0 - _SHY))
-        sight = ~np.isfinite(seen.part) | (vec.length(tuple(seen.place - close.place)) < 1e-3 * leg[rows])  # type: ignore[arg-type]
+        sight = ~np.isfinite(seen.part) | (_length(seen.place - close.place) < 1e-3 * leg[rows])
         ok = _in_reach(close, hip[:, rows], up[:, rows], leg[rows], sole[rows]) & sight
         best.put(rows[ok], close.take(ok))
     return best
+
+
+def _close(seen: RayScene, rows: Rows, origin: Places, way: Places) -> Rows:
+    """Those of some rays that a mesh may be near: by the ball about each one's middle."""
+    a, half = origin[:, rows], way[:, rows] * 0.5
+    near = seen.clearance(*(a + half)) <= _length(half) * (1 + 1e-4) + 1e-4
+    return rows[near]
+
+
+def _met(
+    seen: RayScene, origin: NDArray[np.float64], way: NDArray[np.float64], threads: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
+    """Which rays [k, 3] hit a mesh within their way, after what part, and which face. Near a surface most do: then they are cast
+    without asking first whether they do."""
+    hits = seen.cast(origin, way, threads)
+    which = np.flatnonzero(hits.t <= 1.0)
+    return which, hits.t[which], hits.face[which]
 
 
 def _in_reach(hits: Found, hip: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -217,7 +240,7 @@ def _on_plane(world: World, origin: Places, way: Places, found: Found) -> None:
 
 def _on_solid(k: int, seen: SolidFeelers, near: Rows, origin: Places, way: Places, found: Found) -> None:
     a, w = origin[:, near], way[:, near]
-    length = vec.length(tuple(w))  # type: ignore[arg-type]
+    length = _length(w)
     unit = w / np.maximum(length, 1e-300)
     hits = seen.feelers(*a, *unit, length)  # type: ignore[call-arg]
     part = hits.t.astype(np.float64) / np.maximum(length, 1e-300)
@@ -230,6 +253,10 @@ def _on_solid(k: int, seen: SolidFeelers, near: Rows, origin: Places, way: Place
     made = Found.none(met.size)
     made.part, made.place, made.on = part[met], landed.points[good].T, np.full(met.size, k, np.int16)
     found.put(near[met], made)
+
+
+def _length(v: Places) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2]))
 
 
 def _unit_rows(v: NDArray[np.float64]) -> NDArray[np.float64]:

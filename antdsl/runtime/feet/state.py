@@ -63,12 +63,12 @@ class Feet:
     @property
     def legs(self) -> int:
         """How many each agent has."""
-        return self.swing.shape[1]
+        return int(self.swing.shape[1])
 
     @property
     def down(self) -> NDArray[np.bool_]:
         """Which feet stand, bool[n, L]."""
-        return self.swing == STANDS
+        return np.asarray(self.swing == STANDS)
 
     def arrays(self) -> dict[str, Array]:
         """What is kept, by name: the arrays themselves."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,7 @@ Floats = NDArray[np.float32]
 
 STEEPEST = 0.35  # rise over run of the trunk against the body's own up: 19 degrees
 HIGHEST = 0.3  # of the height of the hips: how much higher or lower the trunk may be
-_SLACK = 0.06  # s, of the way to a new height and tilt
+_SLACK, _SLOWLY = 0.06, 0.2  # s, of the way to a new tilt or lower height, and to a greater height: steps do not bounce
 _STIFF = 0.02  # square of a length: what keeps a plane through feet that stand close together level
 _PLANE = 3  # feet that a plane needs: who has fewer does not tilt
 
@@ -24,14 +26,13 @@ def fitted(
 
     `beside`: where the feet's ground is from each agent, ahead, above and aside, [n, L]; `held`: which of these are ground. All
     in body lengths. Least squares, feet weighted alike; feet that hang do not count."""
-    ahead, above, aside = beside
     weight = held.astype(np.float32)
-    count = _sum(weight)
+    count = summed(weight)
     per = np.float32(1) / np.maximum(count, np.float32(1))
-    middle = [_sum(part * weight) * per for part in beside]
+    middle = [summed(part * weight) * per for part in beside]
     x, y, z = ((part - mean[:, None]) * weight for part, mean in zip(beside, middle, strict=True))
-    xx, zz, xz = _sum(x * x) * per + np.float32(_STIFF), _sum(z * z) * per + np.float32(_STIFF), _sum(x * z) * per
-    xy, zy = _sum(x * y) * per, _sum(z * y) * per
+    xx, zz, xz = summed(x * x) * per + np.float32(_STIFF), summed(z * z) * per + np.float32(_STIFF), summed(x * z) * per
+    xy, zy = summed(x * y) * per, summed(z * y) * per
     whole = xx * zz - xz * xz
     known = count >= np.float32(_PLANE)
     tilted = [np.where(known, part / whole, np.float32(0)) for part in (zz * xy - xz * zy, xx * zy - xz * xy)]
@@ -41,8 +42,9 @@ def fitted(
     height = np.float32(np.maximum((legs.hip[:, 1] - legs.foot[:, 1]).max(), 1e-3) * HIGHEST)
     higher = (middle[1] - tilted[0] * middle[0]) - tilted[1] * middle[2]
     higher = np.clip(np.where(count > 0, higher, np.float32(0)), -height, height)
-    step = np.float32(dt / (dt + _SLACK))
-    return rise + (higher - rise) * step, np.stack([s + (t - s) * step for s, t in zip(slope, tilted, strict=True)])
+    step, up = np.float32(dt / (dt + _SLACK)), np.float32(dt / (dt + _SLOWLY))
+    turned = np.stack([s + (t - s) * step for s, t in zip(slope, tilted, strict=True)])
+    return (rise + (higher - rise) * np.where(higher > rise, up, step)).astype(np.float32), turned.astype(np.float32)
 
 
 def lowered(
@@ -89,9 +91,9 @@ def quaternions(slope: Floats) -> Floats:
     return np.stack([x / long, y / long, z / long, w / long], axis=1).astype(np.float32)
 
 
-def _sum(parts: Floats) -> Floats:
+def summed(parts: NDArray[Any]) -> Floats:
     """Sums [n] over feet, in one order."""
-    total: Floats = parts[:, 0].copy()
+    total: Floats = parts[:, 0].astype(np.float32)
     for k in range(1, parts.shape[1]):
         total += parts[:, k]
     return total

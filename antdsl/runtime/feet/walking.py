@@ -22,13 +22,14 @@ from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import LegsData
 
 Floats = NDArray[np.float32]
+Places = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 _F = np.float32
 
 _SLOW = _F(0.02)  # cycles in a frame, below which feet are put back where they rest
 _OFF = _F(0.12)  # of a leg: how far from there a foot may stay
 _LEFT = _F(1.25)  # times its reach: a foot so far from where it rests is lifted, whatever its share of the cycle
-_AGAIN = _F(0.25)  # of a leg: a landing place so far from the one that is wanted by now is sought anew
+_AGAIN = _F(0.45)  # of a leg: a landing place so far from the one that is wanted by now is sought anew
 _SMALL = _F(0.4)  # of a stride: shorter swings are lower
 _GONE = 0.02  # of a leg: a solid that is so much farther from a foot than it was has been dug away below it
 
@@ -44,10 +45,9 @@ class Frames:
     size: NDArray[np.float64]
 
     @staticmethod
-    def of(position: NDArray[np.float64], heading: NDArray[np.float64], up: NDArray[np.float64], size: NDArray[np.float64]) -> Frames:
+    def of(position: Places, heading: Places, up: Places, size: NDArray[np.float64]) -> Frames:
         """With the heading as it is, and up across it."""
-        forward: vec.Vector = tuple(heading)  # type: ignore[assignment]
-        above: vec.Vector = tuple(up)  # type: ignore[assignment]
+        forward, above = _vector(heading), _vector(up)
         ahead = vec.unit(forward, vec.across(above))
         straight = vec.unit(vec.flat(above, ahead), vec.across(ahead))
         return Frames(position, np.stack(ahead), np.stack(straight), vec.stacked_cross(ahead, straight), size)
@@ -70,6 +70,11 @@ class Frames:
         axes = (self.ahead, self.up, self.aside)
         x, y, z = (vec.dot(away, axis.astype(np.float32)[:, :, None]) * by for axis in axes)
         return x, y, z
+
+
+def _vector(columns: Places) -> vec.Vector:
+    x, y, z = columns
+    return x, y, z
 
 
 class Walkers:
@@ -104,11 +109,19 @@ def measure(world: World) -> None:
         world.feet[name] = feet
         now = _frames(population)
         before = Frames.of(feet.position, feet.heading.astype(np.float64), feet.up.astype(np.float64), now.size)
-        x, z = (np.broadcast_to(part, feet.swing.shape) for part in walkers.rest)
-        went = now.of_places(before.at(x, np.zeros_like(x), z))
-        covered = np.stack([x - went[0], z - went[2]])
+        covered = _covered(before, now, walkers.rest)
         covered[:, new] = 0
         feet.covered, feet.stood = np.where(np.isfinite(covered), covered, _F(0)), now.place
+
+
+def _covered(before: Frames, now: Frames, rest: tuple[Floats, Floats]) -> Floats:
+    """How far each foot's resting place went, ahead and aside of the bodies as they are now, float32[2, n, L] in their lengths."""
+    away = (before.place - now.place) / now.size
+    found = []
+    for axis, own in ((now.ahead, rest[0]), (now.aside, rest[1])):
+        moved, along, across = (vec.dot(v, axis).astype(np.float32)[:, None] for v in (away, before.ahead, before.aside))
+        found.append(own - (moved + along * rest[0] + across * rest[1]))
+    return np.stack(found)
 
 
 def walk(world: World) -> None:
@@ -152,9 +165,10 @@ class _Step:
         self.world, self.floor, self.feet, self.walkers, self.body, self.covered = world, floor, feet, walkers, body, covered
         self.dt = _F(world.dt)
         square = covered[0] * covered[0] + covered[1] * covered[1]
-        self.went = trunk._sum(np.sqrt(square)) / _F(max(1, feet.legs))
+        self.went = trunk.summed(np.sqrt(square)) / _F(max(1, feet.legs))
         self.stepping: Stepping = walkers.gaits.at(self.went / self.dt, self.went)
         self.beside = body.of_places(feet.place)
+        self._hip: tuple[Floats, Floats, Floats] | None = None
 
     # ---- who does what
 
@@ -182,25 +196,37 @@ class _Step:
         ahead = np.minimum(ahead, _F(MOST_CYCLES)).astype(np.float32)
         before = feet.phase[:, None] + stepping.phases
         before = before - np.floor(before)
-        share = before + ahead[:, None]
         duty = stepping.duty[:, None]
-        self._lift(share, before, duty, off, slow)
+        # Who sets out from a stand does so with the foot whose turn is next, at once: none waits until it is left behind.
+        stood = feet.down.all(axis=1) & (off <= self.walkers.off).all(axis=1) & ~slow
+        gap = duty - before
+        gap = np.where(gap > 0, gap, gap + 1).min(axis=1)
+        on = np.where(stood & (gap > ahead), gap + _F(1e-3), ahead).astype(np.float32)
+        self._lift(before + on[:, None], before, duty, off, slow)
         self._swing(ahead, duty)
-        phase = feet.phase + ahead
+        phase = feet.phase + on
         feet.phase = phase - np.floor(phase)
         self._trunk()
         self._show()
 
     def _off(self) -> Floats:
-        """How far each foot is from where it rests."""
-        x, z = self.beside[0] - self.walkers.rest[0], self.beside[2] - self.walkers.rest[1]
-        return np.asarray(np.sqrt(x * x + z * z), np.float32)
+        """How far each foot is from where it rests: on the ground at right angles below or above that place, or on the straight
+        way from the hip through it, whichever is nearer."""
+        x, y, z = self.beside
+        below = np.square(x - self.walkers.rest[0]) + np.square(z - self.walkers.rest[1])
+        a, b, c = self._hips()
+        by = b / np.maximum(b - y, _F(0.1) * self.walkers.leg)
+        through = np.square(a + (x - a) * by - self.walkers.rest[0]) + np.square(c + (z - c) * by - self.walkers.rest[1])
+        return np.asarray(np.sqrt(np.minimum(below, through)), np.float32)
 
     def _lift(self, share: Floats, before: Floats, duty: Floats, off: Floats, slow: Flags) -> None:
         """Who stands and has stood long enough, is left behind or has lost its ground swings from now on."""
         feet = self.feet
         crosses = ((before < duty) & (share >= duty)) | (share >= 1 + duty)
-        late = (before >= duty) & (off > self.walkers.gaits.reach)  # whose turn was missed as the gait changed
+        # Whose turn was missed, as the gait changed or something else moved the foot: behind where it rests, in time to swing.
+        x, z = self.beside[0] - self.walkers.rest[0], self.beside[2] - self.walkers.rest[1]
+        behind = x * self.covered[0] + z * self.covered[1] < 0
+        late = (before >= duty) & (before < duty + _F(0.6) * (1 - duty)) & behind & (off > _F(0.3) * self.walkers.gaits.reach)
         due = (crosses | late) & (~slow[:, None] | (off > _F(0.5) * self.walkers.off))
         left = off > _LEFT * self.walkers.gaits.reach
         lifts = feet.down & (due | self._too_far(_F(1)) | left | self._undermined())
@@ -212,8 +238,11 @@ class _Step:
 
     def _hips(self) -> tuple[Floats, Floats, Floats]:
         """Hips [n, L] in body lengths, with the trunk's height and tilt."""
+        if self._hip is not None:
+            return self._hip
         x, y, z = trunk.leant(self.walkers.legs.hip, self.feet.slope)
-        return x, y + (self.feet.rise / self.body.size.astype(np.float32))[:, None], z
+        self._hip = x, np.asarray(y + (self.feet.rise / self.body.size.astype(np.float32))[:, None], np.float32), z
+        return self._hip
 
     def _undermined(self) -> Flags:
         """Feet whose ground was dug away."""
@@ -240,13 +269,14 @@ class _Step:
         half = [np.minimum(stance, _F(1e4)) * part * _F(0.5) for part in self.covered]
         long = np.sqrt(half[0] * half[0] + half[1] * half[1])
         by = np.minimum(_F(1), gaits.reach / np.maximum(long, _F(1e-9)))
-        x, z = (
-            rest + part * left + most * by for rest, part, most in zip(self.walkers.rest, self.covered, half, strict=True)
-        )
+        x, z = (rest + part * left + most * by for rest, part, most in zip(self.walkers.rest, self.covered, half, strict=True))
         lands = flying & (done >= 1)
+        past = np.where(lands, feet.swing + more - 1, _F(0)) / rate  # frames ago, in which the body went on
+        x, z = x - self.covered[0] * past, z - self.covered[1] * past
         gap = np.square(self.beside[0] - x) + np.square(self.beside[2] - z)
         again = lands & ((gap > np.square(_AGAIN * self.walkers.leg)) | (feet.on == NOTHING) | self._too_far(_F(REACHED)))
-        self._seek(self.lifts | again, x, z, left)
+        self._seek(self.lifts & ~lands, x, z, left, thorough=False)
+        self._seek(again, x, z, left)
         feet.swing = np.where(lands & (feet.on != NOTHING), STANDS, done).astype(np.float32)
 
     def _too_far(self, most: np.float32) -> Flags:
@@ -259,7 +289,7 @@ class _Step:
 
     # ---- places
 
-    def _seek(self, chosen: Flags, x: Floats, z: Floats, left: Floats) -> None:
+    def _seek(self, chosen: Flags, x: Floats, z: Floats, left: Floats, thorough: bool = True) -> None:
         """Ground for chosen feet near places ahead and aside, seen from where hips will be in so many frames; where there is
         none the foot hangs there."""
         who, leg = np.nonzero(chosen)
@@ -278,7 +308,7 @@ class _Step:
             )
         )
         sole = legs.foot[leg, 1] * size
-        found = seek(self.world, self.floor, hip, wanted, up, legs.length[leg] * size * REACHED, sole)
+        found = seek(self.world, self.floor, hip, wanted, up, legs.length[leg] * size * REACHED, sole, thorough)
         hangs = found.on == NOTHING
         feet.place[:, who, leg] = np.where(hangs, wanted, found.place)
         feet.on[who, leg], feet.face[who, leg], feet.weight[:, who, leg] = found.on, found.face, found.weight
@@ -289,31 +319,25 @@ class _Step:
         self.beside = self.body.of_places(feet.place)
         rise, slope = trunk.fitted(legs, self.beside, feet.on != NOTHING, feet.rise / size, feet.slope, float(self.dt))
         rise = trunk.lowered(legs, self.beside, feet.down, rise, slope)
-        feet.rise, feet.slope = (rise * size).astype(np.float32), slope.astype(np.float32)
+        feet.rise, feet.slope, self._hip = (rise * size).astype(np.float32), slope.astype(np.float32), None
 
     def _show(self) -> None:
         """Where each foot is: where it stands, or on its arc, no farther than its leg reaches."""
         feet, body = self.feet, self.body
-        feet.shown = feet.place.copy()
-        who, leg = np.nonzero(feet.swing >= 0)
-        if not who.size:
-            return
-        done = feet.swing[who, leg].astype(np.float64)
-        start, end, up = feet.start[:, who, leg], feet.place[:, who, leg], body.up[:, who]
+        flying = feet.swing >= 0
+        done = np.where(flying, feet.swing, _F(1))
+        start, end = body.of_places(feet.start), self.beside
         eased = done * done * (3 - 2 * done)
-        way = end - start
-        far = vec.length(tuple(way)) / (np.maximum(self.stepping.stride[who], 1e-6) * body.size[who])  # type: ignore[arg-type]
-        lift = self.stepping.lift[who] * body.size[who] * np.minimum(1.0, far / float(_SMALL))
-        place = start + way * eased + up * (lift * (4 * done * (1 - done)))
-        hips = self._hips()
-        size = body.size[who]
-        a, b, c = (part[who, leg].astype(np.float64) for part in hips)
-        sole = self.walkers.legs.foot[leg, 1]
-        # The foot joint is `sole` above the place, so the hip is brought down by as much to measure from.
-        hip = body.place[:, who] + ((a * body.ahead[:, who] + (b - sole) * up) + c * body.aside[:, who]) * size
-        away = place - hip
-        long = vec.length(tuple(away))  # type: ignore[arg-type]
-        most = self.walkers.legs.length[leg] * size * REACHED
-        feet.shown[:, who, leg] = hip + away * np.minimum(1.0, most / np.maximum(long, 1e-12))
-
-
+        way = tuple(b - a for a, b in zip(start, end, strict=True))
+        far = np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
+        stride, lift = self.stepping.stride[:, None], self.stepping.lift[:, None]
+        arc = lift * np.minimum(_F(1), far / (stride * _SMALL)) * (4 * done * (1 - done))
+        x, y, z = (a + w * eased for a, w in zip(start, way, strict=True))
+        y = y + arc
+        # The foot joint is above the ground of its foot, so the hip is brought down by as much to measure from.
+        a, b, c = self._hips()
+        b = b - self.walkers.legs.foot[:, 1].astype(np.float32)
+        dx, dy, dz = x - a, y - b, z - c
+        long = np.sqrt((dx * dx + dy * dy) + dz * dz)
+        by = np.minimum(_F(1), self.walkers.leg * _F(REACHED) / np.maximum(long, _F(1e-9)))
+        feet.shown = np.where(flying, body.at(a + dx * by, b + dy * by, c + dz * by), feet.place)

@@ -1,0 +1,201 @@
+"""A bank of poses: for each species the prototypes that its agents are instances of, made when an agent is first in one.
+
+A pose is the topmost clip that an agent plays on its whole body, and each clip on a part of it, at the nearest of some moments;
+a clip counts that has most of its machine's weight. Who goes on its feet and plays no clip that goes has one that does, by its
+speed, at the phase of its gait. A prototype is such a pose in the colour of a state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.machine_clips import Played
+from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.model import Crowd
+from antdsl.outputs.usd.drawn import DrawnBody, alone
+from antdsl.outputs.usd.materials import Looks
+from antdsl.outputs.usd.moments import Agents
+from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Array, identifier, mesh, vectors
+from antdsl.scene.geometry.usd import pxr
+
+SAMPLES = 16  # of a clip on the whole body
+_SAMPLES_OF_PARTS = 4  # of a clip on a transform group
+_MOST = 2048  # prototypes of a species, beyond which clips on groups are left out
+_STANDS = 0.02  # body lengths a second below which an agent stands
+_FINE = 1500  # triangles above which the coarse body is taken
+
+
+class Bank:
+    """The poses of one species, as classes, and its prototypes, below the path of its instancer."""
+
+    def __init__(self, stage: Any, species: SpeciesEntry, close: bool = False) -> None:
+        self._stage, self._name, self._close = stage, identifier(species.name), close
+        self._bodies: list[tuple[PosedBody, _Drawn]] = []
+        self._numbers: dict[tuple[int, ...], int] = {}
+        self._poses: dict[tuple[int, ...], str] = {}
+        self.paths: list[str] = []
+        self.reach = 0.0
+        states = species.machines[0].states if species.machines else ()
+        self._colours = decoded(np.array([state.colour for state in states] or [(0.35, 0.35, 0.35)]))
+        self._states = [identifier(state.name) for state in states]
+
+    def numbers(self, agents: Agents) -> NDArray[np.int32]:
+        """The prototype of each agent, int32[n]: a place in `paths`."""
+        found = np.zeros(len(agents.ids), np.int32)
+        for rows, keys, which in self._keys(agents):
+            found[rows] = np.array([self._prototype(*key) for key in keys], np.int32)[which]
+        return found
+
+    def poses_of(self, agents: Agents) -> list[str]:
+        """The paths of the poses that agents are in."""
+        found = [""] * len(agents.ids)
+        for rows, keys, which in self._keys(agents):
+            paths = [self._pose(body, *played) for body, _, *played in keys]
+            for row, kind in zip(rows.tolist(), which.tolist(), strict=True):
+                found[row] = paths[kind]
+        return found
+
+    def _keys(self, agents: Agents) -> Iterator[tuple[NDArray[np.intp], list[tuple[int, ...]], NDArray[np.intp]]]:
+        """For those who wear a body: their rows, the keys that there are (body, state, what each machine plays), and which of
+        them each has."""
+        state = np.full(len(agents.ids), -1) if agents.state is None else agents.state
+        for crowd, rows in agents.parts:
+            if crowd.worn is None:
+                continue
+            speed = np.linalg.norm(agents.own_velocity[rows], axis=1) / np.maximum(agents.scale[rows], 1e-12)
+            whole, *on_parts = played(crowd.worn, crowd, speed)
+            columns = [state[rows], whole, *(on_parts if len(self.paths) < _MOST else ())]
+            kinds, which = _kinds(np.stack(columns, axis=1).astype(np.int64))
+            body = self._body(crowd.worn)
+            yield rows, [(body, *kind) for kind in kinds.tolist()], which
+
+    def _body(self, worn: PosedBody) -> int:
+        for number, (known, _) in enumerate(self._bodies):
+            if known is worn:
+                return number
+        name = self._name + (f"_{len(self._bodies) + 1}" if self._bodies else "")
+        self._bodies.append((worn, _Drawn(self._stage, name, worn, self._close)))
+        return len(self._bodies) - 1
+
+    def _pose(self, body: int, *played: int) -> str:
+        """The mesh of what machines play."""
+        key = (body, *played)
+        if key not in self._poses:
+            self._poses[key], reach = self._bodies[body][1].write(len(self._poses), list(played))
+            self.reach = max(self.reach, reach)
+        return self._poses[key]
+
+    def _prototype(self, body: int, state: int, *played: int) -> int:
+        """The pose in the colour of a state."""
+        key = (body, state, *played)
+        if key not in self._numbers:
+            self._numbers[key] = len(self.paths)
+            named = self._states[state] if 0 <= state < len(self._states) else "none"
+            path = f"{ROOT}/{self._name}/prototypes/p{len(self.paths):04d}_{named}"
+            colour = self._colours[state if 0 <= state < len(self._colours) else 0]
+            coloured(self._stage, path, self._pose(body, *played)).Set(vectors(colour[None]))
+            self.paths.append(path)
+        return self._numbers[key]
+
+
+def coloured(stage: Any, path: str, pose: str) -> Any:
+    """A mesh that is a pose, loaded where it is drawn; its primvar displayColor, which materials of states take."""
+    prim = stage.DefinePrim(path, "Mesh")
+    prim.GetPayloads().AddInternalPayload(pose)
+    return pxr("UsdGeom").PrimvarsAPI(prim).CreatePrimvar("displayColor", pxr("Sdf").ValueTypeNames.Color3fArray, "constant")
+
+
+class _Drawn:
+    """A body that poses are written of."""
+
+    def __init__(self, stage: Any, name: str, worn: PosedBody, close: bool) -> None:
+        self._stage, self._path = stage, f"{BODIES}/{name}"
+        body = worn.fine if close else worn.coarse if len(worn.faces) > _FINE else worn
+        self._drawn = DrawnBody(body.with_clips(bank_clips(worn)))
+        stage.CreateClassPrim(self._path)
+        self._looks = Looks(stage, f"{LOOKS}/{name}", worn.definition.materials)
+
+    def write(self, number: int, played: list[int]) -> tuple[str, float]:
+        """The mesh of a pose, and how far it reaches, in body lengths."""
+        machines = [alone(np.array([p // (SAMPLES + 1) - 1]), np.array([p % (SAMPLES + 1) / SAMPLES])) for p in played]
+        poses: Poses = self._drawn.body.poses(machines, 1)
+        points, normals = (each[0] for each in self._drawn.posed(poses))
+        path = f"{self._path}/pose_{number:04d}"
+        made = mesh(self._stage, path, points, self._drawn.faces, normals, self._drawn.uvs)
+        self._looks.bind_faces(made, self._drawn.names, self._drawn.material)
+        return path, float(np.linalg.norm(points, axis=1).max(initial=0.0))
+
+
+def bank_clips(worn: PosedBody) -> list[Played]:
+    """What poses of a bank may be of: the clips that the species plays, the one of those who play none, and those to go on."""
+    clips = worn.definition.clips.items()
+    strides = [Played(name) for name, clip in clips if clip.loop and clip.stride > 0 and clip.duration > 0]
+    return [*(Played(*each) for each in worn.clips), Played(worn.definition.idle), *strides]
+
+
+def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
+    """What the bodies of a crowd play, int64[n] each: first the topmost clip on the whole body, then for each machine the clip on
+    a transform group. 0 is nothing, else (clip + 1) · (SAMPLES + 1) + the nearest of so many moments; clips are those of
+    `bank_clips`. Who goes and plays nothing that goes has the clip whose speed is nearest to its `speed` [n] (body lengths a
+    second), at the phase of its feet."""
+    clips = [worn.definition.clips.get(each.clip) for each in bank_clips(worn)]
+    loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
+    groups = np.array([bool(each.on) for each in bank_clips(worn)] + [False])
+    steps = np.where(groups, _SAMPLES_OF_PARTS, SAMPLES)
+    count = len(crowd.position)
+    whole, on_parts = np.full(count, 0, np.int64), []
+    for machine in crowd.plays:
+        fade = np.clip(machine.fade, 0.0, 1.0)
+        here, before = machine.weight * (1 - fade), machine.before_weight * fade
+        clip = np.where(here >= before, machine.clip, machine.before).astype(np.int64)
+        turns = np.where(here >= before, machine.turns, machine.before_turns).astype(np.float64)
+        clip = np.where((here + before >= 0.5) & (clip >= 0) & (clip <= len(worn.clips)), clip, -1)
+        code = np.where(clip >= 0, _code(clip, turns, loops, steps), 0)
+        whole = np.where((clip >= 0) & ~groups[clip], code, whole)
+        part = np.where(groups[clip], code, 0)
+        if part.any():
+            on_parts.append(part)
+    if crowd.feet is not None and speed is not None and len(clips) > len(worn.clips) + 1:
+        whole = _going(worn, clips, whole, crowd.feet.phase.astype(np.float64), speed)
+    return [whole, *on_parts]
+
+
+def _code(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, steps: Array) -> NDArray[np.int64]:
+    """A clip and the nearest of its moments as one number."""
+    part = np.where(loops[clip], turns - np.floor(turns), np.clip(turns, 0.0, 1.0))
+    step = np.rint(part * steps[clip]).astype(np.int64)
+    step = np.where(loops[clip], step % steps[clip], step) * (SAMPLES // steps[clip])
+    found: NDArray[np.int64] = (clip + 1) * (SAMPLES + 1) + step
+    return found
+
+
+def _going(
+    worn: PosedBody, clips: list[Clip | None], whole: NDArray[np.int64], phase: NDArray[np.float64], speed: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """What bodies play, with a clip to go on for those who go and play none that does."""
+    first = len(worn.clips) + 1
+    speeds = np.array([clip.stride / clip.duration / worn.definition.length for clip in clips[first:] if clip is not None])
+    clip = whole // (SAMPLES + 1) - 1
+    free = np.array([each is None or (each.stride == 0 and each.feet) for each in clips] + [True])
+    goes = free[clip] & (speed > _STANDS) & np.isfinite(phase)
+    nearest = np.abs(speeds - speed[:, None]).argmin(axis=1) + first
+    step = np.rint((np.nan_to_num(phase) % 1.0) * SAMPLES).astype(np.int64) % SAMPLES
+    found: NDArray[np.int64] = np.where(goes, (nearest + 1) * (SAMPLES + 1) + step, whole)
+    return found
+
+
+def _kinds(table: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """The rows of a table that differ, and which of them each row is."""
+    packed = np.zeros(len(table), np.int64)
+    for column in table.T:
+        low = int(column.min(initial=0))
+        packed = packed * (int(column.max(initial=0)) - low + 1) + (column - low)
+    _, first, which = np.unique(packed, return_index=True, return_inverse=True)
+    return table[first], which.reshape(-1)

@@ -1,0 +1,233 @@
+"""An agent definition as UsdSkel: a skeleton and the shapes of a layer, bound to it, with their materials.
+
+A static shape is one whose points all follow its joint. UsdSkel has one bind pose a skeleton: shapes that were captured in
+another one than those before them have a skeleton of their own, of the same joints. It blends shapes first and skins then,
+linearly or by dual quaternions; what a definition has beyond that is left out and told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from antdsl.bodies.agents.blend_shapes import difference, knots_of, matched, values_of
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.layer import Binding
+from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.outputs.usd.drawn import DrawnBody
+from antdsl.outputs.usd.materials import Looks
+from antdsl.outputs.usd.values import Array, identifier, integers, matrices, matrix, mesh, vectors
+from antdsl.scene.geometry.usd import pxr
+
+_SAME = 1e-5  # body lengths by which bind poses may differ and be one
+
+
+@dataclass(slots=True)
+class SkelDefinition:
+    """What was written of a body: `path` of the prim that agents are instances of, `joints` by their paths in the rig's order,
+    names of `channels` that blend, `tinted`: meshes below it that have the colour of the agent, and `notes`: what UsdSkel does
+    not hold."""
+
+    path: str
+    joints: tuple[str, ...]
+    channels: tuple[str, ...]
+    tinted: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close: bool = False) -> SkelDefinition:
+    """Write a body as a SkelRoot at a path, in agents' own space: length 1 along +x, up +y; `looks` are its
+    materials. One with a layer for close-ups has the variants `crowd` and `close` of its set `detail`; `close` chooses."""
+    skel, definition = pxr("UsdSkel"), body.shaded
+    root = skel.Root.Define(stage, path)
+    joints = joint_paths(definition)
+    details = {"crowd": body} | ({"close": body.fine} if body.fine is not body else {})
+    drawn = {name: [b for b in each.bindings if len(each.shaded.shapes[b.shape].faces)] for name, each in details.items()}
+    channels = dict.fromkeys(
+        channel
+        for name, each in details.items()
+        for binding in drawn[name]
+        if "blendshape" in binding.deformer and (blend := each.shaded.shapes[binding.shape].blend)
+        for channel in blend.channels
+    )
+    made = SkelDefinition(path, joints, tuple(channels))
+    rig = pxr("UsdGeom").Xform.Define(stage, f"{path}/rig")
+    rig.AddTransformOp().Set(matrix(definition.base()))
+    skeletons = _Skeletons(stage, f"{path}/rig", definition, joints)
+    for name, each in details.items():
+        pxr("UsdGeom").Xform.Define(stage, f"{path}/rig/{name}")
+        names: set[str] = set()
+        for binding in drawn[name]:
+            shape = _free(identifier(binding.shape), names)
+            _write_shape(stage, f"{path}/rig/{name}/{shape}", each.shaded, binding, skeletons, looks, made)
+    root.CreateExtentAttr(vectors(DrawnBody(body).extent()))
+    if len(details) > 1:
+        chosen = "close" if close else "crowd"
+        _choices(root.GetPrim(), list(details), chosen)
+        made.tinted = [below for below in made.tinted if below.startswith(f"rig/{chosen}/")]
+    return made
+
+
+def _choices(prim: Any, names: list[str], chosen: str) -> None:
+    """Variants in each of which the others are not there."""
+    found = prim.GetVariantSets().AddVariantSet("detail")
+    for name in names:
+        found.AddVariant(name)
+        found.SetVariantSelection(name)
+        with found.GetVariantEditContext():
+            for other in names:
+                if other != name:
+                    prim.GetStage().OverridePrim(f"{prim.GetPath()}/rig/{other}").SetActive(False)
+    found.SetVariantSelection(chosen)
+
+
+def joint_paths(definition: Definition) -> tuple[str, ...]:
+    """The joints of a rig as paths from its roots, with names that USD allows; two that sound alike get numbers."""
+    found: list[str] = []
+    taken: set[str] = set()
+    for name, parent in zip(definition.rig.names, definition.rig.parents.tolist(), strict=True):
+        above = f"{found[parent]}/" if parent >= 0 else ""
+        found.append(_free(above + identifier(name), taken))
+    return tuple(found)
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """The name, or with a number where it is taken."""
+    found, number = name, 1
+    while found in taken:
+        number += 1
+        found = f"{name}_{number}"
+    taken.add(found)
+    return found
+
+
+def rest_world(definition: Definition) -> Array:
+    """World matrices float64[J, 4, 4] of the rest pose."""
+    world = np.array(definition.rig.rest, np.float64)
+    for joint, parent in enumerate(definition.rig.parents.tolist()):
+        if parent >= 0:
+            world[joint] = world[parent] @ world[joint]
+    return world
+
+
+class _Skeletons:
+    """The skeletons of a definition, one for each bind pose that its shapes were captured in."""
+
+    def __init__(self, stage: Any, path: str, definition: Definition, joints: tuple[str, ...]) -> None:
+        self._stage, self._path, self._definition, self._joints = stage, path, definition, joints
+        self._rest, self._made = rest_world(definition), list[tuple[str, Array, Array, Any]]()
+
+    def holding(self, shape: Shape) -> str:
+        """The path of a skeleton whose bind pose is that of a shape: made, or filled in, where there is none yet."""
+        capture = shape.capture
+        numbers = [self._definition.rig.joint(name) for name in capture.names] if capture else []
+        wanted = np.linalg.inv(capture.inverse) if capture else np.zeros((0, 4, 4))
+        for path, bind, known, attribute in self._made:
+            apart = np.abs(bind[numbers] - wanted)[known[numbers]]
+            if apart.max(initial=0.0) <= _SAME * self._definition.length:
+                bind[numbers], known[numbers] = wanted, True
+                attribute.Set(matrices(bind))
+                return path
+        bind, known = self._rest.copy(), np.zeros(len(self._joints), np.bool_)
+        bind[numbers], known[numbers] = wanted, True
+        number = len(self._made) + 1
+        path = f"{self._path}/skeleton" + (f"_{number}" if number > 1 else "")
+        made = pxr("UsdSkel").Skeleton.Define(self._stage, path)
+        made.CreateJointsAttr(pxr("Vt").TokenArray(list(self._joints)))
+        made.CreateRestTransformsAttr(matrices(np.asarray(self._definition.rig.rest)))
+        self._made.append((path, bind, known, made.CreateBindTransformsAttr(matrices(bind))))
+        pxr("UsdSkel").BindingAPI.Apply(made.GetPrim())
+        return path
+
+    def bind_of(self, path: str, joint: int) -> Array:
+        """The bind pose of a joint, which stays as it is from then on."""
+        _, bind, known, _ = next(each for each in self._made if each[0] == path)
+        known[joint] = True
+        found: Array = bind[joint]
+        return found
+
+
+def _write_shape(
+    stage: Any, path: str, definition: Definition, binding: Binding, skeletons: _Skeletons, looks: Looks, made: SkelDefinition
+) -> None:
+    shape = definition.shapes[binding.shape]
+    drawn = mesh(stage, path, shape.points, shape.faces, shape.normals, shape.uvs)
+    material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material
+    if looks.bind_faces(drawn, shape.materials or ("",), material):
+        made.tinted.append(path.removeprefix(f"{made.path}/"))
+    api = pxr("UsdSkel").BindingAPI.Apply(drawn.GetPrim())
+    steps = binding.deformer.split("+") if binding.deformer else []
+    skinned = [step for step in steps if step.endswith("skinning")]
+    _tell(made, binding, shape, steps)
+    skeleton = skeletons.holding(shape if skinned else Shape(shape.name, shape.points, shape.faces))
+    api.CreateSkeletonRel().SetTargets([skeleton])
+    if skinned and shape.capture is not None:
+        _write_capture(api, definition, shape)
+        api.CreateSkinningMethodAttr("classicLinear" if skinned[0] == "linearskinning" else "dualQuaternion")
+        api.CreateGeomBindTransformAttr(pxr("Gf").Matrix4d(1))
+    else:
+        joint = definition.rig.joint(binding.transform) if binding.transform else 0
+        api.CreateJointIndicesPrimvar(True, 1).Set(integers(np.array([joint])))
+        api.CreateJointWeightsPrimvar(True, 1).Set(pxr("Vt").FloatArray([1.0]))
+        api.CreateGeomBindTransformAttr(matrix(skeletons.bind_of(skeleton, joint) if binding.transform else np.eye(4)))
+    if "blendshape" in steps and shape.blend is not None:
+        _write_blends(stage, path, api, definition, shape)
+
+
+def _tell(made: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
+    """What UsdSkel does otherwise for a binding, told once."""
+    if "dualquatblendskinning" in steps:
+        made.notes.append(f"`{shape.name}` blends linear and dual quaternion skinning: UsdSkel has one of them, dual quaternions")
+    known = {"blendshape", "linearskinning", "dualquatskinning", "dualquatblendskinning"}
+    others = [step for step in steps if step not in known]
+    if others:
+        made.notes.append(f"`{shape.name}` is deformed by `{others[0]}`, which UsdSkel does not have: it is left out")
+    if "blendshape" in steps and steps[0] != "blendshape":
+        made.notes.append(f"`{shape.name}` is blended after it was skinned: UsdSkel blends first")
+
+
+def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
+    capture = shape.capture
+    assert capture is not None
+    numbers = np.array([definition.rig.joint(name) for name in capture.names], np.int32)
+    used = int(np.flatnonzero((capture.weights != 0).any(axis=0)).max(initial=0)) + 1
+    api.CreateJointIndicesPrimvar(False, used).Set(integers(numbers[capture.joints[:, :used]].ravel()))
+    weights = np.ascontiguousarray(capture.weights[:, :used], np.float32).ravel()
+    api.CreateJointWeightsPrimvar(False, used).Set(pxr("Vt").FloatArray.FromNumpy(weights))
+
+
+def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape: Shape) -> None:
+    """The inputs of a blend shape, each a BlendShape that the channel of its name weighs."""
+    blend, skel = shape.blend, pxr("UsdSkel")
+    assert blend is not None
+    targets: list[Any] = []
+    taken = {"st"}
+    for name in blend.shapes:
+        each = f"{path}/{_free(identifier(name), taken)}"
+        made = skel.BlendShape.Define(stage, each)
+        shapes, weights = knots_of(definition, name)
+        for target, weight in zip(shapes, weights.tolist(), strict=True):
+            into = made if weight == 1.0 else made.CreateInbetween(identifier(target.name))
+            rows, other = matched(shape, target, blend.point_id)
+            offsets = _offsets(shape, target, "P", rows, other, blend.attributes)
+            normals = _offsets(shape, target, "N", rows, other, blend.attributes)
+            if weight == 1.0:
+                made.CreateOffsetsAttr(vectors(offsets))
+                made.CreateNormalOffsetsAttr(vectors(normals))
+            else:
+                into.SetWeight(weight)
+                into.SetOffsets(vectors(offsets))
+                into.CreateNormalOffsetsAttr(vectors(normals))
+        targets.append(made.GetPath())
+    api.CreateBlendShapesAttr(pxr("Vt").TokenArray([identifier(channel) for channel in blend.channels]))
+    api.CreateBlendShapeTargetsRel().SetTargets(targets)
+
+
+def _offsets(base: Shape, target: Shape, name: str, rows: Array, other: Array, blended: tuple[str, ...]) -> Array:
+    """What all points of the base have to be moved by to be those of another shape, float32[P, 3]."""
+    found = np.zeros((len(base.points), 3), np.float32)
+    if name in blended and values_of(base, name) is not None and values_of(target, name) is not None:
+        found[rows] = difference(base, target, name, rows, other).T
+    return found

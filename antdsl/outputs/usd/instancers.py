@@ -1,0 +1,120 @@
+"""A crowd as a point instancer: poses of its bodies as prototypes, agents as instances.
+
+All arrays have a sample at the times of the positions wherever they change, and velocities and angular velocities always: readers
+take these only at the times of positions and orientations. Signs of quaternions follow those of the sample before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.usd.bank import Bank
+from antdsl.outputs.usd.moments import Agents, Moment, matched
+from antdsl.outputs.usd.values import ROOT, Out, Samples, identifier, integers, name_states, vectors
+from antdsl.scene.geometry.usd import pxr
+
+
+class InstancerWriter:
+    """One species: its agents as instances of a bank of poses."""
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, out: Out, species: SpeciesEntry, number: int, close: bool = False) -> None:
+        self._out, self._number, stage = out, number, out.stage
+        path = f"{ROOT}/{identifier(species.name)}"
+        self.made = pxr("UsdGeom").PointInstancer.Define(stage, path)
+        pxr("UsdGeom").Scope.Define(stage, f"{path}/prototypes")
+        name_states(self.made.GetPrim(), species)
+        self._bank = Bank(stage, species, close)
+        self._targets = 0
+        self._samples: dict[str, Samples] = {}
+        self._signs = (np.zeros(0, np.int64), np.zeros((0, 4)))
+        self._api = pxr("UsdGeom").PrimvarsAPI(self.made)
+        self._names = [state.name for state in species.machines[0].states] if species.machines else []
+        vt = pxr("Vt")
+        self._kinds: dict[str, tuple[Callable[[Any], Any], Any]] = {
+            "orientations": (vt.QuathArray.FromNumpy, np.float16),
+            "orientationsf": (vt.QuatfArray.FromNumpy, np.float32),
+            "ids": (vt.Int64Array.FromNumpy, np.int64),
+            "invisibleIds": (vt.Int64Array.FromNumpy, np.int64),
+            "protoIndices": (integers, np.int32),
+        }
+
+    def sample(self, moment: Moment) -> None:
+        """The agents at a time, by their ids."""
+        agents, time = moment.agents(self._number), moment.time
+        prototypes = self._bank.numbers(agents)
+        self._set(time, "positions", agents.position)
+        turn = self._signed(agents)
+        # USD's arrays of quaternions lie in memory with the real part last, as ours do
+        self._set(time, "orientations", turn)
+        self._set(time, "orientationsf", turn)
+        self._set(time, "velocities", agents.velocity)
+        self._set(time, "angularVelocities", agents.turning)
+        self._set(time, "scales", np.repeat(agents.scale[:, None], 3, axis=1))
+        self._set(time, "ids", agents.ids)
+        hidden = agents.ids[~agents.seen]
+        if len(hidden) or "invisibleIds" in self._samples:
+            self._set(time, "invisibleIds", hidden)
+        self._set(time, "protoIndices", prototypes)
+        self._set(time, "extent", self._extent(agents))
+        self._primvar(time, "displayColor", decoded(agents.colour))
+        if agents.state is not None and self._names:
+            self._primvar(time, "state", np.clip(agents.state, 0, len(self._names) - 1))
+        for name, values in agents.numbers.items():
+            self._primvar(time, name, values)
+        if len(self._bank.paths) > self._targets:
+            self.made.CreatePrototypesRel().SetTargets(self._bank.paths)
+            self._targets = len(self._bank.paths)
+
+    def _signed(self, agents: Agents) -> NDArray[np.float64]:
+        """Orientations on the side of those of the sample before."""
+        turn = agents.orient.copy()
+        at, there = matched(agents.ids, self._signs[0])
+        if there.any():
+            products = (turn[there] * self._signs[1][at[there]]).sum(axis=1)
+            turn[there] *= np.where(products < 0, -1.0, 1.0)[:, None]
+        self._signs = (agents.ids, turn)
+        return turn
+
+    def _extent(self, agents: Agents) -> NDArray[np.float64]:
+        place, size = agents.position[agents.seen], agents.scale[agents.seen]
+        if not len(place):
+            return np.zeros((2, 3))
+        reach = self._bank.reach * size[:, None]
+        return np.stack([(place - reach).min(axis=0), (place + reach).max(axis=0)])
+
+    def _set(self, time: float, name: str, values: Any) -> None:
+        if name not in self._samples:
+            convert, kind = self._kinds.get(name, (vectors, np.float32))
+            attribute = getattr(self.made, f"Create{name[0].upper()}{name[1:]}Attr")()
+            always = name in ("positions", "orientations", "orientationsf", "velocities", "angularVelocities")
+            self._samples[name] = self._out.samples(attribute, convert, kind, always=always)
+        self._samples[name].set(time, values)
+
+    def _primvar(self, time: float, name: str, values: Any) -> None:
+        """A value of each agent; states are numbers of their names."""
+        if name not in self._samples:
+            types, vt = pxr("Sdf").ValueTypeNames, pxr("Vt")
+            whole = np.asarray(values).dtype.kind in "iu"
+            if name == "state":
+                made = self._api.CreatePrimvar("state", types.TokenArray, "vertex")
+                made.Set(vt.TokenArray(self._names))
+                self._samples[name] = self._out.samples(made.CreateIndicesAttr(), integers, np.int32)
+            elif name == "displayColor":
+                self._samples[name] = self._out.samples(
+                    self._api.CreatePrimvar(name, types.Color3fArray, "vertex"), vectors, np.float32
+                )
+            elif whole:
+                self._samples[name] = self._out.samples(
+                    self._api.CreatePrimvar(identifier(name), types.IntArray, "vertex"), integers, np.int32
+                )
+            else:
+                made = self._api.CreatePrimvar(identifier(name), types.FloatArray, "vertex")
+                self._samples[name] = self._out.samples(made, vt.FloatArray.FromNumpy, np.float32)
+        self._samples[name].set(time, values)

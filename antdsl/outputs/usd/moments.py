@@ -1,0 +1,212 @@
+"""Agents of a species at any time of a cache: in a frame, and between two frames, each by its id.
+
+Between two frames places and scales go evenly and orientations turn at a constant rate by the shorter way, so that velocities and
+angular velocities, which lead from a frame to the next, say the same. Who is not in the next frame goes on at its own
+velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.vector_rows import dot
+from antdsl.outputs.cache.cache_reader import Arrays
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.pictures.model import Crowd, Picture
+
+Floats = NDArray[np.float64]
+_OWN = frozenset(["frame", "P", "v", "orient", "id", "pscale", "Cd", "species", "v_ground", "state"])
+_KEPT = 3  # frames in memory: the one before, this and the next
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agents:
+    """Agents of a species, by ascending id: `ids` int64[n], `position` [n, 3], `orient` [n, 4] (x y z w, unit), `scale` [n],
+    `colour` float64[n, 3] (display), `velocity` [n, 3] in units a second and `turning` [n, 3] in degrees a second about axes of
+    the world, `state` int64[n] or None, `own_velocity` [n, 3]: on its ground,
+    as the cache has it; `numbers`: further values by name. `parts`: crowds of one worn body each, and the rows
+    that they have here. `seen` bool[n]: who has a place that can be drawn."""
+
+    ids: NDArray[np.int64]
+    position: Floats
+    orient: Floats
+    scale: Floats
+    colour: Floats
+    velocity: Floats
+    turning: Floats
+    state: NDArray[np.int64] | None
+    own_velocity: Floats
+    numbers: dict[str, NDArray[np.generic]]
+    parts: tuple[tuple[Crowd, NDArray[np.intp]], ...]
+    seen: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """A time in frames: the `picture` of the frame at or before it, the agents of each species there, those of the frame after
+    it where that is in the cache, else of the one before, and how far it lies from the one to the other; `dt`: seconds between
+    frames."""
+
+    time: float
+    share: float
+    dt: float
+    picture: Picture
+    species: tuple[Agents, ...]
+    after: tuple[Agents, ...] | None
+    before: tuple[Agents, ...] | None
+
+    def agents(self, number: int) -> Agents:
+        """The agents of a species as they are at the time."""
+        here = self.species[number]
+        return here if not self.share else _moved(here, self.after[number] if self.after else None, self.share, self.dt)
+
+
+@dataclass(slots=True)
+class Moments:
+    """Moments of a cache, asked for in order."""
+
+    gallery: Gallery
+    _known: set[int] = field(default_factory=set)
+    _frames: dict[int, tuple[Picture, tuple[Agents, ...]]] = field(default_factory=dict)
+    _leading: dict[int, tuple[Agents, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._known = set(self.gallery.cache.frames())
+
+    def at(self, time: float, frame: int) -> Moment:
+        """A time that belongs to a frame which is in the cache. Raises CacheError where a frame is damaged."""
+        first = int(np.floor(time + 1e-9))
+        first = first if first in self._known else frame
+        share = float(time) - first
+        picture, _ = self._frame(first)
+        after = self._frame(first + 1)[1] if first + 1 in self._known else None
+        before = self._frame(first - 1)[1] if after is None and first - 1 in self._known else None
+        return Moment(time, 0.0 if abs(share) < 1e-9 else share, self.gallery.dt, picture, self._led(first), after, before)
+
+    def _led(self, frame: int) -> tuple[Agents, ...]:
+        """The agents of a frame, with velocities that lead to the next."""
+        if frame not in self._leading:
+            here = self._frame(frame)[1]
+            after = self._frame(frame + 1)[1] if frame + 1 in self._known else None
+            before = self._frame(frame - 1)[1] if after is None and frame - 1 in self._known else None
+            self._leading = dict(list(self._leading.items())[1 - _KEPT :])
+            self._leading[frame] = tuple(
+                _leading(each, after[k] if after else None, before[k] if before else None, self.gallery.dt)
+                for k, each in enumerate(here)
+            )
+        return self._leading[frame]
+
+    def _frame(self, frame: int) -> tuple[Picture, tuple[Agents, ...]]:
+        if frame not in self._frames:
+            self._frames = dict(list(self._frames.items())[1 - _KEPT :])
+            arrays = self.gallery.cache.frame(frame)
+            picture = self.gallery.picture(frame)
+            count = len(self.gallery.manifest.species)
+            self._frames[frame] = picture, tuple(_agents(self.gallery, picture, arrays, number) for number in range(count))
+        return self._frames[frame]
+
+
+def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> Agents:
+    """The agents of a species in a frame, with the velocities that the cache has."""
+    name = gallery.manifest.species[number].name
+    rows = np.flatnonzero(arrays["species"] == number) if "species" in arrays else np.arange(len(arrays["P"]))
+    ids = np.asarray(arrays["id"], np.int64)[rows] if "id" in arrays else np.arange(len(rows))
+    if (np.diff(ids) < 0).any():
+        order = np.argsort(ids, kind="stable")
+        ids, rows = ids[order], rows[order]
+    place, orient, scale = (np.asarray(arrays[key], np.float64)[rows] for key in ("P", "orient", "pscale"))
+    size = np.linalg.norm(orient, axis=1, keepdims=True)
+    seen = np.isfinite(place).all(axis=1) & np.isfinite(size[:, 0]) & (size[:, 0] > 0) & np.isfinite(scale) & (scale > 0)
+    turn = np.where(seen[:, None], orient / np.where(size > 0, size, 1.0), (0.0, 0.0, 0.0, 1.0))
+    own, ground = (
+        np.nan_to_num(np.asarray(arrays[key], np.float64)[rows]) if key in arrays else np.zeros((len(rows), 3))
+        for key in ("v", "v_ground")
+    )
+    colour = np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35)
+    numbers = {
+        key: values[rows]
+        for key, values in arrays.items()
+        if key not in _OWN and "." not in key.removesuffix(".state") and values.ndim == 1 and len(values) == len(arrays["P"])
+    }
+    if "v" in arrays:
+        numbers["speed"] = np.linalg.norm(own, axis=1)
+    parts = tuple(_part(crowd, ids) for crowd in picture.crowds if crowd.species == name)
+    if any(crowd.feet is not None for crowd, _ in parts):
+        phase = np.zeros(len(rows), np.float32)
+        for crowd, there in parts:
+            phase[there] = 0.0 if crowd.feet is None else crowd.feet.phase
+        numbers["phase"] = phase
+    return Agents(
+        ids, np.where(seen[:, None], place, 0.0), turn, np.where(seen, scale, 0.0), colour, own + ground,
+        np.zeros((len(rows), 3)), np.asarray(arrays["state"], np.int64)[rows] if "state" in arrays else None, own, numbers, parts, seen,
+    )  # fmt: skip
+
+
+def _part(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]]:
+    """A crowd and its rows among all of its species."""
+    if crowd.ids is None or len(crowd.position) == len(ids):
+        return crowd, np.arange(len(crowd.position))
+    return crowd, np.searchsorted(ids, crowd.ids)
+
+
+def matched(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Where each id stands among others, which ascend, and whether it does."""
+    if len(ids) == len(others) and np.array_equal(ids, others):
+        return np.arange(len(ids)), np.ones(len(ids), np.bool_)
+    at = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))
+    return at, others[at] == ids if len(others) else np.zeros(len(ids), np.bool_)
+
+
+def _leading(here: Agents, after: Agents | None, before: Agents | None, dt: float) -> Agents:
+    """Agents with velocities that lead to the frame after; of the last frame those that led to it."""
+    other = after or before
+    if other is None or not len(here.ids):
+        return here
+    at, there = matched(here.ids, other.ids)
+    there = there & here.seen
+    there[there] &= other.seen[at[there]]
+    if not there.any():
+        return here
+    towards = 1.0 if after is not None else -1.0
+    velocity, turning = here.velocity.copy(), here.turning.copy()
+    if after is not None:
+        velocity[there] = (other.position[at[there]] - here.position[there]) / dt
+    turning[there] = np.degrees(rotation_vector(here.orient[there], other.orient[at[there]])) * (towards / dt)
+    return replace(here, velocity=velocity, turning=turning)
+
+
+def rotation_vector(first: Floats, second: Floats) -> Floats:
+    """By how much orientations (n, 4: x y z w, unit) turn to others by the shorter way: world axes times radians (n, 3)."""
+    a, b = first, second * np.where((first * second).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    real = (a * b).sum(axis=1)
+    axis = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])
+    size = np.linalg.norm(axis, axis=1)
+    angle = 2.0 * np.arctan2(size, real)
+    by = np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0)
+    found: Floats = axis * by[:, None]
+    return found
+
+
+def turned_by(orient: Floats, turn: Floats) -> Floats:
+    """Orientations (n, 4) after turns about axes of the world times radians (n, 3)."""
+    angle = np.linalg.norm(turn, axis=1)
+    by = np.where(angle > 1e-12, np.sin(angle / 2) / np.maximum(angle, 1e-12), 0.5)
+    v, w = turn * by[:, None], np.cos(angle / 2)[:, None]
+    own, real = orient[:, :3], orient[:, 3:]
+    made = np.concatenate([w * own + real * v + np.cross(v, own), w * real - dot(v, own)[:, None]], axis=1)
+    found: Floats = made / np.linalg.norm(made, axis=1, keepdims=True)
+    return found
+
+
+def _moved(here: Agents, after: Agents | None, share: float, dt: float) -> Agents:
+    """Agents as they are at a share of the way to the next frame."""
+    scale = here.scale
+    if after is not None:
+        at, there = matched(here.ids, after.ids)
+        there[there] &= after.seen[at[there]]
+        scale = scale.copy()
+        scale[there] += (after.scale[at[there]] - scale[there]) * share
+    position = here.position + here.velocity * (share * dt)
+    return replace(here, position=position, orient=turned_by(here.orient, np.radians(here.turning) * (share * dt)), scale=scale)

@@ -1,0 +1,212 @@
+"""A crowd as UsdSkel: each agent an instance of its body's definition, with a SkelAnimation of its own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.affine import decomposed, normalised
+from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
+from antdsl.outputs.usd.materials import Looks
+from antdsl.outputs.usd.moments import Agents, Moment, matched
+from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Out, Samples, Visibility, identifier, name_states
+from antdsl.scene.geometry.usd import pxr
+
+_SHEARED = 1e-4  # of a joint, above which what UsdSkel leaves out is told
+
+
+class SkeletonWriter:
+    """One species: an instance for each agent, its animation beside it. With `copies` agents are no instances, and their meshes
+    have the colours of states themselves, for programs that pose no instances and inherit no primvars."""
+
+    def __init__(self, out: Out, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
+        self._out, self._species, self._number, stage = out, species, number, out.stage
+        self._path = f"{ROOT}/{identifier(species.name)}"
+        name_states(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
+        pxr("UsdGeom").Scope.Define(stage, f"{self._path}/motion")
+        self._bodies: dict[int, tuple[PosedBody, SkelDefinition]] = {}
+        self._agents = dict[int, _Agent]()
+        self._there = np.zeros(0, np.int64)
+        self._first: float | None = None
+        self._sheared, self._copies, self._close = False, copies, close
+
+    @property
+    def notes(self) -> list[str]:
+        """What UsdSkel does not hold of the bodies."""
+        told = [note for _, made in self._bodies.values() for note in made.notes]
+        if self._sheared:
+            told.append(f"joints of `{self._species.name}` are sheared: UsdSkel has no shear, it is left out")
+        return told
+
+    def sample(self, moment: Moment) -> None:
+        """The agents at a time. Who is not there is hidden."""
+        agents = moment.agents(self._number)
+        self._first = moment.time if self._first is None else self._first
+        here = agents.ids[agents.seen]
+        for gone in np.setdiff1d(self._there, here).tolist():
+            self._agents[gone].hide(moment.time)
+        self._there = here
+        colour = decoded(agents.colour)
+        for part, (crowd, rows) in enumerate(agents.parts):
+            if crowd.worn is None:
+                continue
+            body, made = self._body(crowd.worn)
+            joints = _joints(moment, self._number, part, body)
+            self._sheared = self._sheared or joints.sheared
+            channels = [body.definition.rig.channel(name) for name in made.channels]
+            for k, row in enumerate(rows.tolist()):
+                if not agents.seen[row]:
+                    continue
+                name = int(agents.ids[row])
+                if name not in self._agents:
+                    self._agents[name] = _Agent(
+                        self._out, self._path, name, made, self._species, self._first, moment.time, self._copies
+                    )
+                self._agents[name].place(moment.time, agents, row, colour[row])
+                self._agents[name].pose(moment.time, [each[k] for each in joints.values], joints.channels[k, channels])
+
+    def _body(self, worn: PosedBody) -> tuple[PosedBody, SkelDefinition]:
+        if id(worn) not in self._bodies:
+            number = f"_{len(self._bodies) + 1}" if self._bodies else ""
+            name = identifier(self._species.name) + number
+            looks = Looks(self._out.stage, f"{LOOKS}/{name}", worn.definition.materials)
+            made = write_definition(self._out.stage, f"{BODIES}/{name}", worn, looks, self._close)
+            self._bodies[id(worn)] = worn, made
+        return self._bodies[id(worn)]
+
+
+class _Joints:
+    """Local transforms of joints of n agents: `values` are translations, rotations (x y z w) and scales float32[n, J, 3 or 4];
+    `channels` float32[n, C]."""
+
+    def __init__(self, poses: Poses) -> None:
+        assert poses.local is not None
+        n, count = poses.local.shape[:2]
+        square = np.zeros((n * count, 4, 4))
+        square[:, :3] = poses.local.reshape(n * count, 3, 4)
+        place, turn, scale, shear = decomposed(square)
+        self.sheared = bool((np.abs(shear) > _SHEARED).any())
+        parts = (np.moveaxis(each, 0, -1).reshape(n, count, -1) for each in (place, turn, scale))
+        self.values = tuple(np.ascontiguousarray(each, np.float32) for each in parts)
+        self.channels = np.asarray(poses.channels, np.float32)
+
+    def mix(self, rows: NDArray[np.bool_], other: _Joints, at: NDArray[np.intp], share: float) -> None:
+        """Go a share of the way to the joints that others have at some rows, or away: evenly, rotations by the shorter way."""
+        for k, (mine, theirs) in enumerate(zip(self.values, other.values, strict=True)):
+            towards = theirs[at[rows]]
+            if k == 1:
+                towards = np.where((towards * mine[rows]).sum(axis=-1, keepdims=True) < 0, -towards, towards)
+            mine[rows] += (towards - mine[rows]) * np.float32(share)
+        self.channels[rows] += (other.channels[at[rows]] - self.channels[rows]) * np.float32(share)
+        turn = np.ascontiguousarray(np.moveaxis(self.values[1], -1, 0))
+        self.values = (self.values[0], np.ascontiguousarray(np.moveaxis(normalised(turn), 0, -1)), self.values[2])
+
+
+def _joints(moment: Moment, number: int, part: int, body: PosedBody) -> _Joints:
+    """The joints of those who wear a body, at a time; beyond the last frame they go on as they came to it."""
+    agents = moment.species[number]
+    crowd, rows = agents.parts[part]
+    found = _Joints(crowd.poses(local=True))
+    others, share = (moment.after, moment.share) if moment.after else (moment.before, -moment.share)
+    if not share or others is None:
+        return found
+    for other, there in others[number].parts:
+        if other.worn is body:
+            at, same = matched(agents.ids[rows], others[number].ids[there])
+            found.mix(same, _Joints(other.poses(local=True)), at, share)
+    return found
+
+
+class _Agent:
+    """An agent: an instance that is placed, and its animation."""
+
+    def __init__(
+        self,
+        out: Out,
+        path: str,
+        name: int,
+        body: SkelDefinition,
+        species: SpeciesEntry,
+        first: float,
+        time: float,
+        copies: bool,
+    ) -> None:
+        geom, skel, types, vt, gf = pxr("UsdGeom"), pxr("UsdSkel"), pxr("Sdf").ValueTypeNames, pxr("Vt"), pxr("Gf")
+        stage, self._out = out.stage, out
+        moves = skel.Animation.Define(stage, f"{path}/motion/agent_{name}")
+        moves.CreateJointsAttr(vt.TokenArray(list(body.joints)))
+        array = vt.Vec3fArray.FromNumpy
+        self._joints = (
+            out.samples(moves.CreateTranslationsAttr(), array, np.float32),
+            out.samples(moves.CreateRotationsAttr(), vt.QuatfArray.FromNumpy, np.float32),
+            out.samples(moves.CreateScalesAttr(), vt.Vec3hArray.FromNumpy, np.float16),
+        )
+        self._weights = None
+        if body.channels:
+            moves.CreateBlendShapesAttr(vt.TokenArray([identifier(channel) for channel in body.channels]))
+            self._weights = out.samples(moves.CreateBlendShapeWeightsAttr(), vt.FloatArray.FromNumpy, np.float32)
+        made = skel.Root.Define(stage, f"{path}/agent_{name}")
+        prim = made.GetPrim()
+        single, double = geom.XformOp.PrecisionFloat, geom.XformOp.PrecisionDouble
+        self._place = out.samples(made.AddTranslateOp(double), lambda v: gf.Vec3d(*v.tolist()))
+        self._turn = out.samples(made.AddOrientOp(single), lambda v: gf.Quatf(float(v[3]), *v[:3].tolist()), np.float32)
+        self._size = out.samples(made.AddScaleOp(single), lambda v: gf.Vec3f(*v.tolist()), np.float32)
+        prim.GetPayloads().AddInternalPayload(body.path)
+        prim.SetInstanceable(not copies)
+        skel.BindingAPI.Apply(prim).CreateAnimationSourceRel().SetTargets([moves.GetPath()])
+        prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
+        self._api = geom.PrimvarsAPI(made)
+        colour = self._api.CreatePrimvar("displayColor", types.Color3fArray, "constant")
+        tinted = (stage.OverridePrim(f"{path}/agent_{name}/{below}") for below in body.tinted if copies)
+        shown = [geom.PrimvarsAPI(each).CreatePrimvar("displayColor", types.Color3fArray, "constant") for each in tinted]
+        self._colour = [out.samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *shown)]
+        self._names = [state.name for state in species.machines[0].states] if species.machines else []
+        self._numbers: dict[str, Samples] = {}
+        self._before = (np.zeros(4), None)
+        self._seen = Visibility(out, made, first, time)
+
+    def place(self, time: float, agents: Agents, row: int, colour: NDArray[np.floating]) -> None:
+        self._place.set(time, agents.position[row])
+        turn = agents.orient[row] * (-1.0 if agents.orient[row] @ self._before[0] < 0 else 1.0)
+        self._before = (turn, self._before[1])
+        self._turn.set(time, turn)
+        self._size.set(time, np.full(3, agents.scale[row]))
+        for samples in self._colour:
+            samples.set(time, colour)
+        if agents.state is not None and 0 <= agents.state[row] < len(self._names):
+            self._number("state", agents.state[row], time)
+        for name, values in agents.numbers.items():
+            self._number(name, values[row], time)
+        self._seen.set(time, True)
+
+    def pose(self, time: float, joints: list[Any], weights: Any) -> None:
+        places, turns, scales = joints
+        before = self._before[1]
+        if before is not None:
+            turns = np.where((turns * before).sum(axis=-1, keepdims=True) < 0, -turns, turns)
+        self._before = (self._before[0], turns)
+        for samples, values in zip(self._joints, (places, turns, scales), strict=True):
+            samples.set(time, values)
+        if self._weights is not None:
+            self._weights.set(time, weights)
+
+    def _number(self, name: str, value: Any, time: float) -> None:
+        if name not in self._numbers:
+            types, names = pxr("Sdf").ValueTypeNames, self._names
+            whole = np.asarray(value).dtype.kind in "iu"
+            if name == "state":
+                made = self._api.CreatePrimvar("state", types.Token, "constant")
+                self._numbers[name] = self._out.samples(made, lambda v: names[int(v[0])], np.int64)
+            else:
+                made = self._api.CreatePrimvar(identifier(name), types.Int if whole else types.Float, "constant")
+                self._numbers[name] = self._out.samples(made, (lambda v: int(v[0])) if whole else (lambda v: float(v[0])))
+        self._numbers[name].set(time, np.reshape(value, 1))
+
+    def hide(self, time: float) -> None:
+        self._seen.set(time, False)

@@ -1,0 +1,162 @@
+"""A cache as a USD stage: crowds in one of three forms, and the world around them, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from antdsl import __version__
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.usd.clips import ValueFiles
+from antdsl.outputs.usd.instancers import InstancerWriter
+from antdsl.outputs.usd.moments import Moments
+from antdsl.outputs.usd.skeletons import SkeletonWriter
+from antdsl.outputs.usd.values import BODIES, ROOT, Out
+from antdsl.outputs.usd.world import WorldWriter
+from antdsl.outputs.usd.xforms import XformWriter
+from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.model import UNIT_MM
+from antdsl.whole import whole
+
+SKELETONS = 200  # agents of a species up to which each has a skeleton
+_SAVE_EVERY = 24  # frames that wait in memory for their place in the file
+_SAME = 1e-6  # frames
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class XformOptions:
+    """`shutter`: from when to when around each frame, in frames, agents have samples, `samples` of them; None for at frames
+    alone. `chunk`: so many frames share a file of values (0: all are in the stage's own). `close`: bodies are those for
+    close-ups."""
+
+    shutter: tuple[float, float] | None = None
+    samples: int = 3
+    chunk: int = 0
+    close: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UsdOptions(XformOptions):
+    """`skeletons`: up to how many agents of a species each has a skeleton of its own; more are instances of a bank of poses.
+    `copies`: agents with skeletons are no instances."""
+
+    skeletons: int = SKELETONS
+    copies: bool = False
+
+
+_USUAL = UsdOptions()
+Writer = InstancerWriter | SkeletonWriter | XformWriter
+
+
+def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _USUAL) -> list[str]:
+    """Write these frames into a USD file: a species of few agents as skeletons, of many as a point instancer. It is in its place
+    whole or not at all. What USD cannot hold is told.
+
+    UsdError without usd-core, CacheError for a frame that is damaged, OSError where nothing can be written."""
+    frames = list(frames)
+    most = _most(gallery, frames)
+
+    def kind(number: int) -> Callable[..., Writer]:
+        if most[number] > options.skeletons:
+            return partial(InstancerWriter, close=options.close)
+        return partial(SkeletonWriter, copies=options.copies, close=options.close)
+
+    return _export(gallery, frames, path, options, kind)
+
+
+def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: XformOptions = _USUAL) -> list[str]:
+    """The same with one Xform an agent, as programs read them that animate objects one by one."""
+    return _export(gallery, list(frames), path, options, lambda number: partial(XformWriter, close=options.close))
+
+
+def _most(gallery: Gallery, frames: list[int]) -> list[int]:
+    """The most agents that each species has in a frame."""
+    count = len(gallery.manifest.species)
+    most = np.zeros(count, np.int64)
+    for frame in frames:
+        arrays = gallery.cache.frame(frame, frozenset(["id", "species"]))
+        which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(len(arrays.get("id", ())), np.int64)
+        most = np.maximum(most, np.bincount(which, minlength=count)[:count])
+    found: list[int] = most.tolist()
+    return found
+
+
+def times(frame: int, options: XformOptions) -> list[float]:
+    """When agents have samples for a frame: at the frame, and over the shutter."""
+    around = np.linspace(*options.shutter, options.samples) if options.shutter else np.zeros(1)
+    found: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
+    return found
+
+
+def _export(
+    gallery: Gallery, frames: list[int], path: Path, options: XformOptions, kind: Callable[[int], Callable[..., Writer]]
+) -> list[str]:
+    with whole(path, path.suffix) as part:
+        try:
+            stage = pxr("Usd").Stage.CreateNew(str(part))
+        except pxr("Tf").ErrorException as problem:
+            raise OSError(None, "cannot be written", str(path)) from problem
+        out = Out(stage)
+        with ValueFiles(out, path, frames, options.chunk) as files:
+            _describe(stage, gallery, frames)
+            crowds = [kind(number)(out, species, number) for number, species in enumerate(gallery.manifest.species)]
+            _write(_Shot(WorldWriter(out, gallery, frames), crowds, Moments(gallery)), files, frames, options, stage)
+            notes = [note for crowd in crowds for note in crowd.notes]
+        del crowds, files, out, stage  # the file is closed before it is moved
+    return list(dict.fromkeys(notes))
+
+
+@dataclass(frozen=True, slots=True)
+class _Shot:
+    """All that is written of a frame."""
+
+    world: WorldWriter
+    crowds: list[Writer]
+    moments: Moments
+
+    def at(self, time: float, frame: int) -> None:
+        """Write agents at a time, and at the frame itself the world."""
+        moment = self.moments.at(time, frame)
+        if time == frame:
+            self.world.frame(frame, moment.picture)
+        for crowd in self.crowds:
+            crowd.sample(moment)
+
+
+def _write(shot: _Shot, files: ValueFiles, frames: list[int], options: XformOptions, stage: Any) -> None:
+    written = -np.inf
+    for number, frame in enumerate(frames):
+        for time in times(frame, options):
+            if time <= written + _SAME:
+                continue
+            if written == -np.inf:
+                files.begin(frame)
+            elif time == frame and files.begins(frame):
+                shot.at(time, frame)  # the end of the file before
+                files.begin(frame)
+            shot.at(time, frame)
+            written = time
+        if number % _SAVE_EVERY == _SAVE_EVERY - 1:
+            stage.Save()
+    files.finish()
+    stage.Save()
+
+
+def _describe(stage: Any, gallery: Gallery, frames: list[int]) -> None:
+    geom, manifest = pxr("UsdGeom"), gallery.manifest
+    geom.SetStageMetersPerUnit(stage, UNIT_MM[manifest.units] / 1000)
+    geom.SetStageUpAxis(stage, manifest.up.upper())
+    stage.SetTimeCodesPerSecond(1 / gallery.dt)
+    stage.SetFramesPerSecond(1 / gallery.dt)
+    stage.SetStartTimeCode(frames[0])
+    stage.SetEndTimeCode(frames[-1])
+    stage.SetMetadata("comment", f"antdsl {__version__}: {manifest.scene}, seed {manifest.seed}")
+    world = geom.Xform.Define(stage, ROOT)
+    pxr("Usd").ModelAPI(world).SetKind("assembly")
+    stage.SetDefaultPrim(world.GetPrim())
+    stage.CreateClassPrim(BODIES)

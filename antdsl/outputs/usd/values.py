@@ -1,0 +1,149 @@
+"""Values over time, and arrays and names as USD has them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.scene.geometry.usd import pxr
+
+ROOT = "/World"
+LOOKS = "/World/looks"
+BODIES = "/bodies"  # classes: what is drawn only where something refers to it
+Array = NDArray[Any]
+
+
+class Samples:
+    """Values of one attribute over time. One that stays is written where it begins and where it ends, since USD goes evenly from
+    sample to sample; with `always` it is written at every time, for readers that take it only at the times of others."""
+
+    def __init__(self, out: Out, attribute: Any, convert: Callable[[Array], Any], kind: Any, always: bool) -> None:
+        self._out, self._convert, self._kind, self._always = out, convert, kind, always
+        self._attribute = attribute.GetAttr() if hasattr(attribute, "GetAttr") else attribute
+        self._path = self._attribute.GetPath()
+        self._value: Array | None = None
+        self._written = self._seen = 0.0
+        self._file = -1
+
+    def set(self, time: float, values: Any) -> None:
+        """The value from a time on, which comes after all that were set."""
+        value = np.ascontiguousarray(values, self._kind)
+        new = self._file != self._out.number
+        if new or self._always or self._value is None or not np.array_equal(self._value, value):
+            if not new and not self._always and self._value is not None and self._seen > self._written:
+                self._put(self._value, self._seen)
+            self._put(value, time)
+            self._value, self._written, self._file = value, time, self._out.number
+        self._seen = time
+
+    def _put(self, value: Array, time: float) -> None:
+        layer = self._out.clip
+        if layer is None:
+            self._attribute.Set(self._convert(value), time)
+            return
+        for each in (layer, self._out.manifest):
+            if each.GetAttributeAtPath(self._path) is None:
+                self._declare(each)
+        layer.SetTimeSample(self._path, time, self._convert(value))
+
+    def _declare(self, layer: Any) -> None:
+        kind = self._attribute.GetTypeName()
+        pxr("Sdf").JustCreatePrimAttributeInLayer(layer, self._path, kind, pxr("Sdf").VariabilityVarying)
+        if layer is self._out.manifest and self._path.name == pxr("UsdGeom").Tokens.visibility:
+            layer.GetAttributeAtPath(self._path).default = "invisible"  # in files that know nothing of it
+
+
+class Out:
+    """The stage that is written, and where values over time go: into it, or into layers of their own (`clip`), one after the
+    other, of which `manifest` names all attributes."""
+
+    def __init__(self, stage: Any) -> None:
+        self.stage: Any = stage
+        self.clip: Any = None
+        self.manifest: Any = None
+        self.number = 0
+
+    def samples(
+        self, attribute: Any, convert: Callable[[Array], Any], kind: Any = np.float64, *, always: bool = False
+    ) -> Samples:
+        """An attribute's values over time, as arrays of a kind that `convert` makes USD's."""
+        return Samples(self, attribute, convert, kind, always)
+
+    def begin(self, clip: Any) -> None:
+        """Write values into another layer from now on, each anew."""
+        self.clip, self.number = clip, self.number + 1
+
+
+class Visibility:
+    """Whether a prim is there, over time; of one that comes later than the first time, not before."""
+
+    def __init__(self, out: Out, prim: Any, first: float, time: float) -> None:
+        self._samples = out.samples(prim.CreateVisibilityAttr(), lambda v: "inherited" if v[0] else "invisible", np.bool_)
+        if time > first:
+            self._samples.set(first, [False])
+
+    def set(self, time: float, there: bool) -> None:
+        """Whether it is there from a time on."""
+        self._samples.set(time, [there])
+
+
+def vectors(values: Array) -> Any:
+    """Rows (n, 3) as USD's array of vectors."""
+    return pxr("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
+
+
+def integers(values: Array) -> Any:
+    """Numbers (n) as USD's array of integers."""
+    return pxr("Vt").IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
+
+
+def matrix(columns: Array) -> Any:
+    """A matrix (4, 4) for column vectors as USD's, which is for rows."""
+    return pxr("Gf").Matrix4d(*np.asarray(columns, np.float64).T.ravel().tolist())
+
+
+def matrices(columns: Array) -> Any:
+    """Matrices (n, 4, 4) for column vectors as USD's array of such for rows."""
+    turned = np.ascontiguousarray(np.asarray(columns, np.float64).transpose(0, 2, 1))
+    return pxr("Vt").Matrix4dArray.FromNumpy(turned)
+
+
+def box(points: Array) -> Array:
+    """The lowest and the highest corner (2, 3) of what holds all points."""
+    return np.stack([points.min(axis=0), points.max(axis=0)]) if len(points) else np.zeros((2, 3))
+
+
+def mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | None = None, uvs: Array | None = None) -> Any:
+    """A mesh of triangles that stays as it is: `normals` (n, 3) and `uvs` (n, 2) of its points, where it has some."""
+    made = pxr("UsdGeom").Mesh.Define(stage, path)
+    made.CreatePointsAttr(vectors(points))
+    made.CreateFaceVertexCountsAttr(integers(np.full(len(faces), 3)))
+    made.CreateFaceVertexIndicesAttr(integers(np.ravel(faces)))
+    made.CreateSubdivisionSchemeAttr("none")
+    made.CreateExtentAttr(vectors(box(points)))
+    if normals is not None:
+        made.CreateNormalsAttr(vectors(normals))
+        made.SetNormalsInterpolation("vertex")
+    if uvs is not None:
+        kind = pxr("Sdf").ValueTypeNames.TexCoord2fArray
+        made_uvs = pxr("UsdGeom").PrimvarsAPI(made).CreatePrimvar("st", kind, "vertex")
+        made_uvs.Set(pxr("Vt").Vec2fArray.FromNumpy(np.ascontiguousarray(uvs, np.float32)))
+    return made
+
+
+def name_states(prim: Any, species: SpeciesEntry) -> None:
+    """What the numbers of states mean, into a prim's custom data."""
+    for machine in species.machines:
+        name = "states" if machine is species.machines[0] else f"{machine.name}.states"
+        prim.SetCustomDataByKey(identifier(name), pxr("Vt").StringArray([state.name for state in machine.states]))
+
+
+def identifier(name: str) -> str:
+    """A name as USD allows it."""
+    word = re.sub("[^A-Za-z0-9_]", "_", name)
+    return word if re.match("[A-Za-z_]", word) else f"_{word}"

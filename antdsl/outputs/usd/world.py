@@ -1,0 +1,213 @@
+"""The world of a shot in USD: meshes that stand, move or are dug, items, fields, and the camera."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from antdsl.bodies.body import vertex_normals
+from antdsl.bodies.placed import placed
+from antdsl.numerics.vector_rows import unit_or
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail
+from antdsl.outputs.usd.materials import Looks
+from antdsl.outputs.usd.values import LOOKS, ROOT, Array, Out, Samples, box, identifier, integers, mesh, vectors
+from antdsl.scene.geometry.usd import pxr
+from antdsl.scene.model import UNIT_MM
+
+_APERTURE = 36.0  # mm
+_CREASE = np.cos(np.radians(40.0))  # edges that are sharper stay sharp
+_COLOURS = {
+    "ground": (0.27, 0.19, 0.12), "stone": (0.30, 0.29, 0.27), "boulder": (0.33, 0.31, 0.28), "hill": (0.32, 0.20, 0.11),
+}  # fmt: skip
+
+
+class WorldWriter:
+    """All of the world but its agents."""
+
+    def __init__(self, out: Out, gallery: Gallery, frames: list[int]) -> None:
+        self._out, self._gallery = out, gallery
+        self._looks = Looks(out.stage, f"{LOOKS}/world", _COLOURS)
+        self._meshes: dict[str, _MeshWriter] = {}
+        self._items: dict[str, tuple[Samples, Samples]] = {}
+        self._fields: dict[str, _FieldWriter] = {}
+        self._camera = _CameraWriter(out, gallery) if gallery.camera(frames[0]) else None
+
+    def frame(self, frame: int, picture: Picture) -> None:
+        """The world in a frame."""
+        for solid in picture.solids:
+            if solid.name not in self._meshes:
+                path = f"{ROOT}/{identifier(solid.name)}"
+                self._meshes[solid.name] = _MeshWriter(self._out, path, self._gallery.manifest.up)
+                self._looks.bind(self._out.stage.GetPrimAtPath(path), solid.kind)
+            self._meshes[solid.name].frame(frame, solid)
+        for item in picture.items:
+            self._item(frame, item)
+        for trail in picture.trails:
+            if trail.name not in self._fields:
+                self._fields[trail.name] = _FieldWriter(self._out, trail)
+            self._fields[trail.name].frame(frame, trail)
+        if self._camera is not None:
+            self._camera.frame(frame)
+
+    def _item(self, frame: int, item: Item) -> None:
+        """An item's body where it is; what is left of it is its size, as in pictures."""
+        if item.shape == "none" or item.radius <= 0:
+            return
+        geom, stage = pxr("UsdGeom"), self._out.stage
+        if item.name not in self._items:
+            if not self._items:
+                geom.Xform.Define(stage, f"{ROOT}/items")
+            path = f"{ROOT}/items/{identifier(item.name)}"
+            points, faces, colour = placed(item.shape)
+            ways: tuple[Array, Array] = (points, vertex_normals(points, faces))
+            if self._gallery.manifest.up == "z":
+                ways = (_upright(ways[0]), _upright(ways[1]))
+            place, normals = ways
+            shape = mesh(stage, path, place, faces, normals, _around(points))
+            ops = (shape.AddTranslateOp(), shape.AddScaleOp(geom.XformOp.PrecisionDouble))
+            self._items[item.name] = (self._out.samples(ops[0], _vector), self._out.samples(ops[1], _vector))
+            shape.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(colour)))
+            self._looks.bind(shape.GetPrim(), "")
+        move, scale = self._items[item.name]
+        move.set(frame, item.position)
+        scale.set(frame, np.full(3, item.radius * max(min(item.left, 1.0), 1e-9) ** (1 / 3)))
+
+
+class _CameraWriter:
+    """The scene's own camera."""
+
+    def __init__(self, out: Out, gallery: Gallery) -> None:
+        self._gallery, self._reaches = gallery, False
+        made = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT}/camera")
+        self._tenths = 10.0 / UNIT_MM[gallery.manifest.units]  # of a millimetre in the stage's unit
+        made.CreateHorizontalApertureAttr(_APERTURE * self._tenths)
+        made.CreateVerticalApertureAttr(_APERTURE * 9 / 16 * self._tenths)
+        self._clipping = made.CreateClippingRangeAttr()
+        self._move = out.samples(made.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
+        self._focal, self._focus = (
+            out.samples(a, lambda v: float(v[0])) for a in (made.CreateFocalLengthAttr(), made.CreateFocusDistanceAttr())
+        )
+
+    def frame(self, frame: int) -> None:
+        camera = self._gallery.camera(frame)
+        assert camera is not None
+        eye, aim = np.asarray(camera.at), np.asarray(camera.look_at)
+        upward = camera.up or ((0.0, 1.0, 0.0) if self._gallery.manifest.up == "y" else (0.0, 0.0, 1.0))
+        back, up = unit_or(eye - aim, np.array([0.0, 0.0, 1.0])), np.asarray(upward, np.float64)
+        if np.linalg.norm(np.cross(up, back)) < 1e-6:
+            up = np.roll(up, 1)
+        side = unit_or(np.cross(up, back), np.array([0.0, 0.0, 1.0]))
+        rows = np.zeros((4, 4))
+        rows[0, :3], rows[1, :3], rows[2, :3], rows[3] = side, np.cross(back, side), back, (*eye, 1)
+        far = float(np.linalg.norm(aim - eye))
+        self._move.set(frame, rows)
+        self._focal.set(frame, [camera.focal * self._tenths])
+        self._focus.set(frame, [far])
+        if not self._reaches:
+            self._clipping.Set(pxr("Gf").Vec2f(far / 1000, far * 1000))
+            self._reaches = True
+
+
+class _MeshWriter:
+    """A mesh of the world; what has changed since the frame before is written."""
+
+    def __init__(self, out: Out, path: str, up: str = "y") -> None:
+        made = pxr("UsdGeom").Mesh.Define(out.stage, path)
+        made.CreateSubdivisionSchemeAttr("none")
+        made.CreateDoubleSidedAttr(True)
+        self._counts = out.samples(made.CreateFaceVertexCountsAttr(), integers, np.int32)
+        self._corners = out.samples(made.CreateFaceVertexIndicesAttr(), integers, np.int32)
+        self._points = out.samples(made.CreatePointsAttr(), vectors, np.float32)
+        self._normals = out.samples(made.CreateNormalsAttr(), vectors, np.float32)
+        made.SetNormalsInterpolation("faceVarying")
+        self._extent = out.samples(made.CreateExtentAttr(), vectors, np.float32)
+        kind = pxr("Sdf").ValueTypeNames.TexCoord2fArray
+        uvs = pxr("UsdGeom").PrimvarsAPI(made).CreatePrimvar("st", kind, "vertex")
+        self._uvs = out.samples(uvs, pxr("Vt").Vec2fArray.FromNumpy, np.float32)
+        self._up = 1 if up == "y" else 2
+        self._drawn: Solid | None = None
+        self._mapped = np.zeros((0, 2), np.float32)
+
+    def frame(self, frame: int, solid: Solid) -> None:
+        if solid is not self._drawn:
+            if self._drawn is None or self._drawn.faces is not solid.faces:
+                self._mapped = _from_above(solid.vertices, self._up)  # stays on what moves without another shape
+            self._shaded = creased_normals(solid.vertices, solid.faces)
+            self._drawn = solid
+        self._counts.set(frame, np.full(len(solid.faces), 3))
+        self._corners.set(frame, np.ravel(solid.faces))
+        self._points.set(frame, solid.vertices)
+        self._normals.set(frame, self._shaded)
+        self._uvs.set(frame, self._mapped)
+        self._extent.set(frame, box(solid.vertices))
+
+
+class _FieldWriter:
+    """A field as points: where it has some strength, how much, in its colour; as wide as it is strong."""
+
+    def __init__(self, out: Out, trail: Trail) -> None:
+        geom = pxr("UsdGeom")
+        geom.Xform.Define(out.stage, f"{ROOT}/fields")
+        made = geom.Points.Define(out.stage, f"{ROOT}/fields/{identifier(trail.name)}")
+        made.CreatePurposeAttr("guide")
+        floats = pxr("Vt").FloatArray.FromNumpy
+        self._points = out.samples(made.CreatePointsAttr(), vectors, np.float32)
+        self._widths = out.samples(made.CreateWidthsAttr(), floats, np.float32)
+        made.SetWidthsInterpolation("vertex")
+        kind = pxr("Sdf").ValueTypeNames.FloatArray
+        self._strength = out.samples(geom.PrimvarsAPI(made).CreatePrimvar("strength", kind, "vertex"), floats, np.float32)
+        self._extent = out.samples(made.CreateExtentAttr(), vectors, np.float32)
+        made.CreateDisplayColorPrimvar("constant").Set(vectors(decoded(np.array([trail.colour]))))
+
+    def frame(self, frame: int, trail: Trail) -> None:
+        there = np.flatnonzero(trail.strength > 0)
+        points, strength = trail.position[there], trail.strength[there]
+        full = trail.full or float(strength.max(initial=0.0)) or 1.0
+        width = trail.cell * np.sqrt(np.clip(strength / full, 0.0, 1.0))
+        self._points.set(frame, points)
+        self._widths.set(frame, width)
+        self._strength.set(frame, strength)
+        reach = trail.cell / 2
+        self._extent.set(frame, box(points) + np.array([[-reach], [reach]]) if len(points) else np.zeros((2, 3)))
+
+
+def creased_normals(points: Array, faces: Array) -> Array:
+    """Unit normals float32[3 m, 3] of the corners of triangles: smooth, but where faces meet at more than 40 degrees."""
+    corners = np.asarray(points, np.float64)[faces]
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = unit_or(flat, np.array([0.0, 1.0, 0.0]))
+    smooth = vertex_normals(points, faces).astype(np.float64)[faces]
+    near = (smooth * flat[:, None]).sum(axis=-1, keepdims=True) > _CREASE
+    found: Array = np.where(near, smooth, flat[:, None]).reshape(-1, 3).astype(np.float32)
+    return found
+
+
+def _from_above(points: Array, up: int) -> Array:
+    """Texture coordinates (n, 2) as seen from above, 0 to 1 over the longer side."""
+    flat = np.delete(np.asarray(points, np.float64), up, axis=1)
+    if not len(flat):
+        return np.zeros((0, 2), np.float32)
+    low = flat.min(axis=0)
+    found: Array = ((flat - low) / max(float((flat.max(axis=0) - low).max()), 1e-12)).astype(np.float32)
+    return found
+
+
+def _around(points: Array) -> Array:
+    """Texture coordinates (n, 2) around the middle of a body."""
+    low, high = box(points)
+    way = points - (low + high) / 2
+    size = np.maximum(np.linalg.norm(way, axis=1), 1e-12)
+    around = np.arctan2(way[:, 2], way[:, 0]) / (2 * np.pi) + 0.5
+    return np.stack([around, np.arccos(np.clip(way[:, 1] / size, -1.0, 1.0)) / np.pi], axis=1).astype(np.float32)
+
+
+def _upright(ways: Array) -> Array:
+    """Vectors (n, 3) of a world with y up in one with z up."""
+    return np.stack([ways[:, 0], -ways[:, 2], ways[:, 1]], axis=1)
+
+
+def _vector(values: Array) -> Any:
+    return pxr("Gf").Vec3d(*values.tolist())

@@ -1,0 +1,76 @@
+"""A crowd as one Xform an agent, with sampled translation, angles and scale: keyframes for programs that animate objects."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.outputs.euler_angles import Angles
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.usd.bank import Bank, coloured
+from antdsl.outputs.usd.moments import Moment
+from antdsl.outputs.usd.values import ROOT, Out, Visibility, identifier, name_states
+from antdsl.scene.geometry.usd import pxr
+
+
+class XformWriter:
+    """One species: an Xform for each agent, below it the body as it is at first, shared by those who are in the same pose."""
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, out: Out, species: SpeciesEntry, number: int, close: bool = False) -> None:
+        self._out, self._number, self._path = out, number, f"{ROOT}/{identifier(species.name)}"
+        name_states(pxr("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
+        self._bank = Bank(out.stage, species, close)
+        self._angles, self._agents, self._there = Angles(), dict[int, _Agent](), np.empty(0, np.int64)
+        self._first: float | None = None
+
+    def sample(self, moment: Moment) -> None:
+        """The agents at a time. Who is not there is hidden."""
+        agents, time = moment.agents(self._number), moment.time
+        self._first = time if self._first is None else self._first
+        turn = self._angles.of(agents.ids, agents.orient)
+        colour = decoded(agents.colour)
+        here = agents.ids[agents.seen]
+        for gone in np.setdiff1d(self._there, here).tolist():
+            self._agents[gone].hide(time)
+        for row, name in enumerate(agents.ids.tolist()):
+            if not agents.seen[row]:
+                continue
+            if name not in self._agents:
+                pose = self._bank.poses_of(agents)[row]
+                self._agents[name] = _Agent(self._out, f"{self._path}/agent_{name}", pose, name, self._first, time)
+            state = -1 if agents.state is None else int(agents.state[row])
+            self._agents[name].set(time, agents.position[row], turn[row], agents.scale[row], colour[row], state)
+        self._there = here
+
+
+class _Agent:
+    """The Xform of one agent."""
+
+    def __init__(self, out: Out, path: str, shape: str, name: int, first: float, time: float) -> None:
+        geom, types, gf, vt = pxr("UsdGeom"), pxr("Sdf").ValueTypeNames, pxr("Gf"), pxr("Vt")
+        made = geom.Xform.Define(out.stage, path)
+        double = geom.XformOp.PrecisionDouble
+        ops = (made.AddTranslateOp(double), made.AddRotateXYZOp(double), made.AddScaleOp(double))
+        self._ops = tuple(out.samples(op, lambda v: gf.Vec3d(*v.tolist())) for op in ops)
+        prim = made.GetPrim()
+        prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
+        state = prim.CreateAttribute("userProperties:state", types.Int)
+        self._state = out.samples(state, lambda v: int(v[0]), np.int32)
+        colour = coloured(out.stage, f"{path}/body", shape)
+        self._colour = out.samples(colour, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32)
+        self._seen = Visibility(out, made, first, time)
+
+    def set(self, time: float, place: Any, turn: Any, size: float, colour: Any, state: int) -> None:
+        for samples, value in zip(self._ops, (place, turn, np.full(3, size)), strict=True):
+            samples.set(time, value)
+        self._colour.set(time, colour)
+        if state >= 0:
+            self._state.set(time, state)
+        self._seen.set(time, True)
+
+    def hide(self, time: float) -> None:
+        self._seen.set(time, False)
