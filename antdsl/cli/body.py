@@ -52,7 +52,7 @@ def body(
     roots = Roots(file.resolve().parent, grants(root))
     report = Report()
     found: Definition | None
-    if str(file) in BODIES and not file.exists():
+    if str(file) in BODIES and not file.is_file():
         found = library_body(str(file))
     else:
         found, report = read_definition(file, roots, prim=prim, rate=rate)
@@ -60,8 +60,9 @@ def body(
         typer.echo(body_document(found, report), nl=False)
     else:
         show(report)
-        for line in body_lines(found) if found is not None and not quiet else ():
-            typer.echo(line)
+        if found is not None and not quiet and to is None:
+            for line in body_lines(found):
+                typer.echo(line)
     if found is not None and report.ok and to is not None:
         _written(found, file, to, layer, quiet)
     if not report.ok:
@@ -97,8 +98,6 @@ def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) 
         (to.parent / path).parent.mkdir(parents=True, exist_ok=True)
         write_whole(to.parent / path, files[path], sync=False)
     if not quiet:
-        typer.echo(
-            f"{to}: " + (f"and {len(parts)} files in {to.parent / to.stem}" if parts else f"{len(files[to.name]):,} bytes")
-        )
+        typer.echo(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")
         for note in notes:
             typer.echo(f"note: {note}")

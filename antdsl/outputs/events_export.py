@@ -24,8 +24,8 @@ _UP = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Events:
-    """Events of one kind and frame: whose (`species` by number, `id`), `place` and `normal` (k, 3) in scene units;
-    `what`: the new state, the leg or the event, by its number, -1 for none; for contacts the other one and how `deep` they are."""
+    """Events of one kind and frame: whose (`species` by number, `id`), `place` and `normal` (k, 3), scene units. `what`: the
+    new state, the leg or the event, by its number, -1 for none; for contacts the other one and how `deep` they are."""
 
     kind: str
     species: NDArray[np.int64]

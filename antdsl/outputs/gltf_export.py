@@ -24,7 +24,7 @@ from antdsl.outputs.gltf_stage import Stage
 from antdsl.outputs.numbered_files import NoExport
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.poses_export import FEWER, places, worn_crowds
+from antdsl.outputs.poses_export import FEWER, Worn, places, worn_crowds
 
 _AGENTS, _BYTES = 1000, 1 << 28  # the most that one file is good for
 _SHEAR = 1e-4
@@ -68,12 +68,12 @@ class _Body:
 class _Crowd:
     """The agents of a cache by species and body."""
 
-    bodies: dict[tuple[str, int], _Body]
+    bodies: dict[Worn, _Body]
     turned: set[str] = field(default_factory=set)  # species whose agents change colour
 
     @staticmethod
     def gathered(gallery: Gallery, frames: list[int]) -> _Crowd:
-        found: dict[tuple[str, int], _Body] = {}
+        found: dict[Worn, _Body] = {}
         made = _Crowd(found)
         size = 0
         for number, frame in enumerate(frames):
@@ -89,7 +89,7 @@ class _Crowd:
             raise NoExport("no agent of the cache has joints", "give the crowd a `body` in the scene and run again")
         return made
 
-    def _add(self, key: tuple[str, int], body: _Body, crowd: Crowd, number: int) -> None:
+    def _add(self, key: Worn, body: _Body, crowd: Crowd, number: int) -> None:
         poses = crowd.poses(local=True)
         assert poses.local is not None and crowd.ids is not None
         body.frame.append(np.full(len(crowd.position), number, np.int64))
@@ -101,7 +101,7 @@ class _Crowd:
             if body.colour.setdefault(one, tuple(colour)) != tuple(colour):
                 self.turned.add(key[0])
 
-    def colours(self, key: tuple[str, int]) -> dict[int, tuple[float, ...]]:
+    def colours(self, key: Worn) -> dict[int, tuple[float, ...]]:
         return self.bodies[key].colour
 
     def notes(self) -> list[str]:

@@ -219,8 +219,9 @@ class Stage:
         if first is None:
             return
         angle = 2 * np.arctan(_SENSOR / _WIDE / 2 / first.focal)
-        reach = 0.001 * 1000 / UNIT_MM[self.gallery.manifest.units]  # of a metre, in the scene's unit
-        lens = {"yfov": float(angle), "aspectRatio": _WIDE, "znear": reach * 0.1, "zfar": reach * 1e6}
+        away = float(np.linalg.norm(np.subtract(first.at, first.look_at))) * UNIT_MM[self.gallery.manifest.units] / 1000
+        reach = max(away, 1e-6)  # metres: the scale of a node does not count for its camera
+        lens = {"yfov": float(angle), "aspectRatio": _WIDE, "znear": reach * 1e-3, "zfar": reach * 1e3}
         number = self.writer.add("cameras", {"type": "perspective", "perspective": lens})
         node = self._node(self._world, {"name": "camera", "camera": number})
         moves, turns, shown = [], [], self.frames if self.gallery.camera_moves else self.frames[:1]

@@ -14,7 +14,7 @@ from antdsl.outputs.mesh_files import Part, write_mesh
 from antdsl.outputs.numbered_files import NoExport, numbered
 from antdsl.outputs.pictures.light import decoded, encoded
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.poses_export import FEWER, worn_crowds
+from antdsl.outputs.poses_export import FEWER, Worn, worn_crowds
 from antdsl.outputs.usd.values import ROOT, Out, Samples, box, identifier, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
@@ -78,34 +78,34 @@ def _usd_mesh(out: Out, part: Part) -> tuple[Samples, ...]:
     return tuple(out.samples(attribute, vectors, np.float32) for attribute in attributes)
 
 
-def _throughout(gallery: Gallery, frames: list[int]) -> tuple[dict[str, set[int]], list[str]]:
-    """The ids by species of agents that are there in all frames, and what is to be told."""
-    there: dict[str, set[int]] = {}
-    seen: dict[str, set[int]] = {}
+def _throughout(gallery: Gallery, frames: list[int]) -> tuple[dict[Worn, set[int]], list[str]]:
+    """The ids of agents that are there in all frames in the same layers, by species and these, and what is to be told."""
+    there: dict[Worn, set[int]] = {}
+    seen: dict[Worn, set[int]] = {}
     for k, frame in enumerate(frames):
-        here: dict[str, set[int]] = {}
-        for (species, _), crowd, _ in worn_crowds(gallery.picture(frame)):
-            here.setdefault(species, set()).update(np.asarray(crowd.ids).tolist())
+        here: dict[Worn, set[int]] = {}
+        for key, crowd, _ in worn_crowds(gallery.picture(frame)):
+            here.setdefault(key, set()).update(np.asarray(crowd.ids).tolist())
         there = here if not k else {name: ids & here.get(name, set()) for name, ids in there.items()}
         for name, ids in here.items():
             seen.setdefault(name, set()).update(ids)
     if not any(there.values()):
         raise NoExport("no agent with a body is there in all of these frames", "choose others with `--ids` or `--frames`")
-    left = sum(len(ids - there.get(name, set())) for name, ids in seen.items())
+    left = sum(len(ids - there.get(key, set())) for key, ids in seen.items())
     return there, [f"{left} agents are not there in all of these frames, and are left out"] if left else []
 
 
-def _posed(gallery: Gallery, frame: int, there: dict[str, set[int]]) -> Iterator[Part]:
+def _posed(gallery: Gallery, frame: int, there: dict[Worn, set[int]]) -> Iterator[Part]:
     """The posed mesh of each agent, by species and id."""
     found: list[tuple[str, int, Part]] = []
     total = 0
-    for (species, _), crowd, worn in worn_crowds(gallery.picture(frame)):
-        rows = np.flatnonzero(np.isin(np.asarray(crowd.ids), sorted(there.get(species, ()))))
+    for key, crowd, worn in worn_crowds(gallery.picture(frame)):
+        rows = np.flatnonzero(np.isin(np.asarray(crowd.ids), sorted(there.get(key, ()))))
         total += len(rows) * len(worn.own)
         if total > _MOST:
             raise NoExport(f"the meshes of so many agents have more than {_MOST:,} points a frame", FEWER)
         for a in range(0, len(rows), _BATCH):
-            found += _batch(species, crowd, rows[a : a + _BATCH])
+            found += _batch(key[0], crowd, rows[a : a + _BATCH])
     return (part for _, _, part in sorted(found, key=lambda each: each[:2]))
 
 

@@ -1,6 +1,6 @@
 """Joints and channels of agents as NPZ: the local and world transforms of each agent in each frame, and its channel values.
 
-For each kind of body K (`SPECIES`, or `SPECIES.1` and so on where agents of a species wear different ones):
+For each species K:
 
     K.id int64[r], K.rows int64[F + 1]   whose each row is; frame k has the rows `rows[k]:rows[k + 1]`
     K.place float64[r, 4, 4]             from the space of the body to the scene
@@ -50,12 +50,13 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     NoExport where there are more than fit into memory or no agent has joints, CacheError for a frame that is damaged, OSError
     where nothing can be written."""
     frames = list(frames)
-    found: dict[tuple[str, int], _Rows] = {}
+    found: dict[str, _Rows] = {}
     size = 0
     for number, frame in enumerate(frames):
-        for key, crowd, worn in worn_crowds(gallery.picture(frame)):
-            rows = found.setdefault(key, _Rows(worn.definition))
-            rows.counts += [0] * (number - len(rows.counts)) + [len(crowd.position)]
+        for (species, _), crowd, worn in worn_crowds(gallery.picture(frame)):
+            rows = found.setdefault(species, _Rows(worn.definition))
+            rows.counts += [0] * (number + 1 - len(rows.counts))
+            rows.counts[number] += len(crowd.position)
             size += len(crowd.position) * (len(worn.definition.rig.names) * 128 + 200)
             if size > _MOST:
                 raise NoExport(f"poses of so many agents and frames take more than {_MOST >> 30} GiB", FEWER)
@@ -64,8 +65,7 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
         raise NoExport("no agent of the cache has joints", "give the crowd a `body` in the scene and run again")
     arrays: dict[str, NDArray[Any]] = {"frames": np.array(frames, np.int64)}
     about = {}
-    for (species, which), rows in found.items():
-        name = f"{species}.{which}" if which else species
+    for name, rows in found.items():
         counts = rows.counts + [0] * (len(frames) - len(rows.counts))
         arrays[f"{name}.rows"] = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         arrays |= {f"{name}.{key}": np.concatenate(parts) for key, parts in rows.arrays.items()}
@@ -75,15 +75,12 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     write_whole(path, to_bytes(arrays), sync=False)
 
 
-def worn_crowds(picture: Picture) -> list[tuple[tuple[str, int], Crowd, PosedBody]]:
-    """The crowds of a picture that are not empty: with the species, and which of its bodies."""
-    found, seen = [], dict[str, int]()
-    for crowd in picture.crowds:
-        which = seen.get(crowd.species, 0)
-        seen[crowd.species] = which + 1
-        if len(crowd.position):
-            found.append(((crowd.species, which), crowd, crowd.worn))
-    return found
+Worn = tuple[str, tuple[str, ...]]  # a species, and the layers that agents of it wear beside their body's own
+
+
+def worn_crowds(picture: Picture) -> list[tuple[Worn, Crowd, PosedBody]]:
+    """The crowds of a picture that are not empty, each by its species and layers."""
+    return [((crowd.species, crowd.worn.layers), crowd, crowd.worn) for crowd in picture.crowds if len(crowd.position)]
 
 
 def places(crowd: Crowd, body: Definition) -> NDArray[np.float64]:

@@ -30,7 +30,7 @@ species bug {
     when chance 40 %/s -> cry { cries += 1 }
     when age > 0.5 s and id > 15 -> gone
   }
-  state cry { enter { emit bang(within: 20 mm); spawn bug }; when after 0.2 s -> go }
+  state cry { enter { emit bang(within: 20 mm); spawn bug }; wear load; when after 0.2 s -> go }
   state gone { enter { emit farewell; die } }
   layers { state }
 }
@@ -117,22 +117,28 @@ def test_a_foot_that_lands_is_told_of_with_its_leg_and_place(cache: Cache) -> No
     assert seen > 20
 
 
-def test_ants_on_their_feet_are_the_same_in_gltf(cache: Cache, tmp_path: Path) -> None:
-    done = run("export", str(cache.folder), "--to", "ants.glb", "--ids", "0..2", "--frames", "10..16", cwd=tmp_path)
+def test_ants_on_their_feet_and_with_their_loads_are_the_same_in_gltf(cache: Cache, tmp_path: Path) -> None:
+    done = run("export", str(cache.folder), "--to", "ants.glb", "--ids", "0..9", "--frames", "10..16", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     scene = Scene((tmp_path / "ants.glb").read_bytes())
     scene.check()
-    _, points = scene.at(4 / 24)
-    crowd = Gallery(cache).picture(14).crowds[0]
-    assert crowd.worn is not None and crowd.ids is not None and crowd.feet is not None
-    drawn = crowd.worn.posed(crowd.plays, len(crowd.position), crowd.feet_beside(np.arange(len(crowd.position))))[0].astype(float)
-    wanted = turned(crowd.orient, drawn) * crowd.scale[:, None, None] + crowd.position[:, None]
-    names = [node["name"] for node in scene.tree["nodes"]]
-    for row in np.flatnonzero(crowd.ids < 3):
-        mine = [points[k] for k, name in enumerate(names) if name.startswith(f"bug_{crowd.ids[row]}_") and k in points]
-        theirs = np.unique(np.round(wanted[row] / 100, 7), axis=0)
-        off = np.abs(np.concatenate(mine)[:, None] - theirs[None]).max(axis=2).min(axis=1)
-        assert off.max() < 1e-6, "metres; an ant is 6e-3 long"
+    names, worn = [node["name"] for node in scene.tree["nodes"]], set()
+    for frame in (10, 14):
+        _, points = scene.at((frame - 10) / 24)
+        for crowd in Gallery(cache).picture(frame).crowds:
+            assert crowd.worn is not None and crowd.ids is not None and crowd.feet is not None
+            if crowd.species != "bug":
+                continue
+            chosen = np.flatnonzero(crowd.ids < 10)
+            drawn = crowd.posed(crowd.worn, chosen)[0].astype(float)
+            wanted = turned(crowd.orient[chosen], drawn) * crowd.scale[chosen, None, None] + crowd.position[chosen, None]
+            for row, one in enumerate(crowd.ids[chosen].tolist()):
+                own = [points[k] for k, name in enumerate(names) if name.startswith(f"bug_{one}_") and k in points]
+                shown = np.concatenate([each for each in own if np.ptp(each, axis=0).max() > 0])
+                off = np.abs(shown[:, None] - wanted[row][None] / 100).max(axis=2).min(axis=1)
+                assert off.max() < 1e-6, "metres; an ant is 6e-3 long"
+            worn |= {crowd.worn.layers} if len(chosen) else set()
+    assert worn == {(), ("load",)}
 
 
 def test_who_emits_is_kept_with_its_place(cache: Cache) -> None:

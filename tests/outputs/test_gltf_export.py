@@ -115,6 +115,8 @@ def test_what_stands_about_is_there_and_meshes_are_shared(cache: Path, tmp_path:
     ground = points[names.index("ground")]
     assert np.allclose(np.ptp(ground, axis=0), (0.18, 0.08, 0.18))
     assert np.allclose(points[names.index("crumb")].mean(axis=0)[0], 0.01, atol=2e-3)
+    lens = tree["cameras"][0]["perspective"]
+    assert lens["znear"] < 0.01 < 0.3 < lens["zfar"], "metres; the camera is 0.32 away"
     shared = {tuple(sorted(p["attributes"].items())) for m in tree["meshes"] if m["name"] == "arm" for p in m["primitives"]}
     assert len(shared) == 1 and tree["cameras"][0]["perspective"]["yfov"] == pytest.approx(2 * np.arctan(36 * 9 / 16 / 100))
 

@@ -46,8 +46,10 @@ def unused(name: str, taken: Iterable[str]) -> str:
 
 @dataclass(slots=True)
 class _Pieces:
-    """The primitives of a mesh, one after the other."""
+    """The primitives of a mesh, one after the other; those that share all their points have them once, and `of` says which."""
 
+    known: dict[str, int] = field(default_factory=dict)
+    of: list[int] = field(default_factory=list)
     points: list[Floats] = field(default_factory=list)
     faces: list[NDArray[np.int64]] = field(default_factory=list)
     normals: list[Floats | None] = field(default_factory=list)
@@ -69,7 +71,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
         return False
     counts = [len(points) for points in pieces.points]
     starts = np.cumsum([0, *counts[:-1]])
-    faces = np.concatenate([f + start for f, start in zip(pieces.faces, starts, strict=True)]).astype(np.int32)
+    faces = np.concatenate([f + starts[of] for f, of in zip(pieces.faces, pieces.of, strict=True)]).astype(np.int32)
     points = np.concatenate(pieces.points).astype(np.float32)
     with_normals = all(each is not None for each in pieces.normals)
     normals = np.concatenate([each for each in pieces.normals if each is not None]).astype(np.float32) if with_normals else None
@@ -105,20 +107,21 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
     if "POSITION" not in given:
         body.left_out["a primitive of a mesh has no positions"] = None
         return
+    shared = repr((sorted(map(str, given.items())), file.listed(primitive, "targets")))
     points = file.accessor(given["POSITION"], 3).astype(np.float64)
+    if shared in pieces.known:
+        corners = file.accessor(primitive["indices"], 1)[:, 0] if "indices" in primitive else np.arange(len(points))
+        _faces(body, pieces, primitive, _triangles(corners.astype(np.int64), mode), pieces.known[shared], len(points))
+        return
     body.points += len(points) * (1 + len(file.listed(primitive, "targets")))
     if body.points > limits.BODY_POINTS:
         raise BodyError(f"has more than {limits.BODY_POINTS:,} points, morph targets among them", code="too-large")
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
         raise BodyError("has a point that is not finite", _EXPORT)
     corners = file.accessor(primitive["indices"], 1)[:, 0] if "indices" in primitive else np.arange(len(points))
-    faces = _triangles(corners.astype(np.int64), mode)
-    if len(faces) > limits.MESH_FACES:
-        raise BodyError(f"has more than {limits.MESH_FACES:,} triangles", code="too-large")
-    if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
-        raise BodyError("has a triangle that names a point which is not there", _EXPORT)
-    if not len(faces):
+    if not _faces(body, pieces, primitive, _triangles(corners.astype(np.int64), mode), len(pieces.points), len(points)):
         return
+    pieces.known[shared] = len(pieces.points)
 
     def of_points(key: str, width: int) -> Floats | None:
         if key not in given:
@@ -131,10 +134,8 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
         return found.astype(np.float64)
 
     pieces.points.append(points)
-    pieces.faces.append(faces)
     pieces.normals.append(of_points("NORMAL", 3))
     pieces.uvs.append(of_points("TEXCOORD_0", 2))
-    pieces.material.append(file.index(primitive, "material", len(file.top("materials"))))
     pieces.targets.append([])
     for target in file.objects(primitive, "targets"):
         moved = [_target(file, target, key, len(points)) for key in ("POSITION", "NORMAL")]
@@ -148,6 +149,19 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
                 pieces.further[-1][key.strip("_").lower()] = values[:, 0].astype(np.int64 if whole else np.float32)
     if skinned:
         _follow(pieces, of_points, len(points))
+
+
+def _faces(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], faces: NDArray[np.int64], of: int, count: int) -> bool:
+    """Notes the triangles of a primitive, whose `count` points are those of the piece `of`; False where there are none."""
+    if len(faces) > limits.MESH_FACES:
+        raise BodyError(f"has more than {limits.MESH_FACES:,} triangles", code="too-large")
+    if len(faces) and (faces.min() < 0 or faces.max() >= count):
+        raise BodyError("has a triangle that names a point which is not there", _EXPORT)
+    if len(faces):
+        pieces.faces.append(faces)
+        pieces.of.append(of)
+        pieces.material.append(body.file.index(primitive, "material", len(body.file.top("materials"))))
+    return len(faces) > 0
 
 
 def _target(file: Gltf, target: dict[str, Any], key: str, count: int) -> Floats | None:

@@ -15,6 +15,7 @@ from antdsl.bodies.agents.other_axes import in_axes
 from antdsl.bodies.agents.transforms import matrix_of, parts_of
 
 FRONT, UP, METRE = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0
+_PLAIN = (0.3, 0.3, 0.3)  # of what has the colour of a state, which nobody has here
 _STILL: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 
 
@@ -94,7 +95,7 @@ class _Written:
             self._parts[binding.shape] = ShapeParts(self.writer, self.body, shape, shape.normals)
             for name in shape.materials:
                 if name and name not in self._materials:
-                    self._materials[name] = self._material(name, (1.0, 1.0, 1.0))
+                    self._materials[name] = self._material(name, _PLAIN)
         parts = self._parts[binding.shape]
         mesh = parts.mesh(shape.name, self._materials)
         if "skinning" in binding.deformer and shape.capture is not None:
