@@ -47,6 +47,7 @@ def test_it_tells_joints_as_a_tree_shapes_layers_and_clips(arm: Path) -> None:
         "clip         hop: 1 s, 30 samples a second, 2 joints, loops, stays in place, does not close",
         "clip         smile: 1 s, 30 samples a second, 0 joints, 1 channels, loops, stays in place, does not close",
         "material     shell: 0.8 0.4 0.2",
+        "written      channel arm.smile: arm_smile",
     ]
     assert "24 samples a second" in printed(str(arm), "--rate", "24")
     assert printed(str(arm), "--quiet") == ""

@@ -189,7 +189,7 @@ def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -
         then = np.matmul(later * long, _turn(crowd.after, rows)), np.asarray(crowd.after.position, np.float64)[rows]
     bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint[None, :, None]
-    colour = bright * tint + body.own[None] * (1 - tint)
+    colour = bright * tint + body.colours(crowd.driven.rows(rows)) * (1 - tint)
     place = np.asarray(crowd.position, np.float64)[rows]
     return _part(np.matmul(local * long, turn), place, then, body.faces, np.matmul(normal, turn), colour, 0.5)
 
