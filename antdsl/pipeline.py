@@ -127,12 +127,17 @@ def open_scene(
     if not report.ok:
         return None, report
     setting = with_changed_params(setting, scene, program, choices.changes)
-    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs)
+    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs, unseen=_unseen(scene))
     inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
     made = lowered if raw else passes.optimise(lowered, thorough=thorough)
     return Shot(scene, program, made, setting, inputs, loaded, bodies.definitions), report
+
+
+def _unseen(scene: Scene) -> frozenset[str]:
+    """Things of the world that pictures leave out."""
+    return frozenset(name for name, thing in scene.model.world.items() if getattr(thing, "look", None) == "none")
 
 
 def _read_scene(
@@ -193,9 +198,13 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
 def check_scene_text(
     path: Path, texts: Mapping[Path, bytes], *, parsed: Parsed | None = None
 ) -> tuple[Scene | None, Program | None, Report]:
-    """A scene as an editor holds it, with its programs: all of `check_path` but what the meshes themselves would tell. `texts`
-    are the scenes that go before what is on disk: this one, and those that it extends."""
+    """A scene as an editor holds it, with its programs and bodies: all of `check_path` but what the meshes of its world would
+    tell. `texts` are the scenes that go before what is on disk: this one, and those that it extends."""
+    from antdsl.bodies.crowd_bodies import crowd_bodies
+
     scene, program, _, report = _read_scene(path, Choices(), parsed=parsed, data=texts[path], texts=texts)
+    if scene is not None and program is not None and report.ok:
+        report.extend(crowd_bodies(scene, program)[1])
     return scene, program, report
 
 

@@ -1,41 +1,11 @@
-"""`Body`: the mesh of one kind of agent, with the poses of its walk, and the turns that stand it on the ground."""
-
-from dataclasses import dataclass
+"""Turns that stand bodies on the ground, and normals of meshes."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh
 from antdsl.numerics.vector_rows import unit_or
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Body:
-    """Length 1 along +x (where it heads), up +y, feet on y = 0, the origin between the feet.
-
-    `poses` float32 (k, n, 3): the vertices at k equally spaced moments of one walking cycle; k = 1 when nothing moves.
-    `faces` int32 (m, 3); `normals` float32 (n, 3), smooth within a part; `tint` float32 (n,): 1 takes the agent's colour,
-    0 stays dark.
-    `stride`: body lengths walked in one cycle."""
-
-    name: str
-    poses: NDArray[np.float32]
-    faces: NDArray[np.int32]
-    normals: NDArray[np.float32]
-    tint: NDArray[np.float32]
-    stride: float = 1.0
-
-    def posed(self, walked: Array) -> NDArray[np.float32]:
-        """Vertices (a, n, 3) of `a` agents that have `walked` (a,) body lengths; in between two poses by straight lines."""
-        count = len(self.poses)
-        if count == 1:
-            return np.broadcast_to(self.poses[0], (len(walked), *self.poses.shape[1:]))
-        at = (np.asarray(walked, np.float64) / self.stride % 1.0) * count
-        first = np.minimum(at.astype(np.int64), count - 1)
-        part = (at - first).astype(np.float32)[:, None, None]
-        return np.asarray(self.poses[first] * (1 - part) + self.poses[(first + 1) % count] * part)
 
 
 def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.float32]:
@@ -48,13 +18,6 @@ def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.floa
     length = np.linalg.norm(total, axis=1, keepdims=True)
     total = np.where(length > 1e-20, total / np.maximum(length, 1e-20), np.array([0.0, 1.0, 0.0]))
     return total.astype(np.float32)
-
-
-def rigid(name: str, mesh: Mesh, tint: NDArray[np.float32] | None = None) -> Body:
-    """A body without moving parts."""
-    vertices, faces = mesh
-    shade = np.ones(len(vertices), np.float32) if tint is None else tint
-    return Body(name, vertices[None].astype(np.float32), faces, vertex_normals(vertices, faces), shade)
 
 
 def orientation(heading: Array, up: Array) -> Array:

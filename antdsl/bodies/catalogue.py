@@ -1,12 +1,6 @@
 """Which body suits a species by its name, and the room that bodies of the library take."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-
-from antdsl.bodies.ant import ant
-from antdsl.bodies.body import Body
-from antdsl.bodies.figures import arrow, ball, person
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +13,6 @@ class Capsule:
     height: float
     ahead: float = 0.0
 
-
-BODIES: dict[str, Callable[[bool], Body]] = {"ant": ant, "person": person, "arrow": arrow, "ball": ball}
 
 # Of an ant as long and wide as from gaster to head; of who stands, shoulder to shoulder all round; hunters and rabbits keep each
 # other as far off as the documents' balls do.
@@ -56,12 +48,6 @@ _WORDS: tuple[tuple[str, str], ...] = (
     ("queen", "ant_queen"),
     ("soldier", "ant_soldier"),
 )
-
-
-@cache
-def body(name: str, fine: bool = False) -> Body:
-    """The body called `name`, for crowds or (`fine`) for close-ups. Raises KeyError for a name that is not in BODIES."""
-    return BODIES[name](fine)
 
 
 def body_of(species: str) -> str:

@@ -4,7 +4,7 @@ of them: the clips' lengths, strides and marks, and the room that each body take
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,11 +18,12 @@ from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
 from antdsl.bodies.library.table import library_body
+from antdsl.bodies.posed_body import COLLISION, own_layer
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.limits import LAYERS_WORN
-from antdsl.plan.lowering.traversal import inside
-from antdsl.program.model import Channel, ClipTest, Expr, Look, Machine, Play, Program, Species, Wear
+from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
+from antdsl.program.traverse import parts
 from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, LegsData, RoomData
@@ -135,8 +136,10 @@ def clip_data(clip: Clip, body: Definition) -> ClipData:
 
 
 def room_of(body: Definition) -> RoomData:
-    """The room that a body takes: as long and wide as its box in the rest pose, and never shorter than wide."""
-    least, most = rest_box(body)
+    """The room that a body takes: as long and wide as the box of its layer `collision` in the rest pose, or where it has none of
+    what it always shows, and never shorter than wide."""
+    layer = body.layers.get(COLLISION) or own_layer(body)
+    least, most = rest_box(replace(body, layers={layer.name: layer}))
     corners = np.array([[(least, most)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
     turned = corners @ body.base()[:3, :3].T
     low, high = turned.min(axis=0), turned.max(axis=0)
@@ -191,7 +194,8 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
             for clip in (line.clip, *line.ways):
                 want("clip", clip, body.clips, Label(line.span, "played here"))
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
-        for test in _tests(machine):
+    for test in parts(species):
+        if isinstance(test, ClipTest):
             want("mark", test.mark, marks, Label(test.span, "asked for here"))
     if lacks:
         helps = [help if len(lacks) == 1 else f"{name}: {help}" for name, (help, _) in lacks.items()]
@@ -209,12 +213,3 @@ def _shows(machine: Machine) -> Iterator[Wear | Channel | Look]:
     """What states of a machine show beside clips."""
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, (Wear, Channel, Look)))
-
-
-def _tests(machine: Machine) -> Iterator[ClipTest]:
-    """Questions about clips in the changes of a machine."""
-    for state in machine.states:
-        for change in state.transitions:
-            asked: tuple[Expr | None, ...] = (change.condition, change.held, change.after)
-            for expr in asked:
-                yield from (each for each in inside(expr) if isinstance(each, ClipTest)) if expr is not None else ()

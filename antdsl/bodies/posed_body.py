@@ -23,6 +23,7 @@ from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs
 from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
 from antdsl.bodies.agents.poses import Poses, local_transforms
 from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.varied_bodies import colours_of, with_scales
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
 
@@ -61,6 +62,11 @@ class PosedBody:
         )
         self.own = np.concatenate([np.zeros((0, 3), np.float32), *(part[2] for part in parts)])
         self.tint = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
+        self._material = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
+
+    def colours(self, driven: Driven) -> Floats:
+        """Linear colours of materials float32[n, v, 3] of agents, [1, v, 3] where all have the same."""
+        return colours_of(self._definition.variation, driven.draws, self._material, self.own)
 
     @cached_property
     def reach(self) -> float:
@@ -140,6 +146,7 @@ class PosedBody:
         poses = posed(self._table, self._definition.groups, playing, local=local, threads=threads)
         poses = with_channels(self._table, poses, driven.channels)
         poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])
+        poses = with_scales(self._table, poses, self._definition.variation, self._definition.groups, driven.draws)
         if self.legs is not None and feet is not None:
             stands = self.legs.kept(self._played, machines, count)
             poses = self.legs.bent(poses, feet.less(stands), stands)
@@ -197,9 +204,9 @@ def _with_normals(shape: Shape) -> Shape:
 
 def _parted(
     shape: Shape, colours: Mapping[str, tuple[float, float, float]]
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.str_]]:
     """The vertices of a shape, one for each material that has triangles at it: which point each is, triangles of these, linear
-    colours and tints."""
+    colours, tints and names of materials."""
     material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
     names = shape.materials or ("",)
     pairs = shape.faces.astype(np.int64) * len(names) + material[:, None]
@@ -208,4 +215,4 @@ def _parted(
     known = [None if name == STATE else colours.get(name) for name in names]
     own = np.array([(0.0, 0.0, 0.0) if each is None else each for each in known], np.float32)[of]
     tint = np.array([each is None for each in known], np.float32)[of]
-    return point, faces.reshape(-1, 3).astype(np.int32), own, tint
+    return point, faces.reshape(-1, 3).astype(np.int32), own, tint, np.array(names)[of]

@@ -218,7 +218,7 @@ class Gallery:
             worn=body,
             plays=(*body.idling(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
             feet=feet_of(species.name, arrays, count, 0 if body.legs is None else body.legs.count),
-            driven=driven(species, arrays, np.asarray(ids, np.int64)),
+            driven=driven(species, arrays, np.asarray(ids, np.int64), self.manifest.seed),
         )
 
     def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:

@@ -111,7 +111,7 @@ def _posed(gallery: Gallery, frame: int, there: dict[Worn, set[int]]) -> Iterato
 
 def _batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, Part]]:
     worn = crowd.worn
-    assert worn is not None and crowd.ids is not None
+    assert crowd.ids is not None
     points, normals = crowd.posed(worn, rows)
     orient = np.asarray(crowd.orient, np.float64)[rows]
     placed = turned(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]

@@ -83,7 +83,7 @@ def worn_crowds(picture: Picture) -> list[tuple[Worn, Crowd, PosedBody]]:
     return [
         ((crowd.species, crowd.worn.layers), crowd, crowd.worn)
         for crowd in picture.crowds
-        if crowd.worn is not None and len(crowd.position)
+        if len(crowd.position)
     ]
 
 

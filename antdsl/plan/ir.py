@@ -341,11 +341,11 @@ class SpeciesPlan:
     lazy: tuple[Node, ...] = ()  # worth keeping for the whole step once computed: senses used in more than one region
     rests: Mapping[str, Node] = field(default_factory=dict)  # of values per pair what they begin with and return to, rate RUN
     clips: tuple[ClipPlan, ...] = ()  # what its states play: registers of clips count these
-    wears: tuple[str, ...] = ()  # layers of its body that states show: registers `wear:LAYER`
+    wears: tuple[str, ...] = ()  # layers of its body that states show: registers `wear#LAYER`
     channels: tuple[
         str, ...
-    ] = ()  # channels of its body that states set: `channel:NAME`, and `channel:NAME.said` whether they do
-    looks: tuple[str, ...] = ()  # transform groups that states turn to something: `look:GROUP.x`, `.y`, `.z`
+    ] = ()  # channels of its body that states set: `channel#NAME`, and `channel#NAME.said` whether they do
+    looks: tuple[str, ...] = ()  # transform groups that states turn to something: `look#GROUP.x`, `.y`, `.z`
 
 
 @dataclass(frozen=True, slots=True, eq=False)

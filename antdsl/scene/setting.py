@@ -254,7 +254,7 @@ class Setting:
     ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
     the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
     keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up;
-    `legs`: what those that have gaits stand on."""
+    `legs`: what those that have gaits stand on. `unseen`: things that are not drawn, which no foot stands on."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -282,6 +282,7 @@ class Setting:
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
     legs: Mapping[str, LegsData] = field(default_factory=dict)
+    unseen: frozenset[str] = frozenset()
 
     @property
     def dt(self) -> float:

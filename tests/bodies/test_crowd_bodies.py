@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.bodies.catalogue import CAPSULES
 from antdsl.bodies.crowd_bodies import clip_data, room_of
 from antdsl.bodies.library.table import BODIES, library_body
 from antdsl.diagnostics import Report
-from antdsl.pipeline import Shot, check_path, open_scene
+from antdsl.pipeline import Shot, check_path, check_scene_text, open_scene
 from antdsl.runtime import bind, step
 from antdsl.scene.crowd_model import BODY_WORDS
 
@@ -84,6 +86,13 @@ def test_a_body_takes_the_room_of_its_box(folder: Path) -> None:
     # some 0.5 m wide at the shoulders, and less deep; the middle below half its height
     assert room.width == pytest.approx(0.5 / 1.75, abs=0.03) and room.length == room.width
     assert 0.4 < room.height < 0.55 and abs(room.ahead) < 0.05
+    hat = replace(body.shapes["head"], points=body.shapes["head"].points * 20)
+    hatted = replace(
+        body, shapes={**body.shapes, "hat": hat}, layers={**body.layers, "hat": Layer("hat", (Binding("head", "hat"),))}
+    )
+    assert room_of(hatted) == room, "what is worn takes no room"
+    boxed = replace(hatted, layers={**hatted.layers, "collision": Layer("collision", (Binding("head", "hat"),))})
+    assert room_of(boxed).width > 3 * room.width, "a layer `collision` goes first"
     assert opened(written(folder)).setting.rooms == {"walker": room}
     assert clip_data(body.clips["idle"], body).stride == 0
 
@@ -218,3 +227,28 @@ def test_a_preview_takes_the_changed_body_over(folder: Path) -> None:
     assert made is not None and report.ok
     assert made.setting.clips["walker"]["walk"].stride == pytest.approx(2.4 / 1.75)
     assert (made.populations["walker"].now["main.clip_turns"] == world.populations["walker"].now["main.clip_turns"]).all()
+
+
+def test_an_editor_is_told_what_the_body_does_not_have(folder: Path) -> None:
+    scene = written(folder, PROGRAM.replace("play walk", "play wlak"))
+    _, _, report = check_scene_text(scene, {scene: scene.read_bytes()})
+    assert [each.message for each in report.errors] == ["`walker.json` has no clip `wlak`"]
+    assert "did you mean `walk`?" in (report.errors[0].help or "") and report.errors[0].span is not None
+    assert str(scene) == report.errors[0].span.source.path
+    scene = written(folder)
+    assert not check_scene_text(scene, {scene: scene.read_bytes()})[2].sorted()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "enter { woken = if clip at nowhere then 1 else 0 }",
+        "steer if clip at nowhere then halt() else coast()",
+        "let there = clip at nowhere; when there -> wave",
+    ],
+)
+def test_marks_are_asked_of_the_body_wherever_a_program_asks(line: str, folder: Path) -> None:
+    program = PROGRAM.replace("play walk;", f"play walk; {line};").replace("size 1.75 m", "size 1.75 m\n  woken = 0")
+    program = program.replace("steer wander();", "") if line.startswith("steer") else program
+    _, report = open_scene(written(folder, program))
+    assert "`walker.json` has no mark `nowhere`" in [each.message for each in report.errors], str(report)

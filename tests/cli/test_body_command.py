@@ -47,9 +47,17 @@ def test_it_tells_joints_as_a_tree_shapes_layers_and_clips(arm: Path) -> None:
         "clip         hop: 1 s, 30 samples a second, 2 joints, loops, stays in place, does not close",
         "clip         smile: 1 s, 30 samples a second, 0 joints, 1 channels, loops, stays in place, does not close",
         "material     shell: 0.8 0.4 0.2",
+        "written      channel arm.smile: arm_smile",
     ]
     assert "24 samples a second" in printed(str(arm), "--rate", "24")
     assert printed(str(arm), "--quiet") == ""
+
+
+def test_a_word_is_a_body_of_the_library() -> None:
+    lines = printed("spider").splitlines()
+    assert lines[0] == "body         spider: 1 × 12 mm long, front +x, up +y"
+    assert "layer        close: spider_close by linearskinning" in lines
+    assert len([line for line in lines if line.startswith("leg ")]) == 8
 
 
 def test_metadata_groups_and_marks_are_told(arm: Path) -> None:

@@ -16,7 +16,11 @@ ROOMS = (
     "reload",
     "scene",
 )  # what they give is, or becomes, a state
-POSING = ("affine", "blend_shapes", "blending", "clip_table", "deformers", "poses", "skinning")  # of bodies/agents: so do they
+# of bodies/agents: so do they
+POSING = (
+    "affine", "blend_shapes", "blending", "clip_table", "deformers", "driving", "leg_chains", "machine_clips", "poses", "skinning",
+    "varied_bodies",
+)  # fmt: skip
 # Of NumPy and math: their last bits depend on the processor, by what the library was compiled for or chooses when it runs.
 FUNCTIONS = frozenset([
     "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",

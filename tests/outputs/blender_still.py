@@ -22,7 +22,9 @@ for each in drawn.object_instances:
         shown = each.object.data.attributes.get("displayColor")
         if shown is not None and len(shown.data):
             colours.add(tuple(round(part, 3) for part in list(shown.data[0].color)[:3]))
-items = {each.name: list(each.matrix_world.translation) for each in bpy.data.objects if each.parent and each.parent.name == "items"}
+items = {
+    each.name: list(each.matrix_world.translation) for each in bpy.data.objects if each.parent and each.parent.name == "items"
+}
 camera = bpy.data.objects.new("still", bpy.data.cameras.new("still"))
 camera.data.clip_start = 0.001
 scene.collection.objects.link(camera)

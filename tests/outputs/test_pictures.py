@@ -164,7 +164,7 @@ def test_threads_and_kept_rays_change_no_byte(monkeypatch):
     real = render.stage
     monkeypatch.setattr(render, "stage", lambda *args: made.append(1) or real(*args))
     scene = (floor(),)
-    walk = [Picture(scene, (crowd([[x, 0, 0]], (0.9, 0.6, 0.1), walked=np.array([x])),), frame=1) for x in (0.0, 5.0)]
+    walk = [Picture(scene, (crowd([[x, 0, 0]], (0.9, 0.6, 0.1)),), frame=1) for x in (0.0, 5.0)]
     one, two = Renderer(W, H, threads=1), Renderer(W, H, threads=2)
     first = [one.draw(picture, ABOVE) for picture in walk]
     assert len(made) == 1 and not np.array_equal(first[0], first[1])

@@ -10,11 +10,12 @@ import pytest
 
 from antdsl.bodies.agents.driving import Driven
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.cache.cache_writer import read_checkpoint
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import Choices, open_scene
-from antdsl.runtime import Options
+from antdsl.runtime import Options, bind, restore, state_hash, step
 from antdsl.scene.values import FrameRange
 
 PROGRAM = """ant 1
@@ -146,6 +147,17 @@ def test_a_head_turns_with_all_that_is_on_it_and_nothing_else(cache: Cache) -> N
     nose = int(np.flatnonzero(np.abs(ahead[0] - pivot - [0.1, 0, 0]).max(axis=1) < 1e-5)[0])
     assert turned[:, nose] - pivot == pytest.approx(own * 0.1, abs=1e-5)
     assert own[:, 0].min() > 0.5 and own[:, 0].min() < 0.66, "60 degrees at most, and somebody looks that far aside"
+
+
+def test_a_run_goes_on_from_a_checkpoint_with_what_is_shown(cache: Cache) -> None:
+    folder = cache.folder.parent
+    shot, _ = open_scene(folder / "scene.yaml", Choices(frames=FrameRange(1, 10)))
+    assert shot is not None
+    world = bind(shot.plan, shot.setting, Options())
+    restore(world, read_checkpoint(cache, 1)[0])
+    for _ in range(9):
+        step(world)
+    assert state_hash(world) == cache.lines()[10].hash
 
 
 @pytest.mark.parametrize(

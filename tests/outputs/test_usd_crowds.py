@@ -244,6 +244,9 @@ def test_a_shutter_has_samples_between_frames(people: Cache, tmp_path: Path) -> 
     assert np.allclose(made.GetPositionsAttr().Get(4.25), four + (five - four) / 4, atol=1e-5)
     assert np.allclose(made.GetPositionsAttr().Get(4.75), five + (four - five) / 4, atol=1e-5)
     assert np.allclose(made.GetVelocitiesAttr().Get(4.25), made.GetVelocitiesAttr().Get(4))
+    for frame in range(1, FRAMES + 1):
+        poses = [list(made.GetProtoIndicesAttr().Get(frame + part)) for part in (-0.25, 0.0, 0.25)]
+        assert poses[0] == poses[1] == poses[2], "one mesh while the shutter is open"
     one = people.frame(1)["P"] - np.array(made.GetVelocitiesAttr().Get(1)) / 24 / 4
     assert np.allclose(made.GetPositionsAttr().Get(0.75), one, atol=1e-5), "before the first frame its velocities lead back"
     limbs = exported(people, tmp_path / "limbs.usdc", shutter=(0, 0.5), samples=2)
@@ -407,3 +410,61 @@ def blended(target, points, weight: float):  # type: ignore[no-untyped-def]
         weights, shapes, subs, query.ComputeBlendShapePointIndices(), query.ComputeSubShapePointOffsets(), points
     )
     return points
+
+
+def test_feet_and_trunks_of_skeletons_are_where_pictures_have_them(breeders: Cache, tmp_path: Path) -> None:
+    """UsdSkel has scales in half precision: a gaster that breathes is off by a few ten-thousandths of a body length."""
+    from antdsl.outputs.usd.drawn import DrawnBody
+
+    stage = exported(breeders, tmp_path / "out.usdc")
+    crowd = Gallery(breeders).picture(6).crowds[0]
+    assert crowd.worn is not None and crowd.feet is not None and crowd.ids is not None
+    points = DrawnBody(crowd.worn).posed(crowd.poses())[0]
+    flat = DrawnBody(crowd.worn).posed(crowd.worn.poses(crowd.plays, len(points)))[0]
+    assert np.abs(points - flat).max() > 0.02, "feet matter"
+    for k in range(0, len(points), 3):
+        mine = points[k] * crowd.scale[k] @ rotation(crowd.orient[k : k + 1])[0].T + crowd.position[k]
+        assert np.abs(mine - skinned(stage, f"/World/breeder/agent_{crowd.ids[k]}", 6)).max() < 4e-4 * crowd.scale[k]
+
+
+def test_agents_without_a_place_are_invisible(people: Cache, tmp_path: Path) -> None:
+    from pxr import Usd, UsdGeom
+
+    from antdsl.outputs.usd.instancers import InstancerWriter
+    from antdsl.outputs.usd.moments import Moments
+    from antdsl.outputs.usd.values import Out
+
+    gallery, stage = Gallery(people), Usd.Stage.CreateInMemory()
+    writer = InstancerWriter(Out(stage), people.manifest.species[0], 0)
+    moment = Moments(gallery).at(2, 2)
+    agents = moment.species[0]
+    seen = agents.seen.copy()
+    seen[3] = False
+    writer.sample(replace(moment, species=(replace(agents, seen=seen),)))
+    made = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
+    assert list(made.GetInvisibleIdsAttr().Get(2)) == [agents.ids[3]]
+    assert list(made.ComputeMaskAtTime(2)) == seen.tolist()
+
+
+def test_what_usdskel_does_not_have_is_told() -> None:
+    from pxr import Usd
+
+    from antdsl.bodies.agents.deformers import DEFORMERS, register
+    from antdsl.outputs.usd.definitions import write_definition
+    from antdsl.outputs.usd.materials import Looks
+
+    rest = np.eye(4)[None]
+    capture = Capture(("root",), np.zeros((3, 1), np.int32), np.ones((3, 1), np.float32), rest)
+    points, faces = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32)
+    share = {"share": np.ones(3, np.float32)}
+    skin = Shape("skin", points, faces, attributes=dict(share), capture=capture, dual_quaternion_blend="share")
+    layer = Layer("body", (), (Binding("", "skin", deformer="dualquatblendskinning"), Binding("root", "fur", deformer="ruffled")))
+    register("ruffled", lambda given, shape, definition, poses: given)
+    try:
+        shapes = {"skin": skin, "fur": Shape("fur", points, faces)}
+        body = PosedBody(Definition("it", Rig(("root",), np.array([-1], np.int32), rest), shapes, {"body": layer}), ())
+        stage = Usd.Stage.CreateInMemory()
+        notes = write_definition(stage, "/it", body, Looks(stage, "/World/looks/it", {})).notes
+    finally:
+        del DEFORMERS["ruffled"]
+    assert len(notes) == 2 and "dual quaternions" in notes[0] and "`ruffled`" in notes[1]

@@ -32,16 +32,16 @@ def test_a_layer_is_worn_as_long_as_the_state_lasts_and_the_condition_holds() ->
       state three { wear crumb when load > 0; load -= 5 /s }"""
     seen = shown(states, 9)
     assert seen.states() == ["one"] * 4 + ["two"] * 3 + ["three"] * 3
-    assert seen.every("wear:hat") == [True] * 4 + [False] * 6, "worn from birth on"
-    assert seen.every("wear:crumb") == [False] * 4 + [True] * 5 + [False], "what stands above the load's line sees it before"
+    assert seen.every("wear#hat") == [True] * 4 + [False] * 6, "worn from birth on"
+    assert seen.every("wear#crumb") == [False] * 4 + [True] * 5 + [False], "what stands above the load's line sees it before"
 
 
 def test_machines_wear_together() -> None:
     states = """machine m { start one; state one { wear hat; when after 0.2 s -> two }; state two { } }
       machine n { start one; state one { wear bag; when after 0.4 s -> two }; state two { wear hat } }"""
     seen = shown(states, 6)
-    assert seen.every("wear:hat") == [True, True, True, False, False, True, True]
-    assert seen.every("wear:bag") == [True] * 5 + [False] * 2
+    assert seen.every("wear#hat") == [True, True, True, False, False, True, True]
+    assert seen.every("wear#bag") == [True] * 5 + [False] * 2
 
 
 def test_a_channel_has_the_value_of_the_state_and_none_without_one() -> None:
@@ -49,14 +49,14 @@ def test_a_channel_has_the_value_of_the_state_and_none_without_one() -> None:
       state one { channel jaw = load * 0.5 + 0.25; load += 1 /s; when after 0.3 s -> two }
       state two { load = 0; when after 0.2 s -> one }"""
     seen = shown(states, 5)
-    assert seen.every("channel:jaw.said") == [True] * 4 + [False] * 2
-    assert seen.every("channel:jaw") == pytest.approx([0.25, 0.25, 0.3, 0.35, 0, 0], abs=1e-6)
+    assert seen.every("channel#jaw.said") == [True] * 4 + [False] * 2
+    assert seen.every("channel#jaw") == pytest.approx([0.25, 0.25, 0.3, 0.35, 0, 0], abs=1e-6)
 
 
 def looking(states: str, x: float, z: float, steps: int = 30) -> np.ndarray:
     items = {"food": (item("crumb", x, z),)}
     seen = shown(states, steps, items=items)
-    return np.stack([seen.every(f"look:head.{axis}") for axis in "xyz"], axis=1)
+    return np.stack([seen.every(f"look#head.{axis}") for axis in "xyz"], axis=1)
 
 
 def test_a_head_turns_to_what_it_looks_at_no_farther_than_it_may_and_back() -> None:
@@ -86,7 +86,7 @@ def test_who_looks_at_nothing_looks_ahead() -> None:
 def test_it_is_in_checkpoints_and_plans() -> None:
     text = f"{HEAD}start one\nstate one {{ wear hat when chance 30 %/s; channel jaw = uniform(0, 1); steer wander() }} }}"
     plan = optimise(plan_of(text, f"use steering\n{WORLD}"))
-    assert "wear:hat" in show(plan) and plan.species["a"].wears == ("hat",) and plan.species["a"].channels == ("jaw",)
+    assert "wear#hat" in show(plan) and plan.species["a"].wears == ("hat",) and plan.species["a"].channels == ("jaw",)
     setting = Setting(crowds=(crowd(20, radius=40.0),), seed=2)
     made, again = (bind(plan, setting, Options(backend=name)) for name in ("numpy", "reference"))
     for _ in range(10):
@@ -95,7 +95,7 @@ def test_it_is_in_checkpoints_and_plans() -> None:
     for world in (made, again):
         step(world)
     assert state_hash(made) == state_hash(again)
-    assert len({float(x) for x in made.populations["a"].now["channel:jaw"]}) == 20
+    assert len({float(x) for x in made.populations["a"].now["channel#jaw"]}) == 20
 
 
 @pytest.mark.parametrize(

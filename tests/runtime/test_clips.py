@@ -182,13 +182,13 @@ def test_how_much_an_agent_turns_and_climbs() -> None:
     line = "play walk(left: lean_left, right: lean_right, up: climb, down: descend)"
     turning = f"max_turn 45 deg/s\nstate one {{ {line}; {steer}; steer {GOES} }}"
     seen = shown(turning, 20, start="one")
-    turned = np.array(seen.every("lean:turn"))
+    turned = np.array(seen.every("lean#turn"))
     headings = np.array([seen.every(f"heading.{axis}") for axis in "xz"]).T
     rate = np.degrees(np.arctan2(headings[1:-1, 1] * headings[2:, 0] - headings[1:-1, 0] * headings[2:, 1],
                                  (headings[1:-1] * headings[2:]).sum(axis=1))) * 10  # fmt: skip
     assert turned[0] == 0 and turned[-1] == pytest.approx(rate[-2] / 90, abs=0.05) and turned[-1] > 0.2
-    assert seen.every("lean:slope") == pytest.approx([0] * 21, abs=1e-6), "the ground is level"
+    assert seen.every("lean#slope") == pytest.approx([0] * 21, abs=1e-6), "the ground is level"
     (clip,) = seen.world.plan.species["a"].clips
     assert (clip.left, clip.right, clip.up, clip.down) == ("lean_left", "lean_right", "climb", "descend") and clip.leans
     straight = shown(f"state one {{ {line}; steer {GOES} }}", 6)
-    assert straight.every("lean:turn") == pytest.approx([0] * 7, abs=1e-6)
+    assert straight.every("lean#turn") == pytest.approx([0] * 7, abs=1e-6)

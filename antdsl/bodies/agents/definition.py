@@ -14,6 +14,7 @@ from antdsl.bodies.agents.layer import Layer, TransformGroup
 from antdsl.bodies.agents.legs import Gait, Leg
 from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.variation import NONE, Variation
 
 FRONT = (1.0, 0.0, 0.0)
 UP = (0.0, 1.0, 0.0)
@@ -23,7 +24,8 @@ UP = (0.0, 1.0, 0.0)
 class Definition:
     """`front` and `up`: the axes of its space that it looks along and stands along; `length`: how long it is along `front` in
     its own units, which is what an agent's `size` scales it to; `unit`: millimetres in one of its units. `materials`: base
-    colours (linear, 0 to 1) by name. `gaits` go from slow to fast. `idle`: the clip of agents that play none ("": rest)."""
+    colours (linear, 0 to 1) by name. `gaits` go from slow to fast. `idle`: the clip of agents that play none ("": rest).
+    `variation`: by what bodies differ."""
 
     name: str
     rig: Rig
@@ -40,6 +42,7 @@ class Definition:
     legs: tuple[Leg, ...] = ()
     gaits: tuple[Gait, ...] = ()
     idle: str = ""
+    variation: Variation = NONE
 
     def base(self) -> NDArray[np.float64]:
         """The matrix float64[4, 4] from its own space to that of agents: length 1, front +x, up +y."""

@@ -15,6 +15,7 @@ from antdsl.bodies.agents.documents import DEFORMERS, DOCUMENTED_DEFORMERS
 from antdsl.bodies.agents.layer import Binding
 from antdsl.bodies.agents.leg_document import check_legs
 from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.variation_document import misnamed
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
@@ -39,6 +40,9 @@ def whole(parts: Parts, report: Report) -> Definition | None:
                 _unknown(report, place, "channel", channel, channels, warn=True)
     for shape in found.shapes.values():
         _shape(found, shape, parts.whole, report)
+    for what, name, span, known in misnamed(found.variation, found.groups, found.materials, parts.varied):
+        near = nearest_name(name, known)
+        report.error("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
     check_legs(found, parts.walking, report)
     if not report.ok:
         return None

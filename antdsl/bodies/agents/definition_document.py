@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from antdsl import limits
+from antdsl.bodies.agents import variation_document
 from antdsl.bodies.agents.body_files import GLTF, USD, BodyFiles, ending
 from antdsl.bodies.agents.checked_values import Values
 from antdsl.bodies.agents.clip import Clip
@@ -26,7 +27,7 @@ from antdsl.source import Span
 
 KNOWN = (
     "antdsl_body", "name", "from", "front", "up", "units", "length", "rig", "shapes", "shapelib_includes", "layers", "clips",
-    "groups", "metadata", "materials", "legs", "gaits", "idle",
+    "groups", "metadata", "materials", "legs", "gaits", "idle", "variation",
 )  # fmt: skip
 _AXES = {sign + letter: np.eye(3)[axis] * (1 if sign == "+" else -1) for axis, letter in enumerate("xyz") for sign in "+-"}
 _OF_CLIP = ("file", "clip", "name", "loop", "stride", "marks", "feet", "rate", "prim")
@@ -63,6 +64,7 @@ class Parts:
     layers: dict[str, Place] = field(default_factory=dict)
     groups: dict[str, Place] = field(default_factory=dict)
     walking: Places = field(default_factory=Places)
+    varied: variation_document.Places = field(default_factory=dict)
     whole: Span | None = None
     measured: bool = True
 
@@ -103,6 +105,8 @@ def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Pa
         metadata |= _one(values, entries["metadata"], "metadata", read_metadata, files)[0] or {}
     length = values.number(entries.get("length"), "a length", 1e-9)
     parts.measured = length is None
+    if "variation" in entries:
+        base = replace(base, variation=variation_document.read_variation(values, entries["variation"], parts.varied))
     parts.definition = replace(
         base, shapes=shapes, materials=materials, layers={**base.layers, **layers}, groups={**base.groups, **groups},
         clips=clips, metadata=metadata, length=length or base.length, **_walking(values, entries, parts.walking),

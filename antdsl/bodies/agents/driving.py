@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,18 +14,19 @@ from antdsl.bodies.agents.clip_table import ClipTable
 from antdsl.bodies.agents.layer import TransformGroup
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.agents.spoken import spoken_names
+from antdsl.bodies.agents.varied_bodies import Draws
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
     """Of n agents. `channels` float32[n] by spoken name: the value of a channel of the rig whatever clips say, NaN where clips
     say it. `looks` float32[n, 3] by transform group: unit vectors in the space of the agent (+x ahead, +y up), (1, 0, 0) for
-    who looks straight ahead. `ids` int64[n]: what draws go by. `lean` float32[n, 2]: how much each turns, to the left above 0,
+    who looks straight ahead. `draws`: what bodies differ by. `lean` float32[n, 2]: how much each turns, to the left above 0,
     and climbs, from -1 to 1; None where no clip goes by that."""
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     looks: Mapping[str, Floats] = field(default_factory=dict)
-    ids: NDArray[np.int64] | None = None
+    draws: Draws | None = None
     lean: Floats | None = None
 
     def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Driven:
@@ -33,7 +34,7 @@ class Driven:
         return Driven(
             {name: each[chosen] for name, each in self.channels.items()},
             {name: each[chosen] for name, each in self.looks.items()},
-            None if self.ids is None else self.ids[chosen],
+            None if self.draws is None else self.draws.rows(chosen),
             None if self.lean is None else self.lean[chosen],
         )
 
@@ -55,26 +56,34 @@ def with_looks(
     table: ClipTable, poses: Poses, looks: Mapping[str, Floats], groups: Mapping[str, TransformGroup], base: NDArray[np.float64]
 ) -> Poses:
     """Poses whose joints of transform groups are turned to look where it is said: each joint of a group turns, with all below
-    it, about its own place by its weight's share of the shortest turn from straight ahead. `base` [3, 3] leads from the body's
+    it, about its own place by its weight's share of the shortest turn from straight ahead, but all that hang on each other by no
+    more than the whole. `base` [3, 3] leads from the body's
     space to that of agents. A group that the body does not have is passed over; `local` is None where anything was turned."""
     wanted = {name: look for name, look in looks.items() if name in groups and len(look)}
     if not wanted:
         return poses
     world = np.array(poses.world, np.float32)
-    size = np.linalg.norm(base[0])
-    back = (base / size).T.astype(np.float32)
+    x, y, z = base[0]
+    axes = (base / np.sqrt((x * x + y * y) + z * z)).astype(np.float32)
     for name, look in wanted.items():
-        turn = _shortest(look @ back.T, back[:, 0])
+        way = [(look[:, 0] * axes[0, k] + look[:, 1] * axes[1, k]) + look[:, 2] * axes[2, k] for k in range(3)]
+        turn = _shortest(way, axes[0])
+        left = np.ones(len(table.rig.names))  # of the way, when all that a joint hangs on has turned
         for joint, weight in sorted((table.rig.joint(member), weight) for member, weight in groups[name].members):
-            _turned(world, joint, _below(table, joint), _share(turn, weight))
+            share, below = min(weight, left[joint]), table.rig.below(joint)
+            if share > 0:
+                left[below] -= share
+                _turned(world, joint, below, _share(turn, share))
     return Poses(world, None, poses.channels)
 
 
-def _shortest(way: Floats, ahead: Floats) -> Floats:
-    """The quaternions float32[n, 4] of the shortest turns that bring `ahead` [3] to unit vectors [n, 3]."""
-    found = np.empty((4, len(way)), np.float32)
-    found[:3] = np.cross(np.broadcast_to(ahead, way.shape), way).T
-    found[3] = 1 + way @ ahead
+def _shortest(way: Sequence[Floats], ahead: Floats) -> Floats:
+    """The quaternions float32[n, 4] of the shortest turns that bring `ahead` [3] to unit vectors, x, y and z [n]."""
+    x, y, z = ahead
+    found = np.stack([
+        y * way[2] - z * way[1], z * way[0] - x * way[2], x * way[1] - y * way[0],
+        1 + ((way[0] * x + way[1] * y) + way[2] * z),
+    ]).astype(np.float32)  # fmt: skip
     found[:, found[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: there is no shortest turn
     return np.ascontiguousarray(normalised(found).T)
 
@@ -86,21 +95,7 @@ def _share(turn: Floats, weight: float) -> Floats:
     return np.ascontiguousarray(normalised(np.ascontiguousarray(part.T)).T)
 
 
-def _below(table: ClipTable, joint: int) -> list[int]:
-    """A joint and all that hang on it."""
-    parents = np.asarray(table.rig.parents)
-    found, reached = [joint], True
-    inside = np.zeros(len(parents), bool)
-    inside[joint] = True
-    while reached:
-        more = np.flatnonzero((parents >= 0) & inside[parents] & ~inside)
-        inside[more] = True
-        found += more.tolist()
-        reached = bool(len(more))
-    return found
-
-
-def _turned(world: Floats, joint: int, moved: list[int], turn: Floats) -> None:
+def _turned(world: Floats, joint: int, moved: NDArray[np.intp], turn: Floats) -> None:
     """Turn some joints [n, J, 3, 4] about the place of one, in place."""
     x, y, z, w = turn.T
     matrix = np.empty((len(turn), 3, 3), np.float32)
@@ -110,6 +105,8 @@ def _turned(world: Floats, joint: int, moved: list[int], turn: Floats) -> None:
     pivot = world[:, joint, :, 3].copy()
     part: Any = world[:, moved]
     part[..., 3] -= pivot[:, None]
-    part = np.matmul(matrix[:, None], part)
-    part[..., 3] += pivot[:, None]
-    world[:, moved] = part
+    for row in range(3):
+        a, b, c = (matrix[:, row, k, None, None] for k in range(3))
+        turned = (a * part[:, :, 0] + b * part[:, :, 1]) + c * part[:, :, 2]
+        turned[..., 3] += pivot[:, None, row]
+        world[:, moved, row] = turned

@@ -25,6 +25,7 @@ from antdsl.bodies.agents.legs import Gait, Leg
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Channel, Rig
 from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
+from antdsl.bodies.agents.variation import Variation
 from antdsl.diagnostics import Report
 
 KINDS = ("f4", "f8", "i4", "i8")
@@ -81,6 +82,8 @@ def packed(body: Definition) -> Arrays:
         "legs": [[each.name, each.upper, each.lower, each.foot] for each in body.legs], "idle": body.idle,
         "gaits": [[each.name, each.speed, each.stride, each.duty, each.lift, each.phases] for each in body.gaits],
     }  # fmt: skip
+    if body.variation:
+        document["variation"] = [dict(body.variation.scales), dict(body.variation.materials)]
     text = json.dumps(document, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
     made: Arrays = {"text": np.frombuffer(text.encode("ascii"), np.uint8)}
     return made | {kind: np.concatenate([np.zeros(0, kind), *flat[kind]]) for kind in KINDS}
@@ -194,8 +197,16 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         {_text(name): _three(colour) for name, colour in said["materials"].items()},
         _three(said["front"]), _three(said["up"]), _number(said["length"]), _number(said["unit"]),
         tuple(Leg(*map(_text, each)) for each in said["legs"]), tuple(_gait(*each) for each in said["gaits"]),
-        _text(said["idle"]),
+        _text(said["idle"]), _variation(*said.get("variation", ({}, {}))),
     )  # fmt: skip
+
+
+def _variation(scales: Any, materials: Any) -> Variation:
+    found = {_text(name): _numbers(ends) for name, ends in scales.items()}
+    colours = {_text(name): tuple(map(_three, given)) for name, given in materials.items()}
+    if any(len(ends) != 2 or not 0 < ends[0] <= ends[1] for ends in found.values()) or any(len(c) < 2 for c in colours.values()):
+        raise ValueError
+    return Variation({name: (ends[0], ends[1]) for name, ends in found.items()}, colours)
 
 
 def _gait(name: Any, speed: Any, stride: Any, duty: Any, lift: Any, phases: Any) -> Gait:

@@ -40,6 +40,14 @@ class Rig:
                 return number
         raise KeyError(name)
 
+    def below(self, joint: int) -> NDArray[np.intp]:
+        """The numbers of a joint and of all that hang on it, parents before children."""
+        inside = np.zeros(len(self.names), bool)
+        inside[joint] = True
+        for number in range(joint + 1, len(self.names)):
+            inside[number] = self.parents[number] >= 0 and inside[self.parents[number]]
+        return np.flatnonzero(inside)
+
     @property
     def defaults(self) -> NDArray[np.float32]:
         """The default of each channel, float32[C]."""

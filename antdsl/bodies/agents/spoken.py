@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.variation import Variation
 
 _OTHER = re.compile(r"[^a-z0-9_]+")
 
@@ -47,6 +48,7 @@ def spoken(body: Definition) -> Definition:
             clips[name]: replace(clip, name=clips[name], marks={marked[name][mark]: at for mark, at in clip.marks.items()})
             for name, clip in body.clips.items()
         },
+        variation=Variation({groups.get(n, n): ends for n, ends in body.variation.scales.items()}, body.variation.materials),
         idle=clips.get(body.idle, body.idle),
         layers={layers[name]: replace(layer, name=layers[name]) for name, layer in body.layers.items()},
         groups={groups[name]: replace(group, name=groups[name]) for name, group in body.groups.items()},

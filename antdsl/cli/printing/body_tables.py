@@ -14,6 +14,7 @@ from antdsl.bodies.agents.layer import Layer
 from antdsl.bodies.agents.legs import Gait
 from antdsl.bodies.agents.metadata import plain_metadata
 from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.places import safe_line
 from antdsl.diagnostics.render import render, shown
@@ -50,8 +51,25 @@ def body_lines(body: Definition) -> Iterator[str]:
         yield safe_line(f"group        {group.name}: {_some([*members, *group.channels])}")
     for name, colour in body.materials.items():
         yield safe_line(f"material     {name}: {' '.join(f'{part:.3g}' for part in colour)}")
+    for name, (low, high) in body.variation.scales.items():
+        yield safe_line(f"varies       {name}: {low:g} to {high:g} times as large")
+    for name, colours in body.variation.materials.items():
+        yield safe_line(f"varies       {name}: {' to '.join(' '.join(f'{part:.3g}' for part in colour) for colour in colours)}")
+    yield from _spoken_lines(body)
     for key, value in plain_metadata(body.metadata).items():
         yield safe_line(f"metadata     {key}: {_short(json.dumps(value, ensure_ascii=False))}")
+
+
+def _spoken_lines(body: Definition) -> Iterator[str]:
+    """How programs and scenes write the names that they cannot write as they stand."""
+    named: list[tuple[str, Iterable[str]]] = [
+        ("clip", body.clips), ("layer", body.layers), ("group", body.groups), ("channel", (c.name for c in body.rig.channels)),
+        *((f"mark of {clip.name}", clip.marks) for clip in body.clips.values()),
+    ]  # fmt: skip
+    for what, names in named:
+        for name, written in spoken_names(names).items():
+            if name != written:
+                yield safe_line(f"written      {what} {name}: {written}")
 
 
 def tree_lines(body: Definition) -> Iterator[str]:
@@ -141,6 +159,10 @@ def body_document(body: Definition | None, report: Report) -> str:
             "gaits": {gait.name: _gait(gait) for gait in body.gaits},
             "groups": {
                 name: {"members": dict(group.members), "channels": list(group.channels)} for name, group in body.groups.items()
+            },
+            "variation": {
+                "scale": {name: list(ends) for name, ends in body.variation.scales.items()},
+                "materials": {name: [list(colour) for colour in given] for name, given in body.variation.materials.items()},
             },
             "materials": {name: list(colour) for name, colour in body.materials.items()},
             "metadata": plain_metadata(body.metadata),

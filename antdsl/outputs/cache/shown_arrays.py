@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.driving import Driven
+from antdsl.bodies.agents.varied_bodies import Draws
 from antdsl.numerics.randomness import uniform
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.runtime.world import Population
@@ -38,18 +39,18 @@ def shown(population: Population, rows: NDArray[np.intp], setting: Setting) -> d
     if layers:
         mask = np.zeros(len(rows), np.uint64)
         for layer in plan.wears:
-            mask |= np.where(now[f"wear:{layer}"][rows], _bit(layers, layer), np.uint64(0))
+            mask |= np.where(now[f"wear#{layer}"][rows], _bit(layers, layer), np.uint64(0))
         for worn in _by_scene(population, rows, setting, layers):
             mask |= worn
         arrays[f"wears.{name}"] = mask
     for channel in plan.channels:
-        said = now[f"channel:{channel}.said"][rows]
-        arrays[f"channels.{name}.{channel}"] = np.where(said, now[f"channel:{channel}"][rows], np.float32(np.nan))
+        said = now[f"channel#{channel}.said"][rows]
+        arrays[f"channels.{name}.{channel}"] = np.where(said, now[f"channel#{channel}"][rows], np.float32(np.nan))
     for group in plan.looks:
-        parts = [now[f"look:{group}.{axis}"][rows] for axis in _AXES]
+        parts = [now[f"look#{group}.{axis}"][rows] for axis in _AXES]
         arrays[f"looks.{name}.{group}"] = np.stack(parts, axis=1).astype(np.float32)
-    if "lean:turn" in plan.registers:
-        arrays[f"leans.{name}"] = np.stack([now["lean:turn"][rows], now["lean:slope"][rows]], axis=1)
+    if "lean#turn" in plan.registers:
+        arrays[f"leans.{name}"] = np.stack([now["lean#turn"][rows], now["lean#slope"][rows]], axis=1)
     return arrays
 
 
@@ -66,8 +67,9 @@ def layers_of(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
     return tuple(layer for k, layer in enumerate(species.wears) if mask >> k & 1)
 
 
-def driven(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64]) -> Driven:
-    """What states say of channels and looks in a frame, for the agents of a species by id; what the frame has not is left out."""
+def driven(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> Driven:
+    """What states say of channels and looks in a frame, for the agents of a species by id, and what their bodies differ by; what
+    the frame has not is left out."""
     count = len(ids)
     channels = {name: arrays.get(f"channels.{species.name}.{name}") for name in species.channels}
     looks = {name: arrays.get(f"looks.{species.name}.{name}") for name in species.looks}
@@ -75,7 +77,7 @@ def driven(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64]) -> Dri
     return Driven(
         {name: np.asarray(v, np.float32) for name, v in channels.items() if v is not None and v.shape == (count,)},
         {name: np.asarray(v, np.float32) for name, v in looks.items() if v is not None and v.shape == (count, 3)},
-        ids,
+        Draws(ids, seed, species.name),
         None if lean is None or lean.shape != (count, 2) else np.asarray(lean, np.float32),
     )
 

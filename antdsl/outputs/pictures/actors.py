@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.body import Body, orientation, rotation, vertex_normals
-from antdsl.bodies.catalogue import body
+from antdsl.bodies.body import orientation, rotation, vertex_normals
 from antdsl.bodies.placed import placed
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.casting.picture_rays import PictureRays
@@ -24,7 +23,6 @@ MOST_MOMENTS = 20
 METAL, LIGHT = 1.5, -1.0  # in place of gloss
 MOST_TRIANGLES = 2_000_000  # of close-up bodies of a species' own
 _STEEP = 0.8  # of a heap's slope: what is steeper beside it is a stone or a wall
-_DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,21 +163,20 @@ def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part
     near = np.maximum(view.distance(position), 1e-9)
     pixels = scale / view.pixel_at(near)
     large = np.flatnonzero(seen & (pixels >= CLOSE))
-    most = MOST_CLOSE if crowd.worn is None else min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces)))
+    most = min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces))) if len(large) else 0
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     far = np.setdiff1d(np.flatnonzero(seen), close)
     sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), enlarged * scale)
-    if crowd.worn is not None:
-        parts = ((crowd.worn.fine, close), (crowd.worn.coarse, far))
-        return [_worn(crowd, own, rows, sizes) for own, rows in parts if len(rows) and len(own.faces)]
-    made = [_posed(crowd, body(crowd.body, True), close, scale[close], np.zeros(len(close)))]
-    # Of a body a few pixels long the dark legs would hide the state's colour.
-    made.append(_posed(crowd, body(crowd.body, False), far, sizes[far], np.clip(1 - pixels[far] / CLOSE, 0.0, 1.0) ** 2))
-    return [part for part in made if part.local.size]
+    # Of a body a few pixels long the parts with colours of their own would hide the state's.
+    plain = np.where(pixels < CLOSE, np.clip(1 - pixels / CLOSE, 0.0, 1.0) ** 2, 0.0)
+    parts = ((True, close), (False, far))
+    bodies = [(crowd.worn.fine if fine else crowd.worn.coarse, rows) for fine, rows in parts if len(rows)]
+    return [_posed(crowd, body, rows, sizes, plain) for body, rows in bodies if len(body.faces)]
 
 
-def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -> Part:
-    """The bodies of some agents, each posed by what it plays, `size` (n,) long for all agents of the crowd."""
+def _posed(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> Part:
+    """The bodies of some agents, each posed by what it plays. For all agents of the crowd, `size` (n,) says how long they are,
+    and `plain` (n,) how much what has a colour of its own takes the agent's too."""
     turn, long = _turn(crowd, rows), size[rows].astype(np.float32)[:, None, None]
     local, normal = crowd.posed(body, rows)
     then = None
@@ -188,7 +185,8 @@ def _worn(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array) -
         then = np.matmul(later * long, _turn(crowd.after, rows)), np.asarray(crowd.after.position, np.float64)[rows]
     bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint[None, :, None]
-    colour = bright * tint + body.own[None] * (1 - tint)
+    tint = tint + (1 - tint) * (0.8 * plain[rows].astype(np.float32))[:, None, None]
+    colour = bright * tint + body.colours(crowd.driven.rows(rows)) * (1 - tint)
     place = np.asarray(crowd.position, np.float64)[rows]
     return _part(np.matmul(local * long, turn), place, then, body.faces, np.matmul(normal, turn), colour, 0.5)
 
@@ -222,28 +220,6 @@ def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray
     for axis, half in ((view.right, view.half[0]), (view.above, view.half[1])):
         inside &= np.abs(seen @ axis) - depth * half <= margin * float(np.hypot(1.0, half))
     return inside
-
-
-def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64], size: Array, plain: Array) -> Part:
-    """The bodies of some agents, `size` (a,) long; `plain` (a,): how much their dark parts take the agent's colour too."""
-    turn, long = _turn(crowd, rows), size.astype(np.float32)[:, None, None]
-    local = np.matmul(shape.posed(_walked(crowd, rows)) * long, turn)
-    then = None
-    if crowd.after is not None:
-        later = np.matmul(shape.posed(_walked(crowd.after, rows)) * long, _turn(crowd.after, rows))
-        then = later, np.asarray(crowd.after.position, np.float64)[rows]
-    normal = np.matmul(np.broadcast_to(shape.normals, (len(rows), *shape.normals.shape)), turn)
-    bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
-    tint = shape.tint[None, :, None]
-    tint = tint + (1 - tint) * (0.8 * plain.astype(np.float32))[:, None, None]
-    colour = bright * tint + (_DARK + bright * 0.07) * (1 - tint)
-    return _part(local, np.asarray(crowd.position, np.float64)[rows], then, shape.faces, normal, colour, 0.5)
-
-
-def _walked(crowd: Crowd, rows: NDArray[np.int64]) -> Array:
-    if crowd.walked is None:
-        return np.zeros(len(rows))
-    return np.nan_to_num(np.asarray(crowd.walked, np.float64)[rows] / np.asarray(crowd.scale, np.float64)[rows])
 
 
 def item_mesh(item: Item, up: tuple[float, float, float], ground: PictureRays | None = None) -> Mesh:

@@ -1,6 +1,7 @@
 """What a picture is made of: solids, crowds, items, trails, flows, a camera. Plain values; nothing here draws."""
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.library.table import library_body
 from antdsl.bodies.posed_body import NOTHING, PosedBody
 
 Array = NDArray[np.float64]
@@ -42,38 +44,38 @@ class Paths:
     now: int
 
 
+@cache
+def _ant() -> PosedBody:
+    return PosedBody(library_body("ant"), ())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Crowd:
     """Agents of one species. `position` (n, 3), `orient` (n, 4) quaternions x, y, z, w that turn +x to the heading and +y to up,
-    `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1, `walked` (n,) distance in world units,
-    which drives the legs.
+    `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1.
 
-    `worn` is a body posed by the clips that agents play, `plays` what each machine of theirs plays, `driven` what else their
-    states show, and `feet` where they stand, if that is known; a species whose agents wear different layers is several crowds.
-    Without it `body` says what is drawn. `after`: the same agents, row by row, in the frame after, for motion blur. `ids`,
-    `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to be shown."""
+    `worn` is their body (an ant if none is given), posed by the clips that agents play, `plays` what each machine of theirs does,
+    `driven` what else their states show, and `feet` where they stand, if that is known; a species whose agents wear different
+    layers is several crowds. `after`: the same agents, row by row, in the frame after, for motion blur. `ids`, `velocity` (n, 3),
+    `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to be shown."""
 
     species: str
     position: Array
     orient: Array
     scale: Array
     colour: Array
-    walked: Array | None = None
-    body: str = "ant"
     ids: NDArray[np.int64] | None = None
     velocity: Array | None = None
     feelers: Array | None = None
     paths: Paths | None = None
-    worn: PosedBody | None = None
+    worn: PosedBody = field(default_factory=_ant)
     plays: tuple[MachineClips, ...] = ()
     feet: PlacedFeet | None = None
     driven: Driven = NOTHING
     after: "Crowd | None" = None
 
     def poses(self, local: bool = False) -> Poses:
-        """Transforms and channels of all agents in the space of the body that they wear; raises ValueError without one."""
-        if self.worn is None:
-            raise ValueError(f"agents of `{self.species}` wear no body")
+        """Transforms and channels of all agents in the space of the body that they wear."""
         count = len(self.position)
         return self.worn.poses(self.plays, count, self.feet_beside(np.arange(count)), driven=self.driven, local=local)
 
@@ -101,7 +103,6 @@ class Crowd:
             orient=self.orient[chosen],
             scale=self.scale[chosen],
             colour=self.colour[chosen],
-            walked=of(self.walked),
             ids=of(self.ids),
             velocity=of(self.velocity),
             feelers=None,

@@ -135,8 +135,8 @@ class _Drawn:
 
 def bank_clips(worn: PosedBody) -> list[Played]:
     """What poses of a bank may be of: the clips that the species plays, the one of those who play none, and those to go on."""
-    clips = worn.definition.clips.items()
-    strides = [Played(name) for name, clip in clips if clip.loop and clip.stride > 0 and clip.duration > 0]
+    clips = worn.definition.clips
+    strides = [Played(name) for name, clip in clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
     return [*(Played(*each) for each in worn.clips), Played(worn.definition.idle), *strides]
 
 
@@ -148,6 +148,7 @@ def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> 
     clips = [worn.definition.clips.get(each.clip) for each in bank_clips(worn)]
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
     groups = np.array([bool(each.on) for each in bank_clips(worn)] + [False])
+    added = np.array([each.add for each in bank_clips(worn)] + [False])  # over all others: left out
     steps = np.where(groups, _SAMPLES_OF_PARTS, SAMPLES)
     count = len(crowd.position)
     whole, on_parts = np.full(count, 0, np.int64), []
@@ -157,6 +158,7 @@ def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> 
         clip = np.where(here >= before, machine.clip, machine.before).astype(np.int64)
         turns = np.where(here >= before, machine.turns, machine.before_turns).astype(np.float64)
         clip = np.where((here + before >= 0.5) & (clip >= 0) & (clip <= len(worn.clips)), clip, -1)
+        clip = np.where(added[clip], -1, clip)
         code = np.where(clip >= 0, _code(clip, turns, loops, steps), 0)
         whole = np.where((clip >= 0) & ~groups[clip], code, whole)
         part = np.where(groups[clip], code, 0)

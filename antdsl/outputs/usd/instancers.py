@@ -48,7 +48,7 @@ class InstancerWriter:
     def sample(self, moment: Moment) -> None:
         """The agents at a time, by their ids."""
         agents, time = moment.agents(self._number), moment.time
-        prototypes = self._bank.numbers(agents)
+        prototypes = self._prototypes(agents, moment.shown[self._number])
         self._set(time, "positions", agents.position)
         turn = self._signed(agents)
         # USD's arrays of quaternions lie in memory with the real part last, as ours do
@@ -71,6 +71,14 @@ class InstancerWriter:
         if len(self._bank.paths) > self._targets:
             self.made.CreatePrototypesRel().SetTargets(self._bank.paths)
             self._targets = len(self._bank.paths)
+
+    def _prototypes(self, agents: Agents, shown: Agents) -> NDArray[np.int32]:
+        """The prototype of each agent: one as long as the shutter of a frame is open, since blur needs the same mesh."""
+        found = self._bank.numbers(agents)
+        if agents.ids is not shown.ids:
+            at, there = matched(agents.ids, shown.ids)
+            found[there] = self._bank.numbers(shown)[at[there]]
+        return found
 
     def _signed(self, agents: Agents) -> NDArray[np.float64]:
         """Orientations on the side of those of the sample before."""

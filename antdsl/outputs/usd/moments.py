@@ -47,7 +47,7 @@ class Agents:
 class Moment:
     """A time in frames: the `picture` of the frame at or before it, the agents of each species there, those of the frame after
     it where that is in the cache, else of the one before, and how far it lies from the one to the other; `dt`: seconds between
-    frames."""
+    frames; `shown`: the agents of the frame whose shutter is open."""
 
     time: float
     share: float
@@ -56,6 +56,7 @@ class Moment:
     species: tuple[Agents, ...]
     after: tuple[Agents, ...] | None
     before: tuple[Agents, ...] | None
+    shown: tuple[Agents, ...]
 
     def agents(self, number: int) -> Agents:
         """The agents of a species as they are at the time."""
@@ -83,7 +84,16 @@ class Moments:
         picture, _ = self._frame(first)
         after = self._frame(first + 1)[1] if first + 1 in self._known else None
         before = self._frame(first - 1)[1] if after is None and first - 1 in self._known else None
-        return Moment(time, 0.0 if abs(share) < 1e-9 else share, self.gallery.dt, picture, self._led(first), after, before)
+        return Moment(
+            time,
+            0.0 if abs(share) < 1e-9 else share,
+            self.gallery.dt,
+            picture,
+            self._led(first),
+            after,
+            before,
+            self._frame(frame)[1],
+        )
 
     def _led(self, frame: int) -> tuple[Agents, ...]:
         """The agents of a frame, with velocities that lead to the next."""
@@ -125,6 +135,7 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
         for key in ("v", "v_ground")
     )
     colour = np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35)
+    state = np.asarray(arrays["state"], np.int64)[rows] if "state" in arrays else None
     numbers = {
         key: values[rows]
         for key, values in arrays.items()
@@ -140,7 +151,7 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
         numbers["phase"] = phase
     return Agents(
         ids, np.where(seen[:, None], place, 0.0), turn, np.where(seen, scale, 0.0), colour, own + ground,
-        np.zeros((len(rows), 3)), np.asarray(arrays["state"], np.int64)[rows] if "state" in arrays else None, own, numbers, parts, seen,
+        np.zeros((len(rows), 3)), state, own, numbers, parts, seen,
     )  # fmt: skip
 
 

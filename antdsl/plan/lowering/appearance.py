@@ -1,7 +1,7 @@
 """What states show of an agent beside clips: layers that it wears, channels of its body, where parts of it look.
 
-All machines say it together in each step, and what none says is not so any more. Registers: `wear:LAYER`, a truth; `channel:NAME`
-with `channel:NAME.said`; `look:GROUP.x`, `.y` and `.z`, a unit vector by the heading, the body's up and what is right of both,
+All machines say it together in each step, and what none says is not so any more. Registers: `wear#LAYER`, a truth; `channel#NAME`
+with `channel#NAME.said`; `look#GROUP.x`, `.y` and `.z`, a unit vector by the heading, the body's up and what is right of both,
 (1, 0, 0) straight ahead. What a step says is gathered in temps of the same names after `~`."""
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ def declare(w: Writer) -> None:
     """The registers of a species."""
     for role, sign in (("memory", ""), ("temp", "~")):
         for layer in wears_of(w.species):
-            w.declare(f"{sign}wear:{layer}", Kind.BOOL, role)
+            w.declare(f"{sign}wear#{layer}", Kind.BOOL, role)
         for name in channels_of(w.species):
-            w.declare(f"{sign}channel:{name}", Kind.F32, role)
-            w.declare(f"{sign}channel:{name}.said", Kind.BOOL, role)
+            w.declare(f"{sign}channel#{name}", Kind.F32, role)
+            w.declare(f"{sign}channel#{name}.said", Kind.BOOL, role)
         for group in looks_of(w.species):
             for axis, ahead in zip(AXES, _AHEAD, strict=True):
-                w.declare(f"{sign}look:{group}.{axis}", Kind.F32, role, ahead)
+                w.declare(f"{sign}look#{group}.{axis}", Kind.F32, role, ahead)
     for group in looks_of(w.species):
-        w.declare(f"~look:{group}.over", Kind.F32, "temp", OVER)
+        w.declare(f"~look#{group}.over", Kind.F32, "temp", OVER)
 
 
 def begin(w: Writer, starts: Sequence[model.State]) -> None:
@@ -67,7 +67,7 @@ def settle(w: Writer) -> None:
     _shown(w)
     b = w.b
     for group in looks_of(w.species):
-        name = f"look:{group}"
+        name = f"look#{group}"
         now, wish = w.read_vector(name), w.read_vector(f"~{name}")
         least = b("max", w.read(f"~{name}.over"), w.run("dt"))
         share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), least))))
@@ -78,26 +78,26 @@ def settle(w: Writer) -> None:
 
 def _shown(w: Writer) -> None:
     for layer in wears_of(w.species):
-        w.store(f"wear:{layer}", w.read(f"~wear:{layer}"), None)
+        w.store(f"wear#{layer}", w.read(f"~wear#{layer}"), None)
     for name in channels_of(w.species):
-        for register in (f"channel:{name}", f"channel:{name}.said"):
+        for register in (f"channel#{name}", f"channel#{name}.said"):
             w.store(register, w.read(f"~{register}"), None)
 
 
 def _wear(w: Writer, line: model.Wear, site: str) -> None:
-    register = f"~wear:{line.layer}"
+    register = f"~wear#{line.layer}"
     worn = w.b.true if line.when is None else truth(w, line.when)
     w.store(register, w.b("or", w.read(register), worn), line.span)
 
 
 def _channel(w: Writer, line: model.Channel, site: str) -> None:
-    w.store(f"~channel:{line.channel}", scalar(w, line.value), line.span)
-    w.store(f"~channel:{line.channel}.said", w.b.true, line.span)
+    w.store(f"~channel#{line.channel}", scalar(w, line.value), line.span)
+    w.store(f"~channel#{line.channel}.said", w.b.true, line.span)
 
 
 def _look(w: Writer, line: model.Look, site: str) -> None:
     """The way to a place as the agent sees it, no farther aside than it may; straight ahead where there is no such place."""
-    b, register = w.b, f"~look:{line.group}"
+    b, register = w.b, f"~look#{line.group}"
     there, offset = away(w, lower(w, line.at), line.at)
     way = values.unit(b, values.keep_if(b, there, offset))
     heading, up = w.read_vector("heading"), w.read_vector("up")

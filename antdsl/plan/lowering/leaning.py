@@ -1,7 +1,7 @@
 """How much an agent turns and climbs, for clips that give way to others as it does.
 
-Registers of a species with such clips: `lean:turn`, above 0 to the left, and `lean:slope`, above 0 upward, both from -1 to 1; and
-`lean:was.x`, `.y` and `.z`, the heading a step before."""
+Registers of a species with such clips: `lean#turn`, above 0 to the left, and `lean#slope`, above 0 upward, both from -1 to 1; and
+`lean#was.x`, `.y` and `.z`, the heading a step before."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def declare(w: Writer) -> None:
     """The registers of a species."""
     if leans(w):
         for name in ("turn", "slope", *(f"was.{axis}" for axis in AXES)):
-            w.declare(f"lean:{name}", Kind.F32, "memory")
+            w.declare(f"lean#{name}", Kind.F32, "memory")
 
 
 def begin(w: Writer) -> None:
     """At birth: nobody has turned."""
     if leans(w):
-        w.store_vector("lean:was", w.read_vector("heading"), None)
+        w.store_vector("lean#was", w.read_vector("heading"), None)
 
 
 def settle(w: Writer) -> None:
@@ -39,14 +39,14 @@ def settle(w: Writer) -> None:
     if not leans(w):
         return
     b, dt, heading = w.b, w.run("dt"), w.read_vector("heading")
-    turned = b("div", values.dot(b, values.cross(b, w.read_vector("lean:was"), heading), w.read_vector("up")), dt)
+    turned = b("div", values.dot(b, values.cross(b, w.read_vector("lean#was"), heading), w.read_vector("up")), dt)
     rises = values.dot(b, heading, Vec(*(w.run(f"up_{axis}") for axis in AXES)))
     share = b("sub", b.number(1), b("exp", b("neg", b("div", dt, b.number(SMOOTH)))))
     for name, measure, whole in (("turn", turned, TURN), ("slope", rises, SLOPE)):
-        now = w.read(f"lean:{name}")
+        now = w.read(f"lean#{name}")
         wish = _limited(w, b("div", measure, b.number(whole)))
-        w.store(f"lean:{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
-    w.store_vector("lean:was", heading, None)
+        w.store(f"lean#{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
+    w.store_vector("lean#was", heading, None)
 
 
 def _limited(w: Writer, measure: Node) -> Node:

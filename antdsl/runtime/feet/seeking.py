@@ -58,12 +58,15 @@ class Found:
 
 
 class Floor:
-    """All that feet can stand on, by numbers: surfaces, obstacles and solids that are to be seen, in the setting's order."""
+    """All that feet can stand on, by numbers: surfaces, obstacles and solids that are drawn (all where none
+    is), in the setting's order."""
 
     def __init__(self, world: World) -> None:
         setting = world.setting
-        self.meshes = {**setting.surfaces, **setting.obstacles}
-        self.names = (*self.meshes, *world.solids)
+        meshes = {**setting.surfaces, **setting.obstacles}
+        every = [*meshes, *world.solids]
+        self.names = tuple(name for name in every if name not in setting.unseen) or tuple(every)
+        self.meshes = {name: mesh for name, mesh in meshes.items() if name in self.names}
         self.moving = [k for k, name in enumerate(self.names) if name in setting.moves.meshes]
         self._still = {
             k: _box(self.meshes[name].vertices - world.origin)

@@ -23,10 +23,11 @@ class Feet:
     `place` float64[3, n, L]: where each foot stands or is to land; `shown` float64[3, n, L]: where it is; `start` float64[3, n,
     L]: where its swing began. `swing` float32[n, L]: the share of its swing that is done, -1 for a foot that stands. `on`
     int16[n, L]: the number of the thing that `place` is on, -1 for the plane, -2 for nothing, whose foot hangs; `face` int32[n,
-    L] and `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner. `phase` float32[n]: of the
-    gait, from 0 to 1; `rise` float32[n]: how much higher the trunk is than it rests, mm; `slope` float32[2, n]: how much higher
-    the ground below its feet gets a length ahead and aside. `position` float64[3, n], `heading` and `up` float32[3, n] are those
-    that the last frame ended with."""
+    L] and `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner. `found` float32[n, L]: how far
+    (body lengths) from where it rests a foot was put back: no nearer ground was found. `phase` float32[n]: of the gait, from 0 to
+    1; `rise` float32[n]: how much higher the trunk is than it rests, mm; `slope` float32[2, n]: how much higher the ground below
+    its feet gets a length ahead and aside. `position` float64[3, n], `heading` and `up` float32[3, n] are those that the last
+    frame ended with."""
 
     ids: NDArray[np.int64]
     place: NDArray[np.float64]
@@ -36,6 +37,7 @@ class Feet:
     on: NDArray[np.int16]
     face: NDArray[np.int32]
     weight: NDArray[np.float64]
+    found: NDArray[np.float32]
     phase: NDArray[np.float32]
     rise: NDArray[np.float32]
     slope: NDArray[np.float32]
@@ -52,9 +54,9 @@ class Feet:
         three, flat = (3, 0, legs), (0, legs)
         return Feet(
             np.zeros(0, np.int64), np.zeros(three), np.zeros(three), np.zeros(three), np.zeros(flat, np.float32),
-            np.zeros(flat, np.int16), np.zeros(flat, np.int32), np.zeros((2, 0, legs)), np.zeros(0, np.float32),
-            np.zeros(0, np.float32), np.zeros((2, 0), np.float32), np.zeros((3, 0)), np.zeros((3, 0), np.float32),
-            np.zeros((3, 0), np.float32),
+            np.zeros(flat, np.int16), np.zeros(flat, np.int32), np.zeros((2, 0, legs)), np.zeros(flat, np.float32),
+            np.zeros(0, np.float32), np.zeros(0, np.float32), np.zeros((2, 0), np.float32), np.zeros((3, 0)),
+            np.zeros((3, 0), np.float32), np.zeros((3, 0), np.float32),
         )  # fmt: skip
 
     def __len__(self) -> int:

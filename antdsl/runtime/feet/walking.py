@@ -30,6 +30,7 @@ _SLOW = _F(0.02)  # cycles in a frame, below which feet are put back where they 
 _OFF = _F(0.12)  # of a leg: how far from there a foot may stay
 _LEFT = _F(1.25)  # times its reach: a foot so far from where it rests is lifted, whatever its share of the cycle
 _AGAIN = _F(0.45)  # of a leg: a landing place so far from the one that is wanted by now is sought anew
+_STRETCHED = _F(0.99)  # of a leg: a foot so far from its hip is lifted
 _SMALL = _F(0.4)  # of a stride: shorter swings are lower
 _GONE = 0.02  # of a leg: a solid that is so much farther from a foot than it was has been dug away below it
 
@@ -115,7 +116,7 @@ def measure(world: World) -> None:
 
 
 def _covered(before: Frames, now: Frames, rest: tuple[Floats, Floats]) -> Floats:
-    """How far each foot's resting place went, ahead and aside of the bodies as they are now, float32[2, n, L] in their lengths."""
+    """How far each foot's resting place went, ahead and aside of bodies as they are now: float32[2, n, L], body lengths."""
     away = (before.place - now.place) / now.size
     found = []
     for axis, own in ((now.ahead, rest[0]), (now.aside, rest[1])):
@@ -191,7 +192,7 @@ class _Step:
         off = self._off()
         slow = self.went / stepping.stride < _SLOW
         ahead = self.went / stepping.stride
-        restless = ((off > self.walkers.off) & feet.down).any(axis=1) | (feet.swing >= 0).any(axis=1)
+        restless = ((off > self.walkers.off + feet.found) & feet.down).any(axis=1) | (feet.swing >= 0).any(axis=1)
         ahead = np.where(slow & restless, np.maximum(ahead, self.dt / _F(self.walkers.gaits.cycle)), ahead)
         ahead = np.minimum(ahead, _F(MOST_CYCLES)).astype(np.float32)
         before = feet.phase[:, None] + stepping.phases
@@ -203,7 +204,7 @@ class _Step:
         gap = np.where(gap > 0, gap, gap + 1).min(axis=1)
         on = np.where(stood & (gap > ahead), gap + _F(1e-3), ahead).astype(np.float32)
         self._lift(before + on[:, None], before, duty, off, slow)
-        self._swing(ahead, duty)
+        self._swing(ahead, duty, slow)
         phase = feet.phase + on
         feet.phase = phase - np.floor(phase)
         self._trunk()
@@ -227,9 +228,9 @@ class _Step:
         x, z = self.beside[0] - self.walkers.rest[0], self.beside[2] - self.walkers.rest[1]
         behind = x * self.covered[0] + z * self.covered[1] < 0
         late = (before >= duty) & (before < duty + _F(0.6) * (1 - duty)) & behind & (off > _F(0.3) * self.walkers.gaits.reach)
-        due = (crosses | late) & (~slow[:, None] | (off > _F(0.5) * self.walkers.off))
+        due = (crosses | late) & (~slow[:, None] | (off > _F(0.5) * self.walkers.off + feet.found))
         left = off > _LEFT * self.walkers.gaits.reach
-        lifts = feet.down & (due | self._too_far(_F(1)) | left | self._undermined())
+        lifts = feet.down & (due | self._too_far(_STRETCHED) | left | self._undermined())
         over = share - duty
         over = np.where(over >= 1, over - 1, over)
         feet.swing = np.where(lifts, _F(0), feet.swing)
@@ -255,7 +256,7 @@ class _Step:
                 found[rows] = volume.sample(self.feet.place[:, rows].T) > np.maximum(_GONE * leg, 0.02 * volume.voxel)
         return found
 
-    def _swing(self, ahead: Floats, duty: Floats) -> None:
+    def _swing(self, ahead: Floats, duty: Floats, slow: Flags) -> None:
         """Feet in the air go on; those at the end of their swing stand, on ground that is sought where they lift, and again
         where the body has turned away from it since."""
         feet, gaits = self.feet, self.walkers.gaits
@@ -274,10 +275,16 @@ class _Step:
         past = np.where(lands, feet.swing + more - 1, _F(0)) / rate  # frames ago, in which the body went on
         x, z = x - self.covered[0] * past, z - self.covered[1] * past
         gap = np.square(self.beside[0] - x) + np.square(self.beside[2] - z)
-        again = lands & ((gap > np.square(_AGAIN * self.walkers.leg)) | (feet.on == NOTHING) | self._too_far(_F(REACHED)))
+        again = lands & (
+            (gap > np.square(np.where(slow[:, None], self.walkers.off, _AGAIN * self.walkers.leg)))
+            | (feet.on == NOTHING)
+            | self._too_far(_F(REACHED))
+        )
         self._seek(self.lifts & ~lands, x, z, left, thorough=False)
         self._seek(again, x, z, left)
         feet.swing = np.where(lands & (feet.on != NOTHING), STANDS, done).astype(np.float32)
+        self.beside = self.body.of_places(feet.place)
+        feet.found = np.where(slow[:, None], np.where(lands, self._off(), feet.found), _F(0))
 
     def _too_far(self, most: np.float32) -> Flags:
         """Whose place is farther from its hip than `most` of its leg, the trunk as low as it may be."""
@@ -316,10 +323,14 @@ class _Step:
     def _trunk(self) -> None:
         feet, legs = self.feet, self.walkers.legs
         size = self.body.size.astype(np.float32)
-        self.beside = self.body.of_places(feet.place)
         rise, slope = trunk.fitted(legs, self.beside, feet.on != NOTHING, feet.rise / size, feet.slope, float(self.dt))
         rise = trunk.lowered(legs, self.beside, feet.down, rise, slope)
+        before = feet.rise, feet.slope
         feet.rise, feet.slope, self._hip = (rise * size).astype(np.float32), slope.astype(np.float32), None
+        torn = (self._too_far(_STRETCHED) & feet.down).any(axis=1)
+        if torn.any():  # then the trunk stays as it was, where all that stand are in reach
+            feet.rise, feet.slope = (np.where(torn, a, b) for a, b in zip(before, (feet.rise, feet.slope), strict=True))
+            self._hip = None
 
     def _show(self) -> None:
         """Where each foot is: where it stands, or on its arc, no farther than its leg reaches."""

@@ -1,0 +1,94 @@
+"""The tables of docs/feet.md: how still feet stand and how near to the ground, and what they cost.
+
+`python tests/benchmarks/feet.py` measures stick bodies on five grounds; `--cost` 15,000 ants of six legs in the foraging example,
+as CPU time of one thread in one run, feet beside the rest of the step."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import stick_bodies
+
+from antdsl.bodies.agents.leg_chains import legs_of
+from antdsl.bodies.agents.reading import read_definition
+from antdsl.runtime import Options, bind, step
+from antdsl.runtime.feet.state import NOTHING
+
+GROUNDS = (
+    ("flat", 6, 24.0), ("hill", 6, 24.0), ("overhang", 6, 24.0), ("can", 6, 24.0), ("tunnel", 6, 24.0),
+    ("hill", 8, 14.0), ("hill", 4, 12.0), ("hill", 2, 8.0),
+)  # fmt: skip
+FRAMES, BODIES = 120, 40
+
+
+def row(ground: str, legs: int, speed: float) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        shot = stick_bodies.opened(stick_bodies.write_scene(Path(folder), legs, ground, speed=speed, count=BODIES))
+    world = bind(shot.plan, shot.setting, Options(backend="numpy", feet=True))
+    leg = float(world.walkers["walker"].legs.length.min()) * stick_bodies.SIZE
+    slid = off = cycles = 0.0
+    stood = hung = far = lifted = 0
+    for _ in range(FRAMES):
+        before = world.feet["walker"].snapshot()
+        step(world)
+        feet = world.feet["walker"]
+        both, moved = before.down & feet.down, feet.shown - before.shown
+        slid = max(slid, float(np.sqrt((moved * moved).sum(axis=0))[both].max(initial=0)))
+        away = world.ground.nearest(np.ascontiguousarray(feet.shown[:, feet.down].T))[1]
+        off, far = max(off, float(away.max())), far + int((away > 1e-3 * leg).sum())
+        stood, hung = stood + int(feet.down.sum()), hung + int(((feet.on == NOTHING) & (feet.swing >= 1)).sum())
+        lifted += int((before.down & ~feet.down).sum())
+        turned = ((feet.phase - before.phase) % 1.0)[~before.down.all(axis=1)]
+        cycles = max(cycles, float(turned.max(initial=0)))
+    share = 100 * hung / (stood + hung)
+    cells = (ground, legs, f"{stood:,}", f"{lifted:,}", f"{slid / leg:.0e}", f"{off / leg:.0e}", far, f"{share:.2f} %")
+    return f"| {' | '.join(map(str, cells))} | {cycles:.2f} |"
+
+
+def cost(count: int) -> str:
+    import foraging_shots
+
+    with tempfile.TemporaryDirectory() as folder:
+        body, _ = read_definition(stick_bodies.write_body(Path(folder), 6))
+    assert body is not None
+    setting = foraging_shots.setting(count=count, radius=70 * (count / 500) ** 0.5)
+    setting = replace(setting, legs={"forager": legs_of(body)}, contacts="off")
+    world = bind(foraging_shots.shot().plan, setting, Options(backend="numpy", feet=True))
+    for _ in range(12):
+        step(world)
+    world.worked.clear()
+    for _ in range(12):
+        step(world)
+    feet = world.worked["feet"] + world.worked["strides"]
+    rest = sum(world.worked.values()) - feet
+    return (
+        f"{count:,} ants: feet {feet / 12 * 1e3:.0f} ms, the rest of the step {rest / 12 * 1e3:.0f} ms, ratio {feet / rest:.1f}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cost", type=int, nargs="?", const=15_000, default=0, help="ants of which the cost is measured")
+    asked = parser.parse_args()
+    if asked.cost:
+        print(cost(asked.cost))
+        return
+    print(
+        "| ground | legs | feet that stand | lifts | moved, of a leg | off the surface, of a leg | float or sink | hang |", end=""
+    )
+    print(" cycles a frame |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for each in GROUNDS:
+        print(row(*each), flush=True)
+
+
+if __name__ == "__main__":
+    main()
