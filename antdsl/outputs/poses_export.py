@@ -80,11 +80,7 @@ Worn = tuple[str, tuple[str, ...]]  # a species, and the layers that agents of i
 
 def worn_crowds(picture: Picture) -> list[tuple[Worn, Crowd, PosedBody]]:
     """The crowds of a picture that wear a definition and are not empty, each by its species and layers."""
-    return [
-        ((crowd.species, crowd.worn.layers), crowd, crowd.worn)
-        for crowd in picture.crowds
-        if len(crowd.position)
-    ]
+    return [((crowd.species, crowd.worn.layers), crowd, crowd.worn) for crowd in picture.crowds if len(crowd.position)]
 
 
 def places(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
