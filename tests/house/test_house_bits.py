@@ -18,8 +18,8 @@ ROOMS = (
 )  # what they give is, or becomes, a state
 # of bodies/agents: so do they
 POSING = (
-    "affine", "blend_shapes", "blending", "clip_table", "deformers", "driving", "leg_chains", "machine_clips", "poses", "skinning",
-    "varied_bodies",
+    "affine", "blend_shapes", "blending", "clip_table", "deformers", "driving", "leg_chains", "machine_clips", "poses",
+    "skinning", "varied_bodies",
 )  # fmt: skip
 # Of NumPy and math: their last bits depend on the processor, by what the library was compiled for or chooses when it runs.
 FUNCTIONS = frozenset([
