@@ -41,6 +41,8 @@ def _joined(one: Any, other: Any) -> Any:
     """The rows of both, one after the other; None where one has none."""
     if one is None or other is None:
         return None
+    if isinstance(one, (int, str)):
+        return one
     if isinstance(one, np.ndarray):
         return np.concatenate([one, other])
     if isinstance(one, Mapping):
