@@ -96,6 +96,10 @@ def export(
     if "samples" in given and "shutter" not in given:
         raise typer.BadParameter("say when they are: `--shutter -0.25..0.25`", param_hint="--samples")
     options = (export.options[word](**given),) if word in export.options else ()
+    if word in export.each:
+        folder_to_write(to.parent, "--to")
+    else:
+        file_to_write(to, "--to")
     try:
         found = open_cache(cache)
         there = [f for f in found.frames() if between is None or between.first <= f <= between.last]
@@ -107,7 +111,6 @@ def export(
             with keeping_inputs({}, {"--to": (to.parent, [path.name for path in paths])}) as inputs:
                 inputs += found.made_from()
         else:
-            file_to_write(to, "--to")
             with keeping_inputs({"--to": to}) as inputs:
                 inputs += found.made_from()
         gallery = Gallery(found if chosen is None else SomeAgents(found.folder, found.manifest, chosen))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache.cache_reader import Arrays, Cache
 
 _OF_AGENTS = ("v_ground",)  # beside the attributes of the manifest
-_OF_SPECIES = ("clips.", "feet.", "pairs.", "events.")  # what frames have of the agents of a species, by the array's name
+_OF_SPECIES = ("clips", "feet", "wears", "channels", "looks", "leans")  # arrays of the agents of a species, `WORD.SPECIES…`
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +41,8 @@ class SomeAgents(Cache):
 
     def _rows(self, name: str, arrays: Arrays, by_species: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
         """The rows of an array of one species that are chosen; None for one that is of no agents."""
-        if not name.startswith(_OF_SPECIES):
-            return None
-        whose = arrays.get(f"{name.rpartition('.')[0]}.id")
-        if name.startswith(("pairs.", "events.")):
+        word, _, rest = name.partition(".")
+        if word in ("pairs", "events"):
+            whose = arrays.get(f"{name.rpartition('.')[0]}.id")
             return None if whose is None else np.isin(np.asarray(whose), sorted(self.ids))
-        return next(
-            (rows for each, rows in by_species.items() if name.startswith(tuple(f"{k}{each}." for k in _OF_SPECIES))), None
-        )
+        return by_species.get(rest.partition(".")[0]) if word in _OF_SPECIES else None

@@ -20,7 +20,9 @@ from antdsl.bodies.body import rotation  # noqa: E402
 from antdsl.bodies.posed_body import PosedBody  # noqa: E402
 from antdsl.outputs.cache.cache_reader import Cache, open_cache  # noqa: E402
 from antdsl.outputs.gallery import Gallery  # noqa: E402
+from antdsl.outputs.pictures.model import Picture  # noqa: E402
 from antdsl.outputs.recording import begin, record  # noqa: E402
+from antdsl.outputs.some_agents import SomeAgents  # noqa: E402
 from antdsl.outputs.usd.moments import rotation_vector, turned_by  # noqa: E402
 from antdsl.outputs.usd.stage import UsdOptions, export_instances, export_xforms  # noqa: E402
 from antdsl.pipeline import Choices, open_scene  # noqa: E402
@@ -39,6 +41,18 @@ species breeder {
   state go amber { steer wander(); when chance 600 %/s -> split; when age > 0.15 s and id < 3 -> gone }
   state split red { enter { spawn breeder }; steer wander(); when after 0.1 s -> go }
   state gone { enter { die } }
+  layers { state }
+}
+"""
+CARRIERS = """ant 1
+use steering
+world { surface hill }
+species carrier {
+  max_speed 2 m/s
+  size 1 m
+  start go
+  state go amber { steer wander(); when age > 0.04 s + id * 0.04 s -> carry }
+  state carry red { wear load; steer wander(); when after 0.1 s -> go }
   layers { state }
 }
 """
@@ -74,6 +88,19 @@ def breeders(tmp_path_factory: pytest.TempPathFactory) -> Cache:
         "crowd:\n  - {species: breeder, from: breed.ant, count: 6, place: {on: hill, radius: 8 m}}\n"
     )
     return recorded(folder, 8)
+
+
+@pytest.fixture(scope="module")
+def carriers(tmp_path_factory: pytest.TempPathFactory) -> Cache:
+    """Ants that take up a load, each in a frame of its own."""
+    folder = tmp_path_factory.mktemp("carriers")
+    shutil.copy(WALKER / "hill.ply", folder / "hill.ply")
+    (folder / "carry.ant").write_text(CARRIERS)
+    (folder / "scene.yaml").write_text(
+        "antdsl: 1\nunits: m\nframes: 1..6\nworld:\n  hill: {mesh: hill.ply}\n"
+        "crowd:\n  - {species: carrier, from: carry.ant, count: 5, place: {on: hill, radius: 8 m}}\n"
+    )
+    return recorded(folder, 6)
 
 
 def exported(cache: Cache, path: Path, *, xforms: bool = False, **options: object):  # type: ignore[no-untyped-def]
@@ -468,3 +495,36 @@ def test_what_usdskel_does_not_have_is_told() -> None:
     finally:
         del DEFORMERS["ruffled"]
     assert len(notes) == 2 and "dual quaternions" in notes[0] and "`ruffled`" in notes[1]
+
+
+@pytest.mark.parametrize("chunk", [0, 2])
+def test_who_takes_up_a_load_is_an_instance_of_the_body_that_has_one(carriers: Cache, tmp_path: Path, chunk: int) -> None:
+    from pxr import Usd, UsdGeom
+
+    stage = exported(carriers, tmp_path / "out.usdc", chunk=chunk)
+    turns = 0
+    for frame in carriers.frames():
+        wears = carriers.frame(frame)["wears.carrier"].astype(bool)
+        for number, loaded in enumerate(wears.tolist()):
+            prims = [stage.GetPrimAtPath(f"/World/carrier/agent_{number}{end}") for end in ("", "_1", "_2")]
+            seen = [p for p in prims if p and UsdGeom.Imageable(p).ComputeVisibility(frame) == "inherited"]
+            assert len(seen) == 1 and seen[0].IsInstance(), (frame, number)
+            below = {prim.GetName() for prim in Usd.PrimRange(seen[0], Usd.TraverseInstanceProxies())}
+            assert ("crumb" in below) == loaded, (frame, number, below)
+        turns += int((wears != carriers.frame(1)["wears.carrier"].astype(bool)).sum())
+    assert turns, "somebody takes up a load"
+    assert not found_by_validators(stage)
+
+
+def test_some_agents_wear_what_they_wear_among_all(carriers: Cache) -> None:
+    some = SomeAgents(carriers.folder, carriers.manifest, frozenset([1, 3]))
+    worn = set()
+    for frame in carriers.frames():
+        all_layers = layers_by_id(Gallery(carriers).picture(frame))
+        assert layers_by_id(Gallery(some).picture(frame)) == {name: all_layers[name] for name in (1, 3)}
+        worn |= {all_layers[1], all_layers[3]}
+    assert len(worn) == 2
+
+
+def layers_by_id(picture: Picture) -> dict[int, tuple[str, ...]]:
+    return {int(name): crowd.worn.layers for crowd in picture.crowds for name in crowd.ids}

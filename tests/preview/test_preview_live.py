@@ -159,7 +159,7 @@ def test_what_steps_spend_their_time_on_is_told_to_the_page_that_asks_and_change
     assert [each["name"] for each in told["phases"]][:3] == ["sense", "decide", "claim"]
     assert sum(each["ms"] for each in told["phases"]) == pytest.approx(told["total"], abs=0.01)
     first = told["layers"][0]
-    assert (first["species"], first["file"], first["line"]) == ("forager", "forager.ant", 74)
+    assert (first["species"], first["file"], first["line"]) == ("forager", "forager.ant", 75)
     assert first["text"] == "avoid(stones, feelers: 3, spread: 35 deg, reach: 1.5 * size)"
     lines = {(each["file"], each["line"]): each for each in told["lines"]}
     assert lines["forager.ant", 31]["text"].startswith("let meal") and lines["forager.ant", 31]["ms"] > 0

@@ -27,14 +27,15 @@ _SAME = 1e-5  # body lengths by which bind poses may differ and be one
 @dataclass(slots=True)
 class SkelDefinition:
     """What was written of a body: `path` of the prim that agents are instances of, `joints` by their paths in the rig's order,
-    names of `channels` that blend, `tinted`: meshes below it that have the colour of the agent, and `notes`: what UsdSkel does
-    not hold."""
+    names of `channels` that blend, `tinted`: meshes below it that have the colour of the agent, `notes`: what UsdSkel does
+    not hold, and its `number` among the bodies of its species, from 1."""
 
     path: str
     joints: tuple[str, ...]
     channels: tuple[str, ...]
     tinted: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    number: int = 1
 
 
 def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close: bool = False) -> SkelDefinition:

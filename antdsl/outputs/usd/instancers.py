@@ -58,9 +58,7 @@ class InstancerWriter:
         self._set(time, "angularVelocities", agents.turning)
         self._set(time, "scales", np.repeat(agents.scale[:, None], 3, axis=1))
         self._set(time, "ids", agents.ids)
-        hidden = agents.ids[~agents.seen]
-        if len(hidden) or "invisibleIds" in self._samples:
-            self._set(time, "invisibleIds", hidden)
+        self._set(time, "invisibleIds", agents.ids[~agents.seen])
         self._set(time, "protoIndices", prototypes)
         self._set(time, "extent", self._extent(agents))
         self._primvar(time, "displayColor", decoded(agents.colour))

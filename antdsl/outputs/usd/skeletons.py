@@ -31,8 +31,9 @@ class SkeletonWriter:
         name_states(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
         pxr("UsdGeom").Scope.Define(stage, f"{self._path}/motion")
         self._bodies: dict[int, tuple[PosedBody, SkelDefinition]] = {}
-        self._agents = dict[int, _Agent]()
-        self._there = np.zeros(0, np.int64)
+        self._agents = dict[tuple[int, int], _Agent]()  # by id and body
+        self._there: set[tuple[int, int]] = set()
+        self._named, self._file = set[int](), out.number
         self._first: float | None = None
         self._sheared, self._copies, self._close = False, copies, close
 
@@ -48,10 +49,7 @@ class SkeletonWriter:
         """The agents at a time. Who is not there is hidden."""
         agents = moment.agents(self._number)
         self._first = moment.time if self._first is None else self._first
-        here = agents.ids[agents.seen]
-        for gone in np.setdiff1d(self._there, here).tolist():
-            self._agents[gone].hide(moment.time)
-        self._there = here
+        there = set[tuple[int, int]]()
         colour = decoded(agents.colour)
         for part, (crowd, rows) in enumerate(agents.parts):
             if crowd.worn is None:
@@ -63,20 +61,33 @@ class SkeletonWriter:
             for k, row in enumerate(rows.tolist()):
                 if not agents.seen[row]:
                     continue
-                name = int(agents.ids[row])
-                if name not in self._agents:
-                    self._agents[name] = _Agent(
-                        self._out, self._path, name, made, self._species, self._first, moment.time, self._copies
-                    )
-                self._agents[name].place(moment.time, agents, row, colour[row])
-                self._agents[name].pose(moment.time, [each[k] for each in joints.values], joints.channels[k, channels])
+                agent = self._agent(int(agents.ids[row]), made, moment.time)
+                there.add((int(agents.ids[row]), made.number))
+                agent.place(moment.time, agents, row, colour[row])
+                agent.pose(moment.time, [each[k] for each in joints.values], joints.channels[k, channels])
+        if self._file != self._out.number:  # a file of values says of all that it may show later that they are not there yet
+            self._file, self._there = self._out.number, set(self._agents)
+        for gone in sorted(self._there - there):
+            self._agents[gone].hide(moment.time)
+        self._there = there
+
+    def _agent(self, name: int, body: SkelDefinition, time: float) -> _Agent:
+        """The instance of a body that an agent is; one that wears other layers later has another for those."""
+        if (name, body.number) not in self._agents:
+            assert self._first is not None
+            path = f"agent_{name}" if name not in self._named else f"agent_{name}_{body.number}"
+            self._named.add(name)
+            made = _Agent(self._out, self._path, path, name, body, self._species, self._first, time, self._copies)
+            self._agents[name, body.number] = made
+        return self._agents[name, body.number]
 
     def _body(self, worn: PosedBody) -> tuple[PosedBody, SkelDefinition]:
         if id(worn) not in self._bodies:
-            number = f"_{len(self._bodies) + 1}" if self._bodies else ""
-            name = identifier(self._species.name) + number
+            number = len(self._bodies) + 1
+            name = identifier(self._species.name) + (f"_{number}" if self._bodies else "")
             looks = Looks(self._out.stage, f"{LOOKS}/{name}", worn.definition.materials)
             made = write_definition(self._out.stage, f"{BODIES}/{name}", worn, looks, self._close)
+            made.number = number
             self._bodies[id(worn)] = worn, made
         return self._bodies[id(worn)]
 
@@ -129,6 +140,7 @@ class _Agent:
     def __init__(
         self,
         out: Out,
+        above: str,
         path: str,
         name: int,
         body: SkelDefinition,
@@ -139,7 +151,7 @@ class _Agent:
     ) -> None:
         geom, skel, types, vt, gf = pxr("UsdGeom"), pxr("UsdSkel"), pxr("Sdf").ValueTypeNames, pxr("Vt"), pxr("Gf")
         stage, self._out = out.stage, out
-        moves = skel.Animation.Define(stage, f"{path}/motion/agent_{name}")
+        moves = skel.Animation.Define(stage, f"{above}/motion/{path}")
         moves.CreateJointsAttr(vt.TokenArray(list(body.joints)))
         array = vt.Vec3fArray.FromNumpy
         self._joints = (
@@ -151,7 +163,7 @@ class _Agent:
         if body.channels:
             moves.CreateBlendShapesAttr(vt.TokenArray([identifier(channel) for channel in body.channels]))
             self._weights = out.samples(moves.CreateBlendShapeWeightsAttr(), vt.FloatArray.FromNumpy, np.float32)
-        made = skel.Root.Define(stage, f"{path}/agent_{name}")
+        made = skel.Root.Define(stage, f"{above}/{path}")
         prim = made.GetPrim()
         single, double = geom.XformOp.PrecisionFloat, geom.XformOp.PrecisionDouble
         self._place = out.samples(made.AddTranslateOp(double), lambda v: gf.Vec3d(*v.tolist()))
@@ -163,7 +175,7 @@ class _Agent:
         prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
         self._api = geom.PrimvarsAPI(made)
         colour = self._api.CreatePrimvar("displayColor", types.Color3fArray, "constant")
-        tinted = (stage.OverridePrim(f"{path}/agent_{name}/{below}") for below in body.tinted if copies)
+        tinted = (stage.OverridePrim(f"{above}/{path}/{below}") for below in body.tinted if copies)
         shown = [geom.PrimvarsAPI(each).CreatePrimvar("displayColor", types.Color3fArray, "constant") for each in tinted]
         self._colour = [out.samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *shown)]
         self._names = [state.name for state in species.machines[0].states] if species.machines else []

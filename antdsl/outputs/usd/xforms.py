@@ -26,6 +26,7 @@ class XformWriter:
         self._bank = Bank(out.stage, species, close)
         self._angles, self._agents, self._there = Angles(), dict[int, _Agent](), np.empty(0, np.int64)
         self._first: float | None = None
+        self._file = out.number
 
     def sample(self, moment: Moment) -> None:
         """The agents at a time. Who is not there is hidden."""
@@ -34,6 +35,8 @@ class XformWriter:
         turn = self._angles.of(agents.ids, agents.orient)
         colour = decoded(agents.colour)
         here = agents.ids[agents.seen]
+        if self._file != self._out.number:  # a file of values says of all that it may show later that they are not there yet
+            self._file, self._there = self._out.number, np.array(sorted(self._agents), np.int64)
         for gone in np.setdiff1d(self._there, here).tolist():
             self._agents[gone].hide(time)
         for row, name in enumerate(agents.ids.tolist()):
