@@ -49,5 +49,6 @@ def _joined(one: Any, other: Any) -> Any:
         return {name: _joined(each, other[name]) for name, each in one.items() if name in other}
     if isinstance(one, tuple):
         return tuple(_joined(a, b) for a, b in zip(one, other, strict=False))
-    assert is_dataclass(one) and not isinstance(one, type)
+    if not is_dataclass(one) or isinstance(one, type):
+        return one  # the same for all rows
     return type(one)(*(_joined(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)))
