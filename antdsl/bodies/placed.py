@@ -110,7 +110,7 @@ def _crumb() -> Painted:
     size = np.minimum(1.0, 1 / np.maximum((np.maximum(cut, 0) ** 14).sum(axis=1) ** (1 / 14), 1e-9))
     rough = waves(vertices, 72, 0.75, 3)
     pore = np.clip(waves(vertices, 73, 0.34, 1) - 0.25, 0, 1) + 0.6 * np.clip(waves(vertices, 74, 0.17, 1) - 0.3, 0, 1)
-    points = vertices * (size * (1 + 0.10 * rough - 0.20 * pore))[:, None]
+    points = vertices * (size * (1 + 0.03 * rough - 0.075 * pore))[:, None]
     points *= 1.06 / np.hypot(points[:, 0], points[:, 2]).max()
     points[:, 1] -= points[:, 1].min() + 0.06
     crust = np.clip(4 * (vertices @ ways[0] - 0.45) + 0.5 * rough, 0, 1)[:, None]
