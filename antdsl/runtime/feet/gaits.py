@@ -54,7 +54,7 @@ class Gaits:
         stride = np.maximum(stride, most * np.float32(1 / MOST_CYCLES))
         # A foot stands no longer than its leg can follow: who covers more ground in a cycle flies in between.
         duty = np.minimum(duty, 2 * self.reach.min() / stride)
-        return Stepping(stride.astype(np.float32), duty.astype(np.float32), lift.astype(np.float32), self.phases[k])
+        return Stepping(stride.astype(np.float32), duty.astype(np.float32), lift.astype(np.float32), self.phases.T[:, k].T)
 
 
 def _reach(legs: LegsData) -> Floats:

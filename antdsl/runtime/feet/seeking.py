@@ -89,7 +89,8 @@ class Floor:
             if not near.size:
                 continue
             if isinstance(seen, RayScene):
-                near = _close(seen, near, origin, way)
+                if name not in world.setting.surfaces:  # most rays end on what bodies walk on
+                    near = _close(seen, near, origin, way)
                 if near.size:
                     self._on_mesh(world, k, seen, near, origin, way, found)
             elif isinstance(seen, SolidFeelers):
@@ -140,7 +141,7 @@ class Floor:
 
     def _on_mesh(self, world: World, k: int, seen: RayScene, near: Rows, origin: Places, way: Places, found: Found) -> None:
         a, w = origin[:, near], way[:, near]
-        which, part, face = _met(seen, np.ascontiguousarray(a.T), np.ascontiguousarray(w.T), world.options.threads)
+        which, part, _, face = seen.cast_within(np.ascontiguousarray(a.T), np.ascontiguousarray(w.T), world.options.threads, True)
         nearer = part < found.part[near[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
         found.put(near[which], self._hits(world, k, part, a[:, which] + w[:, which] * part, face))
@@ -208,16 +209,6 @@ def _close(seen: RayScene, rows: Rows, origin: Places, way: Places) -> Rows:
     a, half = origin[:, rows], way[:, rows] * 0.5
     near = seen.clearance(*(a + half)) <= _length(half) * (1 + 1e-4) + 1e-4
     return rows[near]
-
-
-def _met(
-    seen: RayScene, origin: NDArray[np.float64], way: NDArray[np.float64], threads: int
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
-    """Which rays [k, 3] hit a mesh within their way, after what part, and which face. Near a surface most do: then they are cast
-    without asking first whether they do."""
-    hits = seen.cast(origin, way, threads)
-    which = np.flatnonzero(hits.t <= 1.0)
-    return which, hits.t[which], hits.face[which]
 
 
 def _in_reach(hits: Found, hip: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64]) -> NDArray[np.bool_]:

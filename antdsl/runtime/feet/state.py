@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from hashlib import sha256
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 Array = NDArray[Any]
 
 STANDS = np.float32(-1)  # of `swing`
 NOTHING, PLANE = -2, -1  # of `on`
+
+
+def by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
+    """Zeros [..., n, L] that lie in memory leg by leg: what is the same for all legs of an agent then goes along all agents at
+    once, where n is many and L few. NumPy keeps that order in what it makes from such."""
+    return np.zeros((*shape[:-2], shape[-1], shape[-2]), dtype).swapaxes(-1, -2)
+
+
+def _like(name: str, array: Array, shape: Sequence[int]) -> Array:
+    return by_leg(shape, array.dtype) if name in _BY_LEG else np.zeros(shape, array.dtype)
+
+
+def _copied(name: str, array: Array) -> Array:
+    made = _like(name, array, array.shape)
+    made[...] = array
+    return made
 
 
 @dataclass(slots=True, eq=False)
@@ -78,7 +94,7 @@ class Feet:
 
     def snapshot(self) -> Feet:
         """One whose arrays do not change with these."""
-        return Feet(**{name: array.copy() for name, array in self.arrays().items()})
+        return Feet(**{name: _copied(name, array) for name, array in self.arrays().items()})
 
     def take(self, before: Feet) -> None:
         """Take over the feet of all who had some before."""
@@ -99,12 +115,12 @@ class Feet:
             axis = _AXIS.get(name, 0)
             shape = list(array.shape)
             shape[axis] = len(ids)
-            made[name] = np.zeros(shape, array.dtype)
+            made[name] = _like(name, array, shape)
             rows: tuple[Any, ...] = (slice(None),) * axis
             made[name][(*rows, known)] = array[(*rows, at[known])]
         found = Feet(**(made | {"ids": ids.copy()}))
         if self.covered is not None:
-            found.covered = np.zeros((2, len(ids), self.legs), np.float32)
+            found.covered = by_leg((2, len(ids), self.legs), np.float32)
             found.covered[:, known] = self.covered[:, at[known]]
         if self.stood is not None:
             found.stood = np.full((3, len(ids)), np.nan)
@@ -114,6 +130,7 @@ class Feet:
 
 KEPT = tuple(each.name for each in fields(Feet) if each.name not in ("covered", "stood"))
 _AXIS = {name: 1 for name in ("place", "shown", "start", "weight", "slope", "position", "heading", "up")}
+_BY_LEG = frozenset(("place", "shown", "start", "swing", "on", "face", "weight", "found"))
 
 
 def feet_hash(feet: Mapping[str, Feet]) -> str:
@@ -139,7 +156,7 @@ def from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) 
         wanted[axis] = len(ids)
         if array is None or array.dtype != empty.dtype or list(array.shape) != wanted:
             raise ValueError(f"`{name}` is missing or of another shape")
-        found[name] = array.copy()
+        found[name] = _copied(name, array)
     if not np.array_equal(found["ids"], ids):
         raise ValueError("`ids` are others")
     return Feet(**found)

@@ -48,10 +48,13 @@ def fitted(
 
 
 def lowered(
-    legs: LegsData, beside: tuple[Floats, Floats, Floats], stands: NDArray[np.bool_], rise: Floats, slope: Floats
+    legs: LegsData,
+    beside: tuple[Floats, Floats, Floats],
+    stands: NDArray[np.bool_],
+    rise: Floats,
+    hips: tuple[Floats, Floats, Floats],
 ) -> Floats:
-    """The rise of trunks that come down as far as the legs of feet that stand ask for."""
-    hips = leant(legs.hip, slope)
+    """The rise of trunks that come down as far as the legs of feet that stand ask for; `hips` as they lean, at no rise."""
     most = np.full(len(rise), np.inf, np.float32)
     for k, length in enumerate(legs.length * REACHED):
         x, y, z = (part[:, k] for part in beside)
@@ -71,13 +74,13 @@ def leant(points: NDArray[np.float64], slope: Floats) -> tuple[Floats, Floats, F
     nx, ny, nz = a * size, size, b * size
     by = np.float32(1) / (np.float32(1) + ny)
     p = points.astype(np.float32)
-    x, y, z = p[:, 0], p[:, 1], p[:, 2]
+    x, y, z = p.T[:, :, None]
     # R = 1 + [v] + [v][v] / (1 + n·y), v = y × n = (nz, 0, -nx)
-    nx, ny, nz, by = (each[:, None] for each in (nx, ny, nz, by))
+    skew = nx * nz * by
     return (
-        x * (1 - nx * nx * by) + y * nx - z * (nx * nz * by),
-        -x * nx + y * ny - z * nz,
-        -x * (nx * nz * by) + y * nz + z * (1 - nz * nz * by),
+        (x * (1 - nx * nx * by) + y * nx - z * skew).T,
+        (-x * nx + y * ny - z * nz).T,
+        (-x * skew + y * nz + z * (1 - nz * nz * by)).T,
     )
 
 

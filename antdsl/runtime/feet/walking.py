@@ -17,7 +17,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.runtime.feet import trunk
 from antdsl.runtime.feet.gaits import MOST_CYCLES, REACHED, SINK, Gaits, Stepping
 from antdsl.runtime.feet.seeking import Floor, seek
-from antdsl.runtime.feet.state import NOTHING, STANDS, Feet
+from antdsl.runtime.feet.state import NOTHING, STANDS, Feet, by_leg
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import LegsData
 
@@ -57,7 +57,7 @@ class Frames:
         """Places float64[3, n, L] of points [n, L] in body lengths: ahead, above, aside."""
         s = self.size[:, None]
         x, y, z = x * s, y * s, z * s
-        found = np.empty((3, *x.shape))
+        found = by_leg((3, *x.shape))
         for k in range(3):
             found[k] = self.place[k][:, None] + (
                 (x * self.ahead[k][:, None] + y * self.up[k][:, None]) + z * self.aside[k][:, None]
@@ -118,11 +118,12 @@ def measure(world: World) -> None:
 def _covered(before: Frames, now: Frames, rest: tuple[Floats, Floats]) -> Floats:
     """How far each foot's resting place went, ahead and aside of bodies as they are now: float32[2, n, L], body lengths."""
     away = (before.place - now.place) / now.size
-    found = []
-    for axis, own in ((now.ahead, rest[0]), (now.aside, rest[1])):
-        moved, along, across = (vec.dot(v, axis).astype(np.float32)[:, None] for v in (away, before.ahead, before.aside))
-        found.append(own - (moved + along * rest[0] + across * rest[1]))
-    return np.stack(found)
+    found = by_leg((2, len(now.size), len(rest[0])), np.float32)
+    for k, (axis, own) in enumerate(((now.ahead, rest[0]), (now.aside, rest[1]))):
+        moved, along, across = (vec.dot(v, axis).astype(np.float32) for v in (away, before.ahead, before.aside))
+        for leg, (x, z) in enumerate(zip(*rest, strict=True)):
+            found[k, :, leg] = own[leg] - (moved + along * x + across * z)
+    return found
 
 
 def walk(world: World) -> None:
@@ -138,7 +139,7 @@ def _walk(world: World, population: Population, walkers: Walkers) -> None:
     feet, new = world.feet[population.name].matched(population.sorted_ids()[0])
     world.feet[population.name] = feet
     body = _frames(population)
-    covered = np.zeros((2, *feet.swing.shape), np.float32) if feet.covered is None else feet.covered
+    covered = by_leg((2, *feet.swing.shape), np.float32) if feet.covered is None else feet.covered
     if floor.moving and len(feet):
         floor.carried(world, feet.on, feet.face, feet.weight, feet.place)
         if feet.stood is not None:  # where swings began goes along with the ground, as the bodies do
@@ -241,9 +242,12 @@ class _Step:
         """Hips [n, L] in body lengths, with the trunk's height and tilt."""
         if self._hip is not None:
             return self._hip
-        x, y, z = trunk.leant(self.walkers.legs.hip, self.feet.slope)
-        self._hip = x, np.asarray(y + (self.feet.rise / self.body.size.astype(np.float32))[:, None], np.float32), z
+        self._hip = self._raised(trunk.leant(self.walkers.legs.hip, self.feet.slope))
         return self._hip
+
+    def _raised(self, hips: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats, Floats]:
+        x, y, z = hips
+        return x, np.asarray(y + (self.feet.rise / self.body.size.astype(np.float32))[:, None], np.float32), z
 
     def _undermined(self) -> Flags:
         """Feet whose ground was dug away."""
@@ -303,17 +307,12 @@ class _Step:
         if not who.size:
             return
         feet, body, legs = self.feet, self.body, self.walkers.legs
-        hips = list(self._hips())
-        for axis, part in ((0, self.covered[0]), (2, self.covered[1])):
-            hips[axis] = hips[axis] + part * left
-        size, up = body.size[who], body.up[:, who]
-        hip, wanted = (
-            body.place[:, who] + ((a * body.ahead[:, who] + b * up) + c * body.aside[:, who]) * size
-            for a, b, c in (
-                tuple(part[who, leg].astype(np.float64) for part in hips),
-                (x[who, leg].astype(np.float64), np.zeros(who.size), z[who, leg].astype(np.float64)),
-            )
-        )
+        a, b, c = (part[who, leg] for part in self._hips())
+        frames = left[who, leg]
+        a, c = a + self.covered[0, who, leg] * frames, c + self.covered[1, who, leg] * frames
+        size, place, ahead, up, aside = (v.take(who, axis=-1) for v in (body.size, body.place, body.ahead, body.up, body.aside))
+        hip = place + ((a * ahead + b * up) + c * aside) * size
+        wanted = place + (x[who, leg] * ahead + z[who, leg] * aside) * size
         sole = legs.foot[leg, 1] * size
         found = seek(self.world, self.floor, hip, wanted, up, legs.length[leg] * size * REACHED, sole, thorough)
         hangs = found.on == NOTHING
@@ -324,9 +323,11 @@ class _Step:
         feet, legs = self.feet, self.walkers.legs
         size = self.body.size.astype(np.float32)
         rise, slope = trunk.fitted(legs, self.beside, feet.on != NOTHING, feet.rise / size, feet.slope, float(self.dt))
-        rise = trunk.lowered(legs, self.beside, feet.down, rise, slope)
+        hips = trunk.leant(legs.hip, slope)
+        rise = trunk.lowered(legs, self.beside, feet.down, rise, hips)
         before = feet.rise, feet.slope
-        feet.rise, feet.slope, self._hip = (rise * size).astype(np.float32), slope.astype(np.float32), None
+        feet.rise, feet.slope = (rise * size).astype(np.float32), slope
+        self._hip = self._raised(hips)
         torn = (self._too_far(_STRETCHED) & feet.down).any(axis=1)
         if torn.any():  # then the trunk stays as it was, where all that stand are in reach
             feet.rise, feet.slope = (np.where(torn, a, b) for a, b in zip(before, (feet.rise, feet.slope), strict=True))
