@@ -41,11 +41,14 @@ def _joined(one: Any, other: Any) -> Any:
     """The rows of both, one after the other; None where one has none."""
     if one is None or other is None:
         return None
+    if isinstance(one, (int, str)):
+        return one
     if isinstance(one, np.ndarray):
         return np.concatenate([one, other])
     if isinstance(one, Mapping):
         return {name: _joined(each, other[name]) for name, each in one.items() if name in other}
     if isinstance(one, tuple):
         return tuple(_joined(a, b) for a, b in zip(one, other, strict=False))
-    assert is_dataclass(one) and not isinstance(one, type)
+    if not is_dataclass(one) or isinstance(one, type):
+        return one  # the same for all rows
     return type(one)(*(_joined(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)))
