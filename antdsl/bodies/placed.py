@@ -1,4 +1,4 @@
-"""Bodies of what is placed: an apple, a ring (a donut), a nest mound, a plain ball.
+"""Bodies of what is placed: an apple, a ring (a donut), a crumb of bread, a lump of sugar, a nest mound, a plain ball.
 
 Radius 1, y up, resting at y = 0 or sunk a little."""
 
@@ -99,13 +99,51 @@ def _mound() -> Painted:
     return points, faces, np.clip((dark + (soil - dark) * depth) * tone, 0, 1).astype(np.float32)
 
 
+def _crumb() -> Painted:
+    """A crumb of bread: broken faces, pores, and crust on one side."""
+    vertices, faces = sphere(5)
+    draw = np.random.Generator(np.random.Philox(71))
+    ways = draw.normal(size=(13, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    # Broken off by planes whose edges are worn.
+    cut = (vertices @ ways.T) / draw.uniform(0.66, 0.92, 13)
+    size = np.minimum(1.0, 1 / np.maximum((np.maximum(cut, 0) ** 14).sum(axis=1) ** (1 / 14), 1e-9))
+    rough = waves(vertices, 72, 0.75, 3)
+    pore = np.clip(waves(vertices, 73, 0.34, 1) - 0.25, 0, 1) + 0.6 * np.clip(waves(vertices, 74, 0.17, 1) - 0.3, 0, 1)
+    points = vertices * (size * (1 + 0.03 * rough - 0.075 * pore))[:, None]
+    points *= 1.06 / np.hypot(points[:, 0], points[:, 2]).max()
+    points[:, 1] -= points[:, 1].min() + 0.06
+    crust = np.clip(4 * (vertices @ ways[0] - 0.45) + 0.5 * rough, 0, 1)[:, None]
+    white, brown, dark = np.array([0.90, 0.76, 0.52]), np.array([0.56, 0.30, 0.12]), np.array([0.66, 0.46, 0.25])
+    inside = white + (dark - white) * np.clip(1.6 * pore + 0.15 * rough, 0, 1)[:, None]
+    return points, faces, np.clip(inside + (brown - inside) * crust, 0, 1).astype(np.float32)
+
+
+def _cube() -> Painted:
+    """A lump of sugar: a block with worn edges, of grains."""
+    vertices, faces = sphere(5)
+    norm = (np.abs(vertices) ** 9).sum(axis=1) ** (1 / 9)
+    grain = waves(vertices, 81, 0.09, 2)
+    points = vertices / norm[:, None] * (1 + 0.018 * grain)[:, None] * np.array([0.78, 0.66, 0.72])
+    points[:, 1] -= points[:, 1].min()
+    tone = 0.93 + 0.06 * grain
+    return points, faces, np.clip(tone[:, None] * np.array([1.0, 0.985, 0.95]), 0, 1).astype(np.float32)
+
+
 def _ball() -> Painted:
     vertices, faces = sphere(3)
     vertices[:, 1] += 0.85
     return vertices, faces, np.full((len(vertices), 3), (0.86, 0.80, 0.62), np.float32)
 
 
-PLACED: dict[str, Callable[[], Painted]] = {"apple": _apple, "ring": _ring, "mound": _mound, "sphere": _ball}
+PLACED: dict[str, Callable[[], Painted]] = {
+    "apple": _apple,
+    "ring": _ring,
+    "crumb": _crumb,
+    "cube": _cube,
+    "mound": _mound,
+    "sphere": _ball,
+}
 
 # Words in an item's name that tell its shape; the first that is found decides.
 _WORDS: tuple[tuple[str, str], ...] = (
@@ -114,6 +152,10 @@ _WORDS: tuple[tuple[str, str], ...] = (
     ("donut", "ring"),
     ("doughnut", "ring"),
     ("ring", "ring"),
+    ("sugar", "cube"),
+    ("crumb", "crumb"),
+    ("bread", "crumb"),
+    ("food", "crumb"),  # whatever it is called
     ("nest", "mound"),
     ("home", "mound"),
     ("hill", "mound"),

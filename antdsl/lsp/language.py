@@ -206,6 +206,7 @@ LANGUAGE: dict[str, Rule] = {
     "motion": _typed_word(MOTION, "how the crowd moves", "motion.{}"),
     "geometry": _typed_word(GEOMETRY, "how an animal's body stands: asked in a spec", "any({} > 0)"),
     "scene": _said(SCENE_HELP, "key of a scene", SCENE_FORMS, "yaml"), "colour": _colour,
+    "body": lambda key: markdown(key[1], "a clip, layer, channel or group of joints of the body that a scene gives the animal"),
 }  # fmt: skip
 # What a bare word may mean: in words, the table it stands in, and the rule that tells it.
 _MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (

@@ -222,6 +222,8 @@ class _Index:
         if row is not None and row.target:
             kind = row.target if row.target in ("field", "event", "species") else "thing"
             self.by_place(node.name, kind)
+        elif node.name is not None:
+            self.by_place(node.name, "body")
         self.arguments(node.verb, node)
 
     def arguments(self, called: str, node: nodes.Call | nodes.Ask) -> None:

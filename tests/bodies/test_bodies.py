@@ -47,12 +47,8 @@ def test_placed_shapes_face_outwards_with_colours(shape):
 
 def test_names_choose_bodies_and_shapes():
     assert [body_of(name) for name in ("forager", "person", "boids", "hunter")] == ["ant", "person", "arrow", "hunter"]
-    assert [shape_of("food", "apple"), shape_of("food", "donut"), shape_of("nest", "home"), shape_of("food", "a")] == [
-        "apple",
-        "ring",
-        "mound",
-        "sphere",
-    ]
+    names = (("food", "apple"), ("food", "donut"), ("nest", "home"), ("food", "a"), ("food", "sugar_lump"), ("exits", "east"))
+    assert [shape_of(*each) for each in names] == ["apple", "ring", "mound", "crumb", "cube", "sphere"]
 
 
 def test_orientation_turns_x_to_the_heading_and_y_to_up():

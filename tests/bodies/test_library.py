@@ -11,8 +11,10 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.definition_checks import whole
 from antdsl.bodies.agents.definition_document import Parts
 from antdsl.bodies.agents.deformers import DEFORMERS
+from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.library.table import BODIES, library_body
+from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report
 
 ANTS = ("ant", "ant_queen", "ant_soldier")
@@ -134,6 +136,29 @@ def test_feet_on_the_ground_stay_where_they_are(word: str) -> None:
             down = (feet[:-1, :, 1] < 3e-6) & (feet[1:, :, 1] < 3e-6)
             slid = np.abs(np.diff(feet[:, :, 0] + gone[:, None], axis=0))
             assert down.mean() > 0.15 and slid[down].max() < 1e-4, name
+
+
+@pytest.mark.parametrize(
+    ("word", "names", "least"),
+    [
+        ("ant", ("idle", "walk", "run", "carry", "take", "drop", "look", "die"), -0.03),
+        ("ant_queen", ("idle", "walk", "run", "carry", "look", "groom"), -0.01),
+        ("ant_soldier", ("take", "drop", "die"), -0.05),
+        ("person", ("idle", "walk", "run", "die"), -0.04),
+    ],
+)
+def test_bodies_stay_above_the_ground_in_their_clips(word: str, names: tuple[str, ...], least: float) -> None:
+    for name in names:
+        assert lowest(library_body(word), name) > least, name
+
+
+def lowest(body: Definition, clip: str) -> float:
+    """The lowest height of a body over 25 moments of a clip, in body lengths."""
+    plays = np.linspace(0, 0.999, 25, dtype=np.float32)
+    ones, none = np.ones(25, np.float32), np.zeros(25, np.float32)
+    machine = MachineClips(np.zeros(25, np.int16), plays, ones, np.full(25, -1, np.int16), none, none, none)
+    points, _ = PosedBody(body, [(clip, "")]).posed((machine,), 25)
+    return float(points[:, :, 1].min())
 
 
 @pytest.mark.parametrize("word", [word for word in sorted(BODIES) if library_body(word).legs])

@@ -343,6 +343,13 @@ def of_another_run(path: Path) -> None:
     path.write_bytes(to_bytes(arrays | {"world.faults": arrays["world.faults"] + 5}))
 
 
+def in_line_of(folder: Path, frame: int) -> int:
+    """A byte amid the line of a frame."""
+    text = (folder / HASHES).read_bytes()
+    begin = text.index(b'{"frame": %d,' % frame)
+    return (begin + text.index(b"\n", begin)) // 2
+
+
 # What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; what is told.
 DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "nothing": (lambda f: None, 60, ""),
@@ -372,7 +379,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint from which"),
     "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` is not what was written"),
     "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` is not what was written"),
-    "a cut line": (lambda f: os.truncate(f / HASHES, 3321), 25, "has no hash in `hashes.jsonl`"),
+    "a cut line": (lambda f: os.truncate(f / HASHES, in_line_of(f, 31)), 25, "has no hash in `hashes.jsonl`"),
     "no hashes": (lambda f: (f / HASHES).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
 }  # fmt: skip
 

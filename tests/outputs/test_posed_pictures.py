@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from antdsl.bodies.agents.driving import Driven
+from antdsl.bodies.agents.varied_bodies import Draws
 from antdsl.bodies.body import rotation
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
+from antdsl.outputs.following import followed
 from antdsl.outputs.gallery import Gallery, NoPicture
 from antdsl.outputs.pictures.actors import actors
 from antdsl.outputs.pictures.camera import view
@@ -188,3 +191,13 @@ def test_a_cache_from_before_bodies_were_kept_is_drawn_as_it_was(cache: Cache, t
     path.write_text(json.dumps(manifest), encoding="utf-8")
     crowd = crowd_at(open_cache(tmp_path / "out"), 1)
     assert crowd.worn is not None and crowd.worn.name == "ant"
+
+
+def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
+    ids = np.array([4, 9, 2])
+    now, later = (
+        Crowd("ant", np.full((3, 3), place), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)), np.ones(3), np.ones((3, 3)), found, driven=Driven(draws=Draws(found, 5, "ant")))
+        for place, found in ((0.0, ids), (1.0, ids[::-1]))
+    )  # fmt: skip
+    after = followed(now, later).driven.draws
+    assert after is not None and (after.seed, after.species) == (5, "ant") and np.array_equal(after.ids, ids)

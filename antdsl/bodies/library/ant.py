@@ -37,13 +37,13 @@ def ant(build: ant_rig.Build = ant_rig.WORKER) -> Definition:
     def crumb(name: str) -> Shape:
         model = Model(joints)
         at = joints["load"][1]
-        ball = ellipsoid((at[0] + 0.02, at[1], 0.0), (0.052, 0.046, 0.050), 1)
+        ball = ellipsoid((at[0] + 0.04, at[1] + 0.006, 0.0), (0.074, 0.064, 0.070), 1)
         dents = (
             1
-            + 0.13 * np.sin(37 * ball.points[:, :1] + 5) * np.cos(53 * ball.points[:, 2:])
-            + 0.06 * np.sin(91 * ball.points[:, 1:2])
+            + 0.20 * np.sin(37 * ball.points[:, :1] + 5) * np.cos(53 * ball.points[:, 2:])
+            + 0.10 * np.sin(91 * ball.points[:, 1:2])
         )
-        middle = np.array([at[0] + 0.02, at[1], 0.0])
+        middle = np.array([at[0] + 0.04, at[1] + 0.006, 0.0])
         model.add(ball.moved(middle + (ball.points - middle) * dents), "load", "crumb", "crumb")
         return model.shape(name)
 

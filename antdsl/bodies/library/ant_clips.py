@@ -13,10 +13,11 @@ from antdsl.bodies.library.insect_legs import chains_of
 from antdsl.bodies.library.motions import FAST, Array, Motion, X, Y, Z, steps
 
 CHAINS = chains_of(3)
+_REACH = 0.237  # from a worker's neck to the tips of its jaws
 _SIDES = (("l", -1.0), ("r", 1.0))
 
 
-def _feelers(m: Motion, reach: float, cycles: int, drop: float = 0.0, still: float = 0.0) -> None:
+def _feelers(m: Motion, reach: float, cycles: int, drop: Array | float = 0.0, still: float = 0.0) -> None:
     """Both antennae swing to the sides and up and down, not in step: by up to `reach` degrees, from `drop` degrees lower."""
     for side, sign in _SIDES:
         late = 0.0 if sign < 0 else 0.37
@@ -33,6 +34,11 @@ def _jaws(m: Motion, degrees: Array | float) -> None:
     """Opens both mandibles by degrees."""
     for side, sign in _SIDES:
         m.turn(f"mandible_{side}", Y, -sign * np.asarray(degrees))
+
+
+def _bow(m: Motion, degrees: float) -> float:
+    """So many degrees of a worker's head; fewer of a longer one, whose jaws reach the ground sooner."""
+    return degrees * min(1.0, _REACH / float(np.linalg.norm(m.rest("load") - m.rest("head")))) ** 2
 
 
 def _breath(m: Motion, cycles: int, by: float = 0.018) -> None:
@@ -108,9 +114,9 @@ def take(rig: Rig) -> Clip:
     down = m.keys((0, 0), (0.35, 1), (0.60, 1), (1, 0))
     m.turn("thorax", Z, -9.0 * down)
     m.move("thorax", Y, -0.020 * down)
-    m.turn("head", Z, -22.0 * down + 15.0 * m.keys((0, 0), (0.60, 0), (1, 1)))
+    m.turn("head", Z, -_bow(m, 15.0) * down + 15.0 * m.keys((0, 0), (0.60, 0), (1, 1)))
     _jaws(m, m.keys((0, 0), (0.35, 34), (0.48, 36), (0.56, 15), (1, 17)))
-    _feelers(m, 9.0, 1, drop=14.0)
+    _feelers(m, 9.0, 1, drop=-12.0 * down)
     _stand(m)
     return m.clip("take", loop=False, marks={"bite": 0.56})
 
@@ -121,9 +127,9 @@ def drop(rig: Rig) -> Clip:
     down = m.keys((0, 0), (0.40, 1), (0.62, 1), (1, 0))
     m.turn("thorax", Z, -8.0 * down)
     m.move("thorax", Y, -0.016 * down)
-    m.turn("head", Z, -20.0 * down + 15.0 * m.keys((0, 1), (0.4, 0), (1, 0)))
+    m.turn("head", Z, -_bow(m, 15.0) * down + 15.0 * m.keys((0, 1), (0.4, 0), (1, 0)))
     _jaws(m, m.keys((0, 17), (0.48, 17), (0.60, 34), (0.8, 10), (1, 0)))
-    _feelers(m, 9.0, 1, drop=8.0)
+    _feelers(m, 9.0, 1, drop=-12.0 * down)
     _stand(m)
     return m.clip("drop", loop=False, marks={"drop": 0.55})
 
@@ -134,7 +140,7 @@ def dig(rig: Rig) -> Clip:
     nod = m.wave(2, 0.1)
     m.turn("thorax", Z, -8.0 + 2.0 * nod)
     m.move("thorax", Y, -0.012 + 0.004 * nod)
-    m.turn("head", Z, -20.0 + 8.0 * nod)
+    m.turn("head", Z, -_bow(m, 20.0) + 8.0 * nod)
     m.turn("head", Y, 6.0 * m.wave(1))
     m.turn("gaster", Z, -12.0)
     _jaws(m, 16.0 - 15.0 * m.wave(2, 0.35))
@@ -209,6 +215,7 @@ def die(rig: Rig) -> Clip:
     m = Motion(rig, 2.8)
     fall = m.keys((0, 0), (0.20, 0.08), (0.42, 0.75), (0.55, 0.66), (0.80, 1), (1, 1))
     curl = m.keys((0, 0), (0.28, 0.10), (0.75, 1), (0.86, 0.92), (1, 1))
+    below = m.keys((0, 0), (0.08, 0.15), (0.28, 1), (1, 1))  # the legs that it rolls over give way first
     m.turn("thorax", X, 168.0 * fall)
     m.move("thorax", Y, -0.088 * m.keys((0, 0), (0.3, 0.8), (0.5, 0.9), (0.8, 1), (1, 1)))
     m.move("thorax", Z, 0.10 * fall)
@@ -219,12 +226,13 @@ def die(rig: Rig) -> Clip:
         m.turn(f"scape_{side}", Z, -26.0 * curl)
         m.turn(f"funiculus_{side}", Z, -40.0 * curl)
         for number, spread in ((1, 10.0), (2, 0.0), (3, -12.0)):
-            late = np.clip(curl * 1.15 - 0.05 * number, 0, 1)
+            late = np.clip((curl if sign < 0 else below) * 1.15 - 0.05 * number, 0, 1)
             twitch = 7.0 * m.wave(9, 0.17 * number + 0.3 * sign) * (1 - curl) * m.keys((0, 0), (0.25, 0.2), (0.5, 1), (1, 0))
             m.turn(f"femur_{side}{number}", X, sign * (-24.0 * late) + sign * twitch)
             m.turn(f"femur_{side}{number}", Y, sign * spread * late)
             m.turn(f"tibia_{side}{number}", X, sign * (52.0 * late))
             m.turn(f"tarsus_{side}{number}", X, sign * (34.0 * late))
+    m.above_ground("thorax")
     return m.clip("die", loop=False, marks={"down": 0.42}, feet=False)
 
 

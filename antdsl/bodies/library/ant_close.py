@@ -129,8 +129,8 @@ def _gaster(model: Model, build: rig.Build) -> None:
     share = np.clip((at - start[plate]) / (np.append(edges, 0.348)[plate] - start[plate]), 0, 1)
     rows[:, 2:] *= (1 + 0.030 * (share - 0.5) - 0.035 * np.exp(-(((at - start[plate]) / 0.004) ** 2)) * (plate > 0))[:, None]
     rows[:, 2:] *= girth
+    rows[:, 1] += end[1] + rig.gaster_raised(rows[:, 0], build)
     rows[:, 0] = end[0] - rows[:, 0] * long
-    rows[:, 1] += end[1]
     made = _lathe(rows, 30)
     length = 0.358
     dark = [e / length + 0.010 / length for e in edges]

@@ -30,7 +30,7 @@ def crowd(model: Model, build: rig.Build) -> None:
         (-0.27, 0.020, 0.078, 0.084),
         (-0.348, -0.002, 0.014, 0.014),
     ]
-    gaster = [(end[0] + x * long, end[1] + y, h * girth, w * girth) for x, y, h, w in rows]
+    gaster = [(end[0] + x * long, end[1] + y + float(rig.gaster_raised(-x, build)), h * girth, w * girth) for x, y, h, w in rows]
     model.add(lathe(gaster, 7), [(0.45, "gaster"), (0.85, "gaster_tip")], "state", "gaster")
     t = b.thorax
     thorax = [

@@ -6,10 +6,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from antdsl.bodies.agents.legs import Gait
 from antdsl.bodies.library.insect_legs import Joints, leg_joints
 from antdsl.bodies.library.surfaces import Point
 
+Floats = NDArray[np.float64]
 HEIGHT = 0.17  # of the thorax over the ground
 
 
@@ -90,6 +94,13 @@ def load_place(build: Build) -> Point:
     """Between the tips of the jaws."""
     at = head_place((0.148, -0.030, 0.0), build)
     return (at[0] + 0.085 * build.head * build.jaws, at[1] - 0.014 * build.head * build.jaws, 0.0)
+
+
+def gaster_raised(behind: Floats | float, build: Build) -> Floats:
+    """How much higher the middle of a gaster that is thicker than a worker's is carried, at so much `behind` its beginning: so
+    that its underside is as far over the ground as a worker's."""
+    share = np.clip(np.asarray(behind, np.float64) / 0.16, 0.0, 1.0)
+    return np.asarray(0.106 * max(build.girth - 1.0, 0.0) * share * share * (3 - 2 * share))
 
 
 # By leg: l1, r1, l2, r2, l3, r3. Slow ants lift one leg after the other from hind to front, fast ones front and hind of one side

@@ -264,6 +264,7 @@ def die(rig: Rig) -> Clip:
         m.turn(f"upper_{name}", Z, by * limp)
         m.turn(f"lower_{name}", Z, (-34.0 if name.endswith("1") else 26.0) * limp)
         m.turn(f"wrist_{name}", Z, (20.0 if name.endswith("1") else -16.0) * limp)
+    m.above_ground("hips")
     return m.clip("die", loop=False, marks={"down": 0.5}, feet=False)
 
 

@@ -77,6 +77,12 @@ class Motion:
         self._used.add(number)
         self._scale[:, number] *= np.stack([np.sqrt(by), by, by], 1)
 
+    def above_ground(self, joint: str) -> None:
+        """Moves a joint up by as much as any joint of the rig is below the ground, along the vertical of its parent, which is not
+        turned: what rolls over its legs is borne by them."""
+        places, _ = _places(self.rig, self._move, self._turn)
+        self.move(joint, Y, np.maximum(-places[:, :, 1].min(axis=1), 0.0))
+
     def reach(self, chain: Chain, tip: Array, level: float = 1.0, pitch: Array | float = 0.0) -> None:
         """Puts the tip of a leg at `tip` [F, 3]. `level`: whether what is beyond the ankle keeps its pitch (1), `pitch` degrees
         up from that of the rest pose, or goes with the shank (0)."""
@@ -158,9 +164,11 @@ def footpath(gait: Gait, leg: int, phase: Array, rest: Array) -> Array:
     return np.asarray(rest + np.stack([ahead, gait.lift * np.sin(np.pi * swing) ** 2, np.zeros_like(own)], 1))
 
 
-def steps(m: Motion, gait: Gait, chains: Sequence[Chain], off: float = 0.0, on: float = 0.0, heel: float = 0.0) -> None:
+def steps(
+    m: Motion, gait: Gait, chains: Sequence[Chain], off: float = 0.0, on: float = 0.0, heel: float = 0.0, toes: bool = False
+) -> None:
     """Puts all legs where they are in a gait. The heel leaves the ground first, by `off` degrees, and comes down first, the toes
-    up by `on`, where it is `heel` behind the tip."""
+    up by `on`, where it is `heel` behind the tip. With `toes` what follows the tip stays flat as the heel leaves."""
     for leg, chain in enumerate(chains):
         own = (m.phase + gait.phases[leg]) % 1.0
         stand, swing = own / gait.duty, (own - gait.duty) / (1 - gait.duty)
@@ -169,6 +177,8 @@ def steps(m: Motion, gait: Gait, chains: Sequence[Chain], off: float = 0.0, on: 
         tip = footpath(gait, leg, m.phase, m.rest(chain.tip))
         tip[:, 1] += heel * np.sin(np.radians(np.maximum(pitch, 0.0)))
         m.reach(chain, tip, pitch=pitch)
+        if toes:
+            m.turn(chain.tip, Z, -np.minimum(pitch, 0.0))
 
 
 def _eased(share: Array) -> Array:

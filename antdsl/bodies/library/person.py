@@ -133,7 +133,7 @@ def _body(model: Model, fine: bool) -> None:
     shoe = swept(SHOE, n(24, 5), n(18, 5))
     points = shoe.points.copy()
     points[:, 1] = np.maximum(points[:, 1], 0.002 + 0.15 * np.maximum(points[:, 0] - 0.14, 0.0))
-    model.both(shoe.moved(points), "foot_r", "shoe", "shoe")
+    model.both(shoe.moved(points), places(SHOE, (3, "foot_r"), (5, "ball_r")), "shoe", "shoe")
     if fine:
         nose: tuple[Row, ...] = (
             (0.088, 1.680, 0.0, 0.004, 0.006),
@@ -182,7 +182,7 @@ def _going(
             m.turn(f"arm_{side}", X, -sign * 3.0)
             m.turn(f"forearm_{side}", Z, elbows * (1 - 0.3 * sign * swing))
             m.turn(f"hand_{side}", Z, 6.0)
-        steps(m, gait, CHAINS, off, on, 0.20)
+        steps(m, gait, CHAINS, off, on, 0.20, toes=True)
         return m.clip(name, stride=gait.stride, marks={"left": 0.0, "right": 0.5})
 
     return going
@@ -247,6 +247,7 @@ def die(rig: Rig) -> Clip:
         m.turn(f"foot_{side}", Z, 22.0 * sink - 30.0 * fall)
         m.turn(f"arm_{side}", X, -sign * 44.0 * fall)
         m.turn(f"forearm_{side}", Z, 26.0 * sink + 10.0 * fall)
+    m.above_ground("hips")
     return m.clip("die", loop=False, marks={"down": 0.62}, feet=False)
 
 

@@ -234,7 +234,7 @@ def die(rig: Rig) -> Clip:
     fall = m.keys((0, 0), (0.12, -0.05), (0.45, 1), (0.54, 0.94), (0.62, 1), (1, 1))
     limp = m.keys((0, 0), (0.5, 1), (1, 1))
     m.turn("hips", X, -86.0 * fall)
-    m.move("hips", Y, -0.140 * fall)
+    m.move("hips", Y, -0.110 * fall)
     m.move("hips", Z, -0.10 * fall)
     m.turn("head", Z, -18.0 * limp)
     _ears(m, 24.0, 0.0)
@@ -242,6 +242,7 @@ def die(rig: Rig) -> Clip:
         m.turn(f"upper_{name}", Z, by * limp)
         m.turn(f"lower_{name}", Z, (-50.0 if name.endswith("1") else 40.0) * limp)
         m.turn(f"wrist_{name}", Z, (-20.0 if name.endswith("1") else -36.0) * limp)
+    m.above_ground("hips")
     return m.clip("die", loop=False, marks={"down": 0.45}, feet=False)
 
 

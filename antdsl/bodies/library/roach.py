@@ -219,15 +219,18 @@ def die(rig: Rig) -> Clip:
     m = Motion(rig, 2.4)
     over = m.keys((0, 0), (0.15, 0.1), (0.45, 1), (1, 1))
     curl = m.keys((0, 0), (0.4, 0.1), (0.9, 1), (1, 1))
+    below = m.keys((0, 0), (0.06, 0.1), (0.24, 1), (1, 1))  # the legs that it rolls over give way first
     m.turn("thorax", X, 180.0 * over)
     m.move("thorax", Y, 0.03 * m.keys((0, 0), (0.25, 1), (0.45, 1), (1, 1)))
     for side, sign in SIDES:
         for number in (1, 2, 3):
             kick = 8.0 * m.wave(8, 0.2 * number + 0.3 * sign) * (1 - curl) * over
-            m.turn(f"femur_{side}{number}", X, sign * (kick - 22.0 * curl))
-            m.turn(f"tibia_{side}{number}", X, sign * 48.0 * curl)
-            m.turn(f"tarsus_{side}{number}", X, sign * 30.0 * curl)
+            drawn = curl if sign < 0 else below
+            m.turn(f"femur_{side}{number}", X, sign * (kick - 22.0 * drawn))
+            m.turn(f"tibia_{side}{number}", X, sign * 48.0 * drawn)
+            m.turn(f"tarsus_{side}{number}", X, sign * 30.0 * drawn)
         m.turn(f"feeler1_{side}", Y, -sign * 20.0 * over)
+    m.above_ground("thorax")
     return m.clip("die", loop=False, marks={"down": 0.45}, feet=False)
 
 

@@ -208,15 +208,16 @@ def threaten(rig: Rig) -> Clip:
 def die(rig: Rig) -> Clip:
     """Sinks and draws in all its legs below itself."""
     m = Motion(rig, 2.2)
-    curl = m.keys((0, 0), (0.7, 1), (0.8, 0.93), (1, 1))
-    m.turn("thorax", X, 172.0 * m.keys((0, 0), (0.2, 0.05), (0.6, 1), (1, 1)))
+    curl = m.keys((0, 0), (0.5, 1), (0.6, 0.93), (0.8, 1), (1, 1))
+    m.turn("thorax", X, 172.0 * m.keys((0, 0), (0.3, 0.05), (0.75, 1), (1, 1)))
     m.move("thorax", Y, -0.04 * curl)
     for side, sign in SIDES:
         for number in (1, 2, 3, 4):
             m.turn(f"femur_{side}{number}", X, sign * -26.0 * curl)
             m.turn(f"tibia_{side}{number}", X, sign * 72.0 * curl)
             m.turn(f"tarsus_{side}{number}", X, sign * 24.0 * curl)
-    return m.clip("die", loop=False, marks={"down": 0.6}, feet=False)
+    m.above_ground("thorax")
+    return m.clip("die", loop=False, marks={"down": 0.7}, feet=False)
 
 
 CLIPS: tuple[Callable[[Rig], Clip], ...] = (idle, _going("walk", 1), _going("run", 2), threaten, die)

@@ -23,7 +23,7 @@ _KINDS: dict[str, tuple[str, int]] = {
     "item-given": ("property", 4), "hit-given": ("property", 4), "let": ("variable", 2), "word": ("variable", 4),
     "steered": ("variable", 4), "setting": ("property", 4), "kind": ("keyword", 0), "type": ("type", 4),
     "alias": ("namespace", 0), "library": ("namespace", 4), "event": ("event", 0), "motion": ("property", 4),
-    "colour": ("variable", 4),
+    "colour": ("variable", 4), "body": ("property", 0),
 }  # fmt: skip
 _PIECE = re.compile(
     r'(?P<string>"[^"\n]*"?)|(?P<comment>\#[^\n]*)|(?P<word>[A-Za-z_][A-Za-z_0-9]*)'

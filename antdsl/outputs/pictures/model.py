@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 # A ground that is no floor is drawn as a figure of clay; a hill is bare soil.
 Kind = Literal["ground", "stone", "boulder", "hill", "metal", "leaf", "light"]
 Look = Literal["metal", "soil", "leaf", "light"]
-Shape = Literal["apple", "ring", "mound", "sphere", "none"]
+Shape = Literal["apple", "ring", "crumb", "cube", "mound", "sphere", "none"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
