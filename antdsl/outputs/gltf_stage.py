@@ -38,7 +38,7 @@ class _Moving:
 
 
 class Stage:
-    """Frames count from 0 here, and are `dt` seconds apart."""
+    """Frames count from 0 here, in the order of `frames`; one of the cache that is missing leaves its time."""
 
     def __init__(self, gallery: Gallery, frames: list[int]) -> None:
         self.gallery, self.frames = gallery, frames
@@ -49,7 +49,7 @@ class Stage:
         self._times: dict[bytes, int] = {}
         self._materials: dict[Any, int] = {}
         self._solids: dict[str, tuple[_Moving, Floats]] = {}
-        self._items: dict[str, _Moving] = {}
+        self._items: dict[int, _Moving] = {}
         self._dug: dict[str, Solid] = {}
         scale = UNIT_MM[gallery.manifest.units] / 1000
         world: dict[str, Any] = {"name": "World", "children": [], "scale": [scale] * 3}
@@ -129,7 +129,8 @@ class Stage:
             kept[1:-1] = ~(same[1:] & same[:-1])
         key = frames[kept].tobytes()
         if key not in self._times:
-            self._times[key] = self.writer.accessor(frames[kept] * self.gallery.dt, bounds=True)
+            since = np.array(self.frames)[frames[kept]] - self.frames[0]
+            self._times[key] = self.writer.accessor(since * self.gallery.dt, bounds=True)
         output = values[kept].reshape(-1) if path == "weights" else values[kept]
         sampler = {"input": self._times[key], "output": self.writer.accessor(output), "interpolation": kind}
         self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
@@ -154,8 +155,8 @@ class Stage:
                 self._dug[solid.name] = solid
             else:
                 self._solid(frame, solid)
-        for item in picture.items:
-            self._item(frame, item)
+        for number, item in enumerate(picture.items):
+            self._item(frame, number, item)
 
     def _solid(self, frame: int, solid: Solid) -> None:
         vertices = np.asarray(solid.vertices, np.float64)
@@ -171,16 +172,16 @@ class Stage:
         moving.moves.append(move)
         moving.turns.append(turn)
 
-    def _item(self, frame: int, item: Item) -> None:
+    def _item(self, frame: int, number: int, item: Item) -> None:
         if item.shape == "none" or item.radius <= 0:
             return
-        if item.name not in self._items:
+        if number not in self._items:
             points, faces, colours = placed(item.shape)
             if self.gallery.manifest.up == "z":
                 points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
             node = self.body(self._world, item.name, self._mesh(item.name, points, faces, decoded(colours)), None)
-            self._items[item.name] = _Moving(node)
-        moving = self._items[item.name]
+            self._items[number] = _Moving(node)
+        moving = self._items[number]
         moving.frames.append(frame)
         moving.moves.append(np.asarray(item.position, np.float64))
         moving.sizes.append(np.full(3, item.radius * max(min(item.left, 1.0), 0.0) ** (1 / 3)))

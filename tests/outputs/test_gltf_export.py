@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,20 @@ def test_what_stands_about_is_there_and_meshes_are_shared(cache: Path, tmp_path:
     assert lens["znear"] < 0.01 < 0.3 < lens["zfar"], "metres; the camera is 0.32 away"
     shared = {tuple(sorted(p["attributes"].items())) for m in tree["meshes"] if m["name"] == "arm" for p in m["primitives"]}
     assert len(shared) == 1 and tree["cameras"][0]["perspective"]["yfov"] == pytest.approx(2 * np.arctan(36 * 9 / 16 / 100))
+
+
+def test_frames_that_are_missing_leave_their_time(cache: Path, tmp_path: Path) -> None:
+    gaps = tmp_path / "gaps"
+    shutil.copytree(cache, gaps)
+    for frame in (6, 7, 8):
+        (gaps / "frames" / f"frame.{frame:04d}.npz").unlink()
+    for folder, name in ((cache, "all.glb"), (gaps, "gaps.glb")):
+        exported(folder, tmp_path / name, "--ids", "0..3", "-q")
+    whole, less = (Scene((tmp_path / name).read_bytes()) for name in ("all.glb", "gaps.glb"))
+    number = [node["name"] for node in less.tree["nodes"]].index("bug_1_arm")
+    for frame in (3, 9, 26):
+        seconds = (frame - 3) / 24
+        assert np.abs(less.at(seconds)[1][number] - whole.at(seconds)[1][number]).max() < 1e-6, frame
 
 
 def test_others_read_it(cache: Path, tmp_path: Path) -> None:

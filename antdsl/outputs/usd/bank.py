@@ -22,7 +22,7 @@ from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.usd.drawn import DrawnBody, alone
 from antdsl.outputs.usd.materials import Looks
 from antdsl.outputs.usd.moments import Agents
-from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Array, identifier, mesh, vectors
+from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Array, Out, identifier, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 
 SAMPLES = 16  # of a clip on the whole body
@@ -35,8 +35,8 @@ _FINE = 1500  # triangles above which the coarse body is taken
 class Bank:
     """The poses of one species, as classes, and its prototypes, below the path of its instancer."""
 
-    def __init__(self, stage: Any, species: SpeciesEntry, close: bool = False) -> None:
-        self._stage, self._name, self._close = stage, identifier(species.name), close
+    def __init__(self, out: Out, species: SpeciesEntry, close: bool = False) -> None:
+        self._stage, self._name, self._close = out.stage, out.name("species", species.name), close
         self._bodies: list[tuple[PosedBody, _Drawn]] = []
         self._numbers: dict[tuple[int, ...], int] = {}
         self._poses: dict[tuple[int, ...], str] = {}

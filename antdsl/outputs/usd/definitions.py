@@ -18,7 +18,7 @@ from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.usd.drawn import DrawnBody
 from antdsl.outputs.usd.materials import Looks
-from antdsl.outputs.usd.values import Array, identifier, integers, matrices, matrix, mesh, vectors
+from antdsl.outputs.usd.values import Array, free, identifier, integers, matrices, matrix, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 
 _SAME = 1e-5  # body lengths by which bind poses may differ and be one
@@ -61,7 +61,7 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close
         pxr("UsdGeom").Xform.Define(stage, f"{path}/rig/{name}")
         names: set[str] = set()
         for binding in drawn[name]:
-            shape = _free(identifier(binding.shape), names)
+            shape = free(identifier(binding.shape), names)
             _write_shape(stage, f"{path}/rig/{name}/{shape}", each.shaded, binding, skeletons, looks, made)
     root.CreateExtentAttr(vectors(DrawnBody(body).extent()))
     if len(details) > 1:
@@ -90,18 +90,8 @@ def joint_paths(definition: Definition) -> tuple[str, ...]:
     taken: set[str] = set()
     for name, parent in zip(definition.rig.names, definition.rig.parents.tolist(), strict=True):
         above = f"{found[parent]}/" if parent >= 0 else ""
-        found.append(_free(above + identifier(name), taken))
+        found.append(free(above + identifier(name), taken))
     return tuple(found)
-
-
-def _free(name: str, taken: set[str]) -> str:
-    """The name, or with a number where it is taken."""
-    found, number = name, 1
-    while found in taken:
-        number += 1
-        found = f"{name}_{number}"
-    taken.add(found)
-    return found
 
 
 def rest_world(definition: Definition) -> Array:
@@ -206,7 +196,7 @@ def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape
     targets: list[Any] = []
     taken = {"st"}
     for name in blend.shapes:
-        each = f"{path}/{_free(identifier(name), taken)}"
+        each = f"{path}/{free(identifier(name), taken)}"
         made = skel.BlendShape.Define(stage, each)
         shapes, weights = knots_of(definition, name)
         for target, weight in zip(shapes, weights.tolist(), strict=True):

@@ -26,11 +26,11 @@ class InstancerWriter:
 
     def __init__(self, out: Out, species: SpeciesEntry, number: int, close: bool = False) -> None:
         self._out, self._number, stage = out, number, out.stage
-        path = f"{ROOT}/{identifier(species.name)}"
+        path = f"{ROOT}/{out.name('species', species.name)}"
         self.made = pxr("UsdGeom").PointInstancer.Define(stage, path)
         pxr("UsdGeom").Scope.Define(stage, f"{path}/prototypes")
         name_states(self.made.GetPrim(), species)
-        self._bank = Bank(stage, species, close)
+        self._bank = Bank(out, species, close)
         self._targets = 0
         self._samples: dict[str, Samples] = {}
         self._signs = (np.zeros(0, np.int64), np.zeros((0, 4)))

@@ -27,7 +27,7 @@ class SkeletonWriter:
 
     def __init__(self, out: Out, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
         self._out, self._species, self._number, stage = out, species, number, out.stage
-        self._path = f"{ROOT}/{identifier(species.name)}"
+        self._path = f"{ROOT}/{out.name('species', species.name)}"
         name_states(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
         pxr("UsdGeom").Scope.Define(stage, f"{self._path}/motion")
         self._bodies: dict[int, tuple[PosedBody, SkelDefinition]] = {}
@@ -84,7 +84,7 @@ class SkeletonWriter:
     def _body(self, worn: PosedBody) -> tuple[PosedBody, SkelDefinition]:
         if id(worn) not in self._bodies:
             number = len(self._bodies) + 1
-            name = identifier(self._species.name) + (f"_{number}" if self._bodies else "")
+            name = self._out.name("species", self._species.name) + (f"_{number}" if self._bodies else "")
             looks = Looks(self._out.stage, f"{LOOKS}/{name}", worn.definition.materials)
             made = write_definition(self._out.stage, f"{BODIES}/{name}", worn, looks, self._close)
             made.number = number

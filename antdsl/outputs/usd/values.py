@@ -67,6 +67,14 @@ class Out:
         self.clip: Any = None
         self.manifest: Any = None
         self.number = 0
+        self._taken = {"items", "fields", "camera", "looks", "world"}
+        self._named: dict[tuple[str, str], str] = {}
+
+    def name(self, kind: str, name: str) -> str:
+        """What a thing of a kind is called below the root: its name, or with a number where something else has that."""
+        if (kind, name) not in self._named:
+            self._named[kind, name] = free(identifier(name), self._taken)
+        return self._named[kind, name]
 
     def samples(
         self, attribute: Any, convert: Callable[[Array], Any], kind: Any = np.float64, *, always: bool = False
@@ -141,6 +149,16 @@ def name_states(prim: Any, species: SpeciesEntry) -> None:
     for machine in species.machines:
         name = "states" if machine is species.machines[0] else f"{machine.name}.states"
         prim.SetCustomDataByKey(identifier(name), pxr("Vt").StringArray([state.name for state in machine.states]))
+
+
+def free(name: str, taken: set[str]) -> str:
+    """The name, or with a number where it is taken; it is from then on."""
+    found, number = name, 1
+    while found in taken:
+        number += 1
+        found = f"{name}_{number}"
+    taken.add(found)
+    return found
 
 
 def identifier(name: str) -> str:

@@ -13,7 +13,7 @@ from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail
 from antdsl.outputs.usd.materials import Looks
-from antdsl.outputs.usd.values import LOOKS, ROOT, Array, Out, Samples, box, identifier, integers, mesh, vectors
+from antdsl.outputs.usd.values import LOOKS, ROOT, Array, Out, Samples, box, free, identifier, integers, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 
@@ -28,10 +28,11 @@ class WorldWriter:
     """All of the world but its agents."""
 
     def __init__(self, out: Out, gallery: Gallery, frames: list[int]) -> None:
-        self._out, self._gallery = out, gallery
+        self._out, self._gallery, self._first = out, gallery, frames[0]
         self._looks = Looks(out.stage, f"{LOOKS}/world", _COLOURS)
         self._meshes: dict[str, _MeshWriter] = {}
-        self._items: dict[str, tuple[Samples, Samples]] = {}
+        self._items: dict[int, tuple[Samples, Samples]] = {}
+        self._items_named: set[str] = set()
         self._fields: dict[str, _FieldWriter] = {}
         self._camera = _CameraWriter(out, gallery) if gallery.camera(frames[0]) else None
 
@@ -39,28 +40,32 @@ class WorldWriter:
         """The world in a frame."""
         for solid in picture.solids:
             if solid.name not in self._meshes:
-                path = f"{ROOT}/{identifier(solid.name)}"
+                path = f"{ROOT}/{self._out.name('mesh', solid.name)}"
                 self._meshes[solid.name] = _MeshWriter(self._out, path, self._gallery.manifest.up)
                 self._looks.bind(self._out.stage.GetPrimAtPath(path), solid.kind)
             self._meshes[solid.name].frame(frame, solid)
-        for item in picture.items:
-            self._item(frame, item)
+        for number, item in enumerate(picture.items):
+            self._item(frame, number, item)
         for trail in picture.trails:
             if trail.name not in self._fields:
                 self._fields[trail.name] = _FieldWriter(self._out, trail)
+                if frame > self._first:
+                    self._fields[trail.name].nothing(self._first)
             self._fields[trail.name].frame(frame, trail)
+        for gone in self._fields.keys() - {trail.name for trail in picture.trails}:
+            self._fields[gone].nothing(frame)
         if self._camera is not None:
             self._camera.frame(frame)
 
-    def _item(self, frame: int, item: Item) -> None:
-        """An item's body where it is; what is left of it is its size, as in pictures."""
+    def _item(self, frame: int, number: int, item: Item) -> None:
+        """The body of an item, by its number among all, where it is; what is left of it is its size, as in pictures."""
         if item.shape == "none" or item.radius <= 0:
             return
         geom, stage = pxr("UsdGeom"), self._out.stage
-        if item.name not in self._items:
+        if number not in self._items:
             if not self._items:
                 geom.Xform.Define(stage, f"{ROOT}/items")
-            path = f"{ROOT}/items/{identifier(item.name)}"
+            path = f"{ROOT}/items/{free(identifier(item.name), self._items_named)}"
             points, faces, colour = placed(item.shape)
             ways: tuple[Array, Array] = (points, vertex_normals(points, faces))
             if self._gallery.manifest.up == "z":
@@ -68,10 +73,10 @@ class WorldWriter:
             place, normals = ways
             shape = mesh(stage, path, place, faces, normals, _around(points))
             ops = (shape.AddTranslateOp(), shape.AddScaleOp(geom.XformOp.PrecisionDouble))
-            self._items[item.name] = (self._out.samples(ops[0], _vector), self._out.samples(ops[1], _vector))
+            self._items[number] = (self._out.samples(ops[0], _vector), self._out.samples(ops[1], _vector))
             shape.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(colour)))
             self._looks.bind(shape.GetPrim(), "")
-        move, scale = self._items[item.name]
+        move, scale = self._items[number]
         move.set(frame, item.position)
         scale.set(frame, np.full(3, item.radius * max(min(item.left, 1.0), 1e-9) ** (1 / 3)))
 
@@ -161,6 +166,13 @@ class _FieldWriter:
         self._strength = out.samples(geom.PrimvarsAPI(made).CreatePrimvar("strength", kind, "vertex"), floats, np.float32)
         self._extent = out.samples(made.CreateExtentAttr(), vectors, np.float32)
         made.CreateDisplayColorPrimvar("constant").Set(vectors(decoded(np.array([trail.colour]))))
+
+    def nothing(self, frame: int) -> None:
+        """The field in a frame in which there is none of it."""
+        self._points.set(frame, np.zeros((0, 3)))
+        self._widths.set(frame, np.zeros(0))
+        self._strength.set(frame, np.zeros(0))
+        self._extent.set(frame, np.zeros((2, 3)))
 
     def frame(self, frame: int, trail: Trail) -> None:
         there = np.flatnonzero(trail.strength > 0)

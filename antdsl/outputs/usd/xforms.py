@@ -11,7 +11,7 @@ from antdsl.outputs.euler_angles import Angles
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.usd.bank import Bank, coloured
 from antdsl.outputs.usd.moments import Moment
-from antdsl.outputs.usd.values import ROOT, Out, Visibility, identifier, name_states
+from antdsl.outputs.usd.values import ROOT, Out, Visibility, name_states
 from antdsl.scene.geometry.usd import pxr
 
 
@@ -21,9 +21,9 @@ class XformWriter:
     notes: tuple[str, ...] = ()
 
     def __init__(self, out: Out, species: SpeciesEntry, number: int, close: bool = False) -> None:
-        self._out, self._number, self._path = out, number, f"{ROOT}/{identifier(species.name)}"
+        self._out, self._number, self._path = out, number, f"{ROOT}/{out.name('species', species.name)}"
         name_states(pxr("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
-        self._bank = Bank(out.stage, species, close)
+        self._bank = Bank(out, species, close)
         self._angles, self._agents, self._there = Angles(), dict[int, _Agent](), np.empty(0, np.int64)
         self._first: float | None = None
         self._file = out.number
