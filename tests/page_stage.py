@@ -92,6 +92,6 @@ def stage(browser: Browser) -> Iterator[Stage]:
         opened.page.goto(ADDRESS)
         opened.page.wait_for_function("document.getElementById('stale').hidden")
         yield opened
-        assert not opened.wrong
+        assert not opened.wrong, opened.wrong
     finally:
         context.close()

@@ -37,7 +37,8 @@ class PosedBody:
     """Length 1 along +x (where it heads), up +y, posed by what each agent plays.
 
     `faces` int32[m, 3]; `own` float32[v, 3], linear colours of materials; `tint` float32[v]: 1 takes the agent's colour, as
-    does what has no material or one called `state`, 0 its material's. Drawn are the shapes of its own layer, `body` where there
+    does what has no material or one called `state`, 0 its material's; `material` [v]: names; `taken` int[v]: which point each
+    vertex is, counted through the shapes of all `bindings`. Drawn are the shapes of its own layer, `body` where there
     is one so called, else the first that is not called `collision`, and of `layers` beside it; those that it does not have are
     passed over. `fine` is for agents that are large in a picture, `coarse` for those that are small."""
 
@@ -56,17 +57,17 @@ class PosedBody:
         starts = np.cumsum([0, *(len(shaded[binding.shape].points) for binding in self._bindings)])
         counts = np.cumsum([0, *(len(part[0]) for part in parts)])
         none = np.zeros(0, np.int64)
-        self._taken = np.concatenate([none, *(part[0] + s for part, s in zip(parts, starts, strict=False))])
+        self.taken = np.concatenate([none, *(part[0] + s for part, s in zip(parts, starts, strict=False))])
         self.faces = np.concatenate(
             [np.zeros((0, 3), np.int32), *(part[1] + np.int32(s) for part, s in zip(parts, counts, strict=False))]
         )
         self.own = np.concatenate([np.zeros((0, 3), np.float32), *(part[2] for part in parts)])
         self.tint = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
-        self._material = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
+        self.material = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
     def colours(self, driven: Driven) -> Floats:
         """Linear colours of materials float32[n, v, 3] of agents, [1, v, 3] where all have the same."""
-        return colours_of(self._definition.variation, driven.draws, self._material, self.own)
+        return colours_of(self._definition.variation, driven.draws, self.material, self.own)
 
     @cached_property
     def reach(self) -> float:
@@ -104,7 +105,7 @@ class PosedBody:
     @cached_property
     def mesh(self) -> SkinnedMesh:
         """The same vertices with the bones that they follow, for graphics hardware to pose."""
-        return skinned_mesh(self._definition, self._bindings, self._taken)
+        return skinned_mesh(self._definition, self._bindings, self.taken)
 
     @cached_property
     def masks(self) -> NDArray[np.uint64]:
@@ -115,7 +116,7 @@ class PosedBody:
             worn = [k for k, name in enumerate(self.layers) if name in layers and binding in _all(layers[name])]
             mask = 0 if binding in _all(own) else sum(1 << k for k in worn)
             found.append(np.full(len(self._definition.shapes[binding.shape].points), mask, np.uint64))
-        taken: NDArray[np.uint64] = np.concatenate([np.zeros(0, np.uint64), *found])[self._taken]
+        taken: NDArray[np.uint64] = np.concatenate([np.zeros(0, np.uint64), *found])[self.taken]
         return taken
 
     @cached_property
@@ -177,8 +178,8 @@ class PosedBody:
         poses = self.poses(machines, count, feet, threads, driven=driven)
         found = [bound(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((count, 0, 3), np.float32)
-        points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self._taken]
-        normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)[:, self._taken]
+        points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self.taken]
+        normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)[:, self.taken]
         return points @ self._base.T, normals @ self._turn.T
 
 

@@ -39,7 +39,8 @@ def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDA
     """The mesh of some bindings, whose shapes have normals; `taken` int[v]: which vertices, counted through all of them.
 
     A static shape follows its joint alone. Of a point that follows more than four joints the four of most weight are kept. Other
-    deformers than linear skinning are not applied: dual quaternions become linear, and blend shapes stay as their base is."""
+    deformers than linear skinning are not applied: dual quaternions become linear, and blend shapes stay as their base is:
+    `blend_targets` has what is added to that."""
     found = _Bones(definition)
     parts = [(_captured if _skins(each) else _static)(definition, each, found) for each in bindings]
     none = np.zeros((0, 3), np.float32)

@@ -17,6 +17,7 @@ from antdsl.runtime import Built, Options, Population, World, checkpoint, restor
 from antdsl.runtime.binding.bind_world import unpeopled
 
 _LIGHT = 0.25  # of the budget, that light frames keep
+_POSES = 0.125  # of the budget, that what bodies did keeps
 _CURVES = 50_000  # frames
 _BRANCHES = 8
 _STOPS = 256
@@ -80,6 +81,31 @@ class Lights(dict[int, dict[str, Light]]):
 def _arrays(lights: Mapping[str, Light]) -> Iterator[NDArray[Any]]:
     for light in lights.values():
         yield from light.arrays()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posed:
+    """What agents of one species did with their bodies at a frame, as pages are told: arrays by name, that make sense for the
+    body and the clips of `worn` alone."""
+
+    worn: object
+    arrays: Arrays
+
+
+class Poses(dict[int, Mapping[str, Posed]]):
+    """What bodies did, by frame and species; of `nbytes` in all."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.nbytes = 0
+
+    def put(self, frame: int, poses: Mapping[str, Posed]) -> None:
+        self.drop(frame)
+        self[frame] = poses
+        self.nbytes += sum(_size(each.arrays) for each in poses.values())
+
+    def drop(self, frame: int) -> None:
+        self.nbytes -= sum(_size(each.arrays) for each in self.pop(frame, {}).values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +181,8 @@ class Branch:
 
 
 class Timeline:
-    """Stretches in order of time. A checkpoint each `every` frames; `budget` bytes in all, above which light frames go first,
+    """Stretches in order of time. A checkpoint each `every` frames; `budget` bytes in all, above which what bodies did goes
+    first, of the oldest frames, until it takes an eighth; then light frames,
     the oldest ones, until they take a quarter; then checkpoints between others, where they are closest; then whole stretches,
     the oldest ones. `curves` are in order of frames, the last 50,000 of them; `branches` the last 8; `stops` are the frames at
     which play was stopped, with why, the last 256."""
@@ -167,6 +194,7 @@ class Timeline:
         self.curves: dict[int, dict[str, float]] = {}
         self.stops: dict[int, str] = {}
         self.light = Lights()
+        self.poses = Poses()  # of light frames that some page was shown when they were simulated
         self._bytes = 0  # of checkpoints
 
     @property
@@ -177,7 +205,7 @@ class Timeline:
     @property
     def nbytes(self) -> int:
         """Memory of all that is kept but curves."""
-        return self._bytes + self.light.nbytes
+        return self._bytes + self.light.nbytes + self.poses.nbytes
 
     def at(self, frame: int) -> Stretch:
         """The stretch that a frame belongs to: where two meet, the later one."""
@@ -210,7 +238,7 @@ class Timeline:
                 self._bytes -= _size(stretch.checkpoints.pop(each))
         for each in old:
             del self.curves[each]
-            self.light.drop(each)
+            self._forget(each)
         if old:
             self.curves.setdefault(frame, {})  # it may be older than all that there are
 
@@ -246,8 +274,14 @@ class Timeline:
             self._bytes += _size(stretch.checkpoints[frame])
         if fresh:
             before = self.light.get(frame - 1, {})
+            self.poses.drop(frame)
             self.light.put(frame, {name: Light.of(p, before.get(name)) for name, p in world.populations.items()})
         self._keep_to_budget(stretch)
+
+    def _forget(self, frame: int) -> None:
+        """What agents were like at a frame."""
+        self.light.drop(frame)
+        self.poses.drop(frame)
 
     def _drop(self, stretch: Stretch) -> None:
         self.stretches.remove(stretch)
@@ -259,6 +293,9 @@ class Timeline:
 
     def _let_go(self, current: Stretch) -> bool:
         """Of what is missed least; False where only one light frame and the checkpoints that stretches begin with are left."""
+        if self.poses.nbytes > _POSES * self.budget:
+            self.poses.drop(next(iter(self.poses)))
+            return True
         if self.light.nbytes <= _LIGHT * self.budget:
             between = [found for each in self.stretches for found in _between(each)]
             if between:
@@ -268,10 +305,10 @@ class Timeline:
             if self.stretches[0] is not current:
                 self._drop(self.stretches[0])
                 for frame in [each for each in self.light if each < self.stretches[0].first]:
-                    self.light.drop(frame)
+                    self._forget(frame)
                 return True
         if len(self.light) > 1:
-            self.light.drop(next(iter(self.light)))
+            self._forget(next(iter(self.light)))
         return len(self.light) > 1
 
 

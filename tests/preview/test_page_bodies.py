@@ -19,19 +19,24 @@ from antdsl.bodies.agents.blending import Playing, posed
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_table import ClipTable, clip_table
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.driving import with_looks
+from antdsl.bodies.agents.driving import Driven, with_looks
 from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
 from antdsl.bodies.agents.leg_ik import Legs, PlacedFeet
 from antdsl.bodies.agents.legs import Leg
 from antdsl.bodies.agents.machine_clips import EARLIER, MachineClips, Played, machines_playing
-from antdsl.bodies.agents.rig import Rig
-from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.rig import Channel, Rig
+from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
+from antdsl.bodies.agents.transforms import world_matrices
+from antdsl.bodies.agents.variation import Variation
+from antdsl.bodies.agents.varied_bodies import Draws, place_of, size_of
+from antdsl.bodies.blend_targets import blend_targets
 from antdsl.bodies.body import orientation
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.timeline import Light
+from antdsl.preview.viewing.acting import blended_by
 from antdsl.preview.viewing.plays import packed
-from antdsl.preview.viewing.rigs import Outfit, rig_packet
+from antdsl.preview.viewing.rigs import Outfit, rig_packet, traits
 from antdsl.preview.viewing.stances import stances
 from antdsl.runtime.feet.state import Feet
 from antdsl.runtime.feet.trunk import quaternions
@@ -259,6 +264,130 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
     none, hat, both = coloured(0), coloured(1), coloured(3)
     assert hat > 2 * none and both > 1.2 * hat
     assert coloured(0) == none
+
+
+def told_traits(worn: Outfit, plays: tuple[MachineClips, ...], driven: Driven) -> dict[str, NDArray[np.float32]]:
+    """What a frame tells of what bodies differ by."""
+    assert driven.draws is not None
+    found, differ = traits(worn), worn.definition.variation
+    parts = [*blended_by(worn, found, plays, len(driven.draws.ids), driven.channels, leans(12)[:, :2] / 127).T]
+    parts += [size_of(differ, name, driven.draws) for name in found.scales]
+    parts += [place_of(differ, name, driven.draws) for name in found.materials]
+    whole = np.zeros((-(-len(parts) // 3) * 3, len(driven.draws.ids)), np.float32)
+    for k, part in enumerate(parts):
+        whole[k] = part
+    return {f"trait/{k}": whole[3 * k : 3 * k + 3].T for k in range(len(whole) // 3)}
+
+
+def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
+    body, plays = crane(), machines(12)
+    body = replace(body, variation=Variation({"arms": (0.6, 1.8)}))
+    driven = Driven(draws=Draws(np.arange(10, 22), 3, "ant"), lean=leans(12)[:, :2].astype(np.float32) / 127)
+    level = PosedBody(body, PLAYS)
+    expected = in_bones(body, level, level.poses(plays, 12, driven=driven).world)
+    assert np.abs(expected - wanted(body, plays, level)).max() > 0.3
+    worn = Outfit(body, PLAYS, leans=True)
+    page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
+    page.tell(frame(plays, more=told_traits(worn, plays, driven)))
+    page.page.wait_for_timeout(300)
+    for row in range(12):
+        assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
+
+
+def blended() -> Definition:
+    """The crane as one shape that follows its joints, with two blend shapes, one by way of another; clips turn one of them on."""
+    body, random = crane(), np.random.default_rng(2)
+    rest = world_matrices(body.rig.parents, body.rig.rest)
+    points = np.concatenate([CUBE * 0.3 + at[:3, 3].astype(np.float32) for at in rest]).astype(np.float32)
+    faces = np.concatenate([SIDES + 8 * k for k in range(8)]).astype(np.int32)
+    joints = np.repeat(np.arange(8), 8)[:, None].astype(np.int32)
+    capture = Capture(body.rig.names, joints, np.ones((64, 1), np.float32), np.linalg.inv(rest))
+
+    def shape(name: str, apart: float, **more: Any) -> Shape:
+        return Shape(name, points + random.normal(0, apart, points.shape).astype(np.float32), faces, capture=capture, **more)
+
+    shapes = [
+        shape("base", 0, blend=Blend(("puffed", "torn"), ("puff", "tear"))),
+        shape("puffed", 0.3), shape("torn", 0.3, between=Between(("half",), (0.4,))), shape("half", 0.3),
+    ]  # fmt: skip
+    values = random.uniform(0, 1, (9, 1)).astype(np.float32)
+    return replace(
+        body, rig=replace(body.rig, channels=(Channel("puff"), Channel("tear", 0.1))),
+        shapes={each.name: each for each in shapes},
+        layers={"close": Layer("close", (), (Binding("", "base", deformer="blendshape+linearskinning"),)),
+                "body": Layer("body", (), (Binding("", "base", deformer="blendshape+linearskinning"),))},
+        clips={**body.clips, "sway": replace(body.clips["sway"], channels=("tear",), values=values)},
+    )  # fmt: skip
+
+
+def test_blend_shapes_go_by_clips_and_by_what_is_said_of_channels() -> None:
+    body, plays = blended(), machines(12)
+    said = np.where(np.arange(12) % 3 == 0, np.nan, np.linspace(-0.5, 1.5, 12)).astype(np.float32)
+    driven = Driven({"puff": said}, draws=Draws(np.arange(10, 22)), lean=leans(12)[:, :2].astype(np.float32) / 127)
+    worn, level = Outfit(body, PLAYS, leans=True), PosedBody(body, PLAYS)
+    found = traits(worn)
+    weights = blended_by(worn, found, plays, 12, driven.channels, driven.lean)
+    assert len(found.targets) == 3 and len(np.unique(weights[:, 1:])) > 6
+    targets = blend_targets(level.shaded, level.bindings, level.taken)
+    moved = sum(weights[:, k, None, None] * targets[each][None] for k, each in enumerate(found.targets))
+    points, _ = level.posed(plays, 12, driven=driven)
+    bones_of = in_bones(body, level, level.poses(plays, 12, driven=driven).world)[:, level.mesh.bones[:, 0]]
+    at = np.concatenate([level.mesh.points + moved[:, :, :3], np.ones((*moved.shape[:2], 1))], axis=2)
+    assert np.abs(np.einsum("nvij,nvj->nvi", bones_of, at) - points).max() < 1e-4
+
+
+def test_blend_shapes_are_drawn_as_a_body_of_that_shape(page: Stage) -> None:
+    """With the whole weight of a target, the page draws the picture that it draws of a body that is the target."""
+    body, plays = blended(), machines(12)
+
+    def picture(body: Definition, weight: float) -> NDArray[np.int64]:
+        worn = Outfit(body, PLAYS, leans=True)
+        page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
+        driven = Driven(
+            {"puff": np.full(12, weight, np.float32), "tear": np.zeros(12, np.float32)}, draws=Draws(np.arange(10, 22))
+        )
+        page.tell(frame(plays, more=told_traits(worn, plays, driven)))
+        return seen(page)
+
+    def differ(a: NDArray[np.int64], b: NDArray[np.int64]) -> int:
+        covered = [(each[..., 0] > 90) & (each[..., 2] < 0.6 * each[..., 0]) for each in (a, b)]  # by bodies, not their shadows
+        return int((covered[0] != covered[1]).sum())
+
+    base, puffed = picture(body, 0), picture(body, 1)
+    bare = replace(body.shapes["puffed"], name="base")
+    same = replace(body, shapes={"base": bare}, layers={
+        name: Layer(name, (), (Binding("", "base", deformer="linearskinning"),)) for name in ("close", "body")
+    })  # fmt: skip
+    assert differ(base, puffed) > 500
+    assert differ(picture(same, 0), puffed) < 0.02 * differ(base, puffed)
+
+
+def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None:
+    """One agent alone in the view has the picture of a body whose material has that colour for all."""
+    slate, ends = {"slate": (0.5, 0.5, 0.5)}, ((0.9, 0.0, 0.0), (0.0, 0.0, 0.9), (0.0, 0.9, 0.0))
+    box = replace(crane().shapes["box"], materials=("slate",), material=np.zeros(12, np.int32))
+    varied = replace(crane(), materials=slate, shapes={"box": box}, variation=Variation({}, {"slate": ends}))
+    plays, draws = machines(12), Draws(np.arange(10, 22), 4, "ant")
+
+    def picture(body: Definition) -> NDArray[np.int64]:
+        worn = Outfit(body, PLAYS, leans=True)
+        page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
+        page.tell(frame(plays, more=told_traits(worn, plays, Driven(draws=draws))))
+        return seen(page)
+
+    page.tell(scene(camera=CAMERA), texts(), status())
+    several = picture(varied)
+    level = PosedBody(varied, PLAYS)
+    colours = level.colours(Driven(draws=draws))[:, 0]
+    alike, masks = np.zeros(several.shape[:2], bool), 0
+    for row in range(12):
+        shown = picture(replace(varied, materials={"slate": tuple(map(float, colours[row]))}, variation=Variation()))
+        same = np.abs(shown - several).max(axis=2) < 6
+        moved = np.abs(shown - several).max(axis=2) >= 6
+        masks += int(moved.any())
+        alike |= same
+    assert masks == 12, "they have different colours"
+    assert alike.mean() > 0.999
 
 
 def test_between_two_frames_clips_go_on_and_blend(page: Stage) -> None:

@@ -15,6 +15,7 @@ from preview_page import few
 from antdsl.preview import Live, Session, timeline
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.observing.spec_judgement import Specs
+from antdsl.preview.viewing.acting import remember, remembered
 from antdsl.preview.viewing.curves import Told
 from antdsl.preview.viewing.scene import Box
 
@@ -49,6 +50,23 @@ def test_full_memory_keeps_the_latest_light_frames_and_checkpoints_of_all_times(
     for frame in (60, 3, 121):
         session.seek(frame)
         assert session.hash == hashes[frame]
+
+
+def test_what_bodies_did_is_kept_of_the_latest_frames_and_costs_no_older_ones(scene: Path) -> None:
+    bare = opened(scene, every=2)
+    session = opened(scene, every=2, budget=20 * bare.timeline.nbytes)
+    for _ in range(120):
+        session.step()
+        remember(session)
+    session.step()
+    kept = session.timeline
+    assert kept.nbytes <= kept.budget and 0 < kept.poses.nbytes <= kept.budget / 4
+    assert kept.poses.nbytes == sum(
+        a.nbytes for each in kept.poses.values() for one in each.values() for a in one.arrays.values()
+    )
+    assert 5 < len(kept.poses) < len(kept.light)
+    assert list(kept.poses) == list(range(122 - len(kept.poses), 122))
+    assert {"forager/plays/main", "forager/feet"} <= remembered(session, 121)["forager"].keys()
 
 
 def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:

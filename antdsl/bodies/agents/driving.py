@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from antdsl.bodies.agents.affine import Floats, normalised
 from antdsl.bodies.agents.clip_table import ClipTable
 from antdsl.bodies.agents.layer import TransformGroup
 from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.bodies.agents.varied_bodies import Draws
 
@@ -68,13 +69,20 @@ def with_looks(
     for name, look in wanted.items():
         way = [(look[:, 0] * axes[0, k] + look[:, 1] * axes[1, k]) + look[:, 2] * axes[2, k] for k in range(3)]
         turn = _shortest(way, axes[0])
-        left = np.ones(len(table.rig.names))  # of the way, when all that a joint hangs on has turned
-        for joint, weight in sorted((table.rig.joint(member), weight) for member, weight in groups[name].members):
-            share, below = min(weight, left[joint]), table.rig.below(joint)
-            if share > 0:
-                left[below] -= share
-                _turned(world, joint, below, _share(turn, share))
+        for joint, share in look_shares(table.rig, groups[name]):
+            _turned(world, joint, table.rig.below(joint), _share(turn, share))
     return Poses(world, None, poses.channels)
+
+
+def look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
+    """The joints of a group by number, each with its share of the way that the group looks: its weight, but no more than what
+    all that it hangs on has left over."""
+    left = np.ones(len(rig.names))
+    for joint, weight in sorted((rig.joint(member), weight) for member, weight in group.members):
+        share = min(weight, float(left[joint]))
+        if share > 0:
+            left[rig.below(joint)] -= share
+            yield joint, share
 
 
 def _shortest(way: Sequence[Floats], ahead: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.clip_table import ClipTable
 from antdsl.bodies.agents.layer import TransformGroup
 from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.variation import Variation
 from antdsl.numerics.randomness import uniform
 
@@ -41,19 +42,35 @@ def with_scales(
     if draws is None or not variation.scales or not len(draws.ids):
         return poses
     world = np.array(poses.world, np.float32)
-    for name, (low, high) in variation.scales.items():
-        size = np.float32(low) + np.float32(high - low) * draws.of(f"scale {name}")
-        members = {table.rig.joint(member): weight for member, weight in groups[name].members}
-        for joint, weight in members.items():
+    for name in variation.scales:
+        size = size_of(variation, name, draws)
+        for joint, weight in scaled_joints(table.rig, groups[name]):
             below = table.rig.below(joint)
-            if any(joint in table.rig.below(other) for other in members if other != joint):
-                continue  # it is scaled with the one that it hangs on
             factor = (1 + np.float32(weight) * (size - 1))[:, None, None]
             pivot = world[:, joint, :, 3].copy()
             for each in below:
                 world[:, each, :, :3] *= factor
                 world[:, each, :, 3] = pivot + (world[:, each, :, 3] - pivot) * factor[:, 0]
     return Poses(world, None, poses.channels)
+
+
+def size_of(variation: Variation, group: str, draws: Draws) -> Floats:
+    """How large a transform group of each agent is, float32[n]."""
+    low, high = variation.scales[group]
+    return np.float32(low) + np.float32(high - low) * draws.of(f"scale {group}")
+
+
+def scaled_joints(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
+    """The uppermost joints of a transform group, about which it is scaled, with their weights."""
+    members = {rig.joint(member): weight for member, weight in group.members}
+    for joint, weight in members.items():
+        if not any(joint in rig.below(other) for other in members if other != joint):  # else it is scaled with that
+            yield joint, weight
+
+
+def place_of(variation: Variation, material: str, draws: Draws) -> Floats:
+    """Where on the way through its colours, counted from 0, a material of each agent lies, float32[n]."""
+    return draws.of(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 
 def colours_of(variation: Variation, draws: Draws | None, material: NDArray[np.str_], own: Floats) -> Floats:
@@ -65,7 +82,7 @@ def colours_of(variation: Variation, draws: Draws | None, material: NDArray[np.s
     found = np.repeat(own[None], len(draws.ids), axis=0)
     for name in varied:
         given = np.array(variation.materials[name], np.float32)
-        at = draws.of(f"material {name}") * np.float32(len(given) - 1)
+        at = place_of(variation, name, draws)
         first = np.minimum(at.astype(np.intp), len(given) - 2)
         share = (at - first.astype(np.float32))[:, None]
         found[:, material == name] = (given[first] + (given[first + 1] - given[first]) * share)[:, None]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.plan.ir import Plan
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.timeline import Light
-from antdsl.preview.viewing.acting import acts
+from antdsl.preview.viewing.acting import acts, remember, remembered
 from antdsl.preview.viewing.feelers import felt
 from antdsl.preview.viewing.seen import Packets, Seen, Wanted
 from antdsl.preview.viewing.units import unit_for, worth
@@ -38,16 +38,21 @@ class Agents:
         if seen.light is not None:  # also while the session is on its way there
             lights = seen.session.shown(seen.light)
             if lights is not None:
-                then = seen.session.timeline.at(seen.light).shot.plan
-                yield "frame", pack("frame", _renumbered(_remembered(lights), then, seen.shot.plan), frame=seen.light, light=True)
+                plan = seen.session.timeline.at(seen.light).shot.plan
+                light = _renumbered(_remembered(lights), plan, seen.shot.plan)
+                for done in remembered(seen.session, seen.light).values():
+                    light |= done
+                yield "frame", pack("frame", light, frame=seen.light, light=True)
             return
         arrays: Arrays = {}
         factors = _factors(world, seen.shot.program, seen.wanted)
+        remember(seen.session)
         lights = seen.session.shown(world.frame) or {}  # what is remembered of it was just made of it
+        poses = remembered(seen.session, world.frame)
         for name, population in world.populations.items():
-            light = lights[name] if name in lights else Light.of(population)
-            arrays |= _remembered({name: light}) | _now(population, factors)
-            arrays |= acts(world, seen.shot, population, light)
+            then = lights[name] if name in lights else Light.of(population)
+            arrays |= _remembered({name: then}) | _now(population, factors)
+            arrays |= poses[name] if name in poses else acts(world, seen.shot, population, then)
         arrays |= _items(world, seen.shot.program)
         feelers, whose = _feelers(world, seen.shot.program, seen.wanted)
         yield "frame", pack("frame", arrays | feelers, frame=world.frame, light=False, felt=whose)

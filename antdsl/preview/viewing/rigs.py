@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -11,8 +12,11 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.clip_table import ClipTable, clip_table
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.driving import look_shares
 from antdsl.bodies.agents.leg_ik import BENDING, Legs
 from antdsl.bodies.agents.machine_clips import Played
+from antdsl.bodies.agents.varied_bodies import scaled_joints
+from antdsl.bodies.blend_targets import Target, blend_targets
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.clip_arrays import playing
 from antdsl.outputs.cache.shown_arrays import layers_worn
@@ -24,6 +28,7 @@ from antdsl.runtime import Population, World
 
 Arrays = dict[str, NDArray[Any]]
 MOST_LAYERS = 24  # that pages tell apart: whole numbers of so many bits are exact in float32
+MOST_TARGETS = 48  # of blend shapes, that pages know
 
 
 class Rigs:
@@ -75,6 +80,37 @@ def posed_body(worn: Outfit) -> PosedBody:
     return PosedBody(worn.definition, worn.plays, worn.layers)
 
 
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What the bodies of agents differ by beside what they play, each a number: how much of each target of blend shapes there
+    is, how large transform groups are, where on the way through its colours each material lies."""
+
+    targets: tuple[Target, ...] = ()
+    scales: tuple[str, ...] = ()
+    materials: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        return len(self.targets) + len(self.scales) + len(self.materials)
+
+
+@lru_cache(maxsize=8)
+def traits(worn: Outfit) -> Traits:
+    """Those of an outfit; of more targets than pages have room for, the first."""
+    targets = dict.fromkeys(each for level in _levels(worn).values() for each in _targets(level))
+    varied = worn.definition.variation
+    return Traits(tuple(targets)[:MOST_TARGETS], tuple(varied.scales), tuple(varied.materials))
+
+
+def _levels(worn: Outfit) -> dict[str, PosedBody]:
+    body = posed_body(worn)
+    return {"low": body.coarse, "fine": body.fine}
+
+
+def _targets(level: PosedBody) -> dict[Target, NDArray[np.float32]]:
+    return blend_targets(level.shaded, level.bindings, level.taken)
+
+
 @lru_cache(maxsize=8)
 def _rig(worn: Outfit) -> tuple[Arrays, dict[str, Any]]:
     definition, plays = worn.definition, worn.plays
@@ -82,14 +118,17 @@ def _rig(worn: Outfit) -> tuple[Arrays, dict[str, Any]]:
     idle = definition.clips.get(definition.idle)
     arrays = _clips(table, definition, plays if idle is None else (*plays, Played(definition.idle)))
     arrays |= _legs(body.legs, table)
-    arrays["look"] = np.array([table.weights(definition.groups[name])[0] for name in worn.looks], np.float32)
-    for level, each in (("low", body.coarse), ("fine", body.fine)):
-        arrays |= {f"{level}/{name}": array for name, array in _mesh(each, table).items()}
+    arrays["look"] = _by_depth(table, [look_shares(table.rig, definition.groups[name]) for name in worn.looks])
+    differ = traits(worn)
+    arrays |= _variation(definition, differ, table)
+    for level, each in _levels(worn).items():
+        found = _mesh(each, table) | _varied(each, differ)
+        arrays |= {f"{level}/{name}": array for name, array in found.items()}
     return arrays, {
         "joints": len(table.order), "texels": _texels(table), "length": float(definition.length),
         "base": [round(float(x), 9) for x in definition.base()[:3].reshape(-1)], "bending": BENDING,
         "idle": [] if idle is None or idle.duration <= 0 else [len(plays), idle.duration],
-        "looks": list(worn.looks), "leans": worn.leans,
+        "looks": list(worn.looks), "leans": worn.leans, "traits": differ.count, "targets": len(differ.targets),
     }  # fmt: skip
 
 
@@ -134,6 +173,38 @@ def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) 
         "clip": np.array(clips, np.int32).reshape(-1, 12),
         "group": np.stack(weights).astype(np.float32),
     }
+
+
+def _by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -> NDArray[np.float32]:
+    """Weights of joints by number, for each of G groups, as float32[G, J] of joints by depth."""
+    found = np.zeros((len(groups), len(table.order)), np.float32)
+    for k, group in enumerate(groups):
+        for joint, weight in group:
+            found[k, joint] = weight
+    return found[:, table.order]
+
+
+def _variation(definition: Definition, differ: Traits, table: ClipTable) -> Arrays:
+    """`scale` float32[S, J]: by how much of a group's size each joint and all that hangs on it is scaled, joints by depth;
+    `palette` float32[c, 4]: the colours of materials that vary, one material after the other."""
+    scale = _by_depth(table, [scaled_joints(table.rig, definition.groups[name]) for name in differ.scales])
+    colours = [colour for name in differ.materials for colour in definition.variation.materials[name]]
+    palette = np.zeros((len(colours), 4), np.float32)
+    palette[:, :3] = np.array(colours, np.float32).reshape(-1, 3)
+    return {"scale": scale, "palette": palette}
+
+
+def _varied(level: PosedBody, differ: Traits) -> Arrays:
+    """`target` float32[T, v, 6]: what each target of blend shapes adds to places and normals; `paint` float32[v, 2]: the trait
+    that the colour of a vertex goes by, -1 where it does not vary, and the first of its colours."""
+    found, count = _targets(level), len(level.mesh.points)
+    none = np.zeros((count, 6), np.float32)
+    paint = np.full((count, 2), -1, np.float32)
+    first = 0
+    for k, name in enumerate(differ.materials):
+        paint[level.material == name] = len(differ.targets) + len(differ.scales) + k, first
+        first += len(level.definition.variation.materials[name])
+    return {"target": np.array([found.get(each, none) for each in differ.targets], np.float32), "paint": paint}
 
 
 def _depths(table: ClipTable) -> NDArray[np.int32]:

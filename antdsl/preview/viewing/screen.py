@@ -14,6 +14,7 @@ from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.requests import EVERYBODY
 from antdsl.preview.session import Session
 from antdsl.preview.viewing import messages
+from antdsl.preview.viewing.acting import remember
 from antdsl.preview.viewing.agents import Agents
 from antdsl.preview.viewing.bodies import ItemBodies
 from antdsl.preview.viewing.charts import Charts
@@ -62,6 +63,8 @@ class Screen:
     def stepped(self) -> None:
         self._steps.append(monotonic())
         self._moved = True
+        if self.live.clients:
+            remember(self.live.session)
 
     def looks_ahead(self, session: Session) -> bool:
         """Whether some page shows planned paths of somebody."""

@@ -6,6 +6,7 @@ import { tally } from "../src/view/acts/legend";
 import { planned, unseen } from "../src/view/acts/paths";
 import { missing } from "../src/view/acts/trails";
 import { machineOf, numbersOf, paint, ranged } from "../src/view/colours";
+import { arranged } from "../src/view/labels";
 import { RAMP } from "../src/view/palette";
 import { fullOf, level, SHOWN } from "../src/view/scales";
 import { left } from "../src/view/scenery/items";
@@ -204,5 +205,19 @@ describe("planned paths", () => {
     expect(unseen(1, 400, 0)).toBe("planned paths: being simulated");
     expect(unseen(1, 400, 5)).toBe("");
     expect(unseen(0, 300, 5)).toBe("");
+  });
+});
+
+describe("labels", () => {
+  const wish = (x: number, y: number, far: number, wide: [number, number] = [100, 30]) => ({ x, y, far, wide, high: 16 });
+
+  test("stand above their places, and within the view", () => {
+    expect(arranged([wish(200, 50, 1)], 400)).toEqual([{ left: 150, top: 34, whole: true }]);
+    expect(arranged([wish(10, 50, 1), wish(390, 90, 1)], 400)).toMatchObject([{ left: 4 }, { left: 296 }]);
+  });
+
+  test("leave out what they hold where they would lie over a nearer one, and are left out where that does not help", () => {
+    const spots = arranged([wish(270, 50, 3), wish(200, 50, 1), wish(205, 52, 2)], 400);
+    expect(spots).toEqual([{ left: 255, top: 34, whole: false }, { left: 150, top: 34, whole: true }, null]);
   });
 });

@@ -1,6 +1,8 @@
 // How bodies, their shadows and the rings around selected ones are drawn. All stand by the same rows: see `Rows`.
 
 import * as THREE from "three";
+import { TRAIT } from "./poseshaders";
+import { WIDE } from "./rig";
 import type { Stage } from "./stage";
 
 /** Where a row stands: `here`, the turn `turned` (ahead, up, aside), and `long`, its body's length, never less than a few px. */
@@ -41,20 +43,36 @@ void posed(out vec3 place, out vec3 across) {
   across = normal;
 }`;
 
-/** Linear skinning: the mean of the matrices of up to four bones. Normals go by its cofactors, which scales do not bend. */
+/** Blend shapes, then linear skinning: the mean of the matrices of up to four bones. Normals go by its cofactors, which scales do not bend. */
 const SKIN = /* glsl */ `
 attribute vec4 colour;
 attribute vec4 bone;
 attribute vec4 weight;
-attribute float layer;
+attribute vec3 worn; // the layers that show it; the trait that its colour goes by, or -1, and the first of its colours
 attribute float wears;
 uniform highp sampler2D firstRow;
 uniform highp sampler2D secondRow;
 uniform highp sampler2D thirdRow;
 uniform int bones;
 uniform int perRow;
-vec4 painted() { return vec4(colour.rgb * colour.rgb, colour.a); }
-bool bare() { return layer > 0.5 && (uint(layer + 0.5) & uint(wears + 0.5)) == 0u; } // of a layer that it does not wear
+uniform highp sampler2D gazes;
+uniform highp sampler2D targetList;
+uniform highp sampler2D palette;
+uniform int told;
+uniform int traitAt;
+uniform int targets;
+uniform int vertices;
+${TRAIT}
+vec4 listed(highp sampler2D list, int number) { return texelFetch(list, ivec2(number % ${WIDE}, number / ${WIDE}), 0); }
+float trait(int number) { return traitOf(gazes, gl_InstanceID, told, traitAt, number, t); }
+vec4 painted() {
+  if (worn.y < 0.0) return vec4(colour.rgb * colour.rgb, colour.a);
+  float place = trait(int(worn.y + 0.5)), whole = floor(place);
+  int first = int(worn.z + whole + 0.5);
+  vec3 from = listed(palette, first).rgb;
+  return vec4(place > whole ? mix(from, listed(palette, first + 1).rgb, place - whole) : from, colour.a);
+}
+bool bare() { return worn.x > 0.5 && (uint(worn.x + 0.5) & uint(wears + 0.5)) == 0u; } // of a layer that it does not wear
 void posed(out vec3 place, out vec3 across) {
   int left = (gl_InstanceID % perRow) * bones;
   int row = gl_InstanceID / perRow;
@@ -66,9 +84,17 @@ void posed(out vec3 place, out vec3 across) {
     b += weight[k] * texelFetch(secondRow, here, 0);
     c += weight[k] * texelFetch(thirdRow, here, 0);
   }
-  vec4 whole = vec4(position, 1.0);
+  vec3 point = position, upright = normal;
+  for (int k = 0; k < targets; k++) {
+    float weight = trait(k);
+    if (weight == 0.0) continue;
+    int here = 2 * (k * vertices + gl_VertexID);
+    point += weight * listed(targetList, here).xyz;
+    upright += weight * listed(targetList, here + 1).xyz;
+  }
+  vec4 whole = vec4(point, 1.0);
   place = vec3(dot(a, whole), dot(b, whole), dot(c, whole));
-  across = normalize(vec3(dot(cross(b.xyz, c.xyz), normal), dot(cross(c.xyz, a.xyz), normal), dot(cross(a.xyz, b.xyz), normal)) + 1e-20);
+  across = normalize(vec3(dot(cross(b.xyz, c.xyz), upright), dot(cross(c.xyz, a.xyz), upright), dot(cross(a.xyz, b.xyz), upright)) + 1e-20);
 }`;
 
 const BODY_VERTEX = /* glsl */ `
@@ -165,7 +191,24 @@ void main() {
 
 /** What the shaders of bodies, shadows and rings are told beside the rows. */
 export type Uniforms = Record<
-  "t" | "focal" | "least" | "sun" | "worldUp" | "firstRow" | "secondRow" | "thirdRow" | "bones" | "perRow" | "shade",
+  | "t"
+  | "focal"
+  | "least"
+  | "sun"
+  | "worldUp"
+  | "firstRow"
+  | "secondRow"
+  | "thirdRow"
+  | "bones"
+  | "perRow"
+  | "gazes"
+  | "targetList"
+  | "palette"
+  | "told"
+  | "traitAt"
+  | "targets"
+  | "vertices"
+  | "shade",
   THREE.IUniform
 >;
 
@@ -181,6 +224,13 @@ export function standing(stage: Stage): Uniforms {
     thirdRow: { value: null },
     bones: { value: 1 },
     perRow: { value: 1 },
+    gazes: { value: null },
+    targetList: { value: null },
+    palette: { value: null },
+    told: { value: 1 }, // threes of numbers that the rows of `gazes` have, and from which on these are traits
+    traitAt: { value: 0 },
+    targets: { value: 0 },
+    vertices: { value: 1 },
     shade: { value: new THREE.Vector2(0.72, 0.46) }, // half axes of the shadow, in body lengths
   };
 }

@@ -37,7 +37,7 @@ export class Figure {
     this.poser = skinned ? new Poser(this.stage.renderer, form) : null;
     this.mesh.material.dispose();
     this.mesh.material = bodyMaterial(this.uniforms, skinned);
-    if (skinned) this.uniforms.bones.value = form.bones;
+    if (skinned) this.dress(form);
   }
 
   /** Draw so many, `t` of the way to the frame, posed by what they do: the first rows, or the `chosen` ones. */
@@ -51,6 +51,19 @@ export class Figure {
     poser.pose(acting, count, t, chosen);
     [uniforms.firstRow.value, uniforms.secondRow.value, uniforms.thirdRow.value] = poser.textures;
     uniforms.perRow.value = poser.agentsInARow;
+    uniforms.gazes.value = poser.traits;
+  }
+
+  private dress({ bones, rig, targets, rest }: Skin): void {
+    const { uniforms } = this;
+    const first = rig.looks.length + Number(rig.leans);
+    uniforms.bones.value = bones;
+    uniforms.targetList.value = targets;
+    uniforms.palette.value = rig.palette;
+    uniforms.told.value = first + Math.ceil(rig.traits / 3);
+    uniforms.traitAt.value = first;
+    uniforms.targets.value = rig.targets;
+    uniforms.vertices.value = rest.length / 3;
   }
 
   dispose(): void {

@@ -1,4 +1,5 @@
-// Where the agents of one species look with parts of their bodies, and how they lean, row by row as the shaders read it: as it was and as it is.
+// Where the agents of one species look with parts of their bodies, how they lean and what their bodies differ by, row by row as the
+// shaders read it: as it was and as it is.
 
 import type { NumberArray } from "../protocol";
 
@@ -23,7 +24,7 @@ export class Gaze {
     this.version++;
   }
 
-  /** Take a frame: of each group int8 [n, 3], or nothing where it does not tell, and they stay. `from`: the row before of each row,
+  /** Take a frame: of each group int8 [n, 3] (127 is 1) or, of traits, float32 [n, 3]; or nothing where it does not tell, and they stay. `from`: the row before of each row,
    * or -1; rows go on from what they show, `t` of the way. */
   take(told: (NumberArray | undefined)[], count: number, from: Int32Array, t: number): void {
     const { width } = this;
@@ -38,8 +39,8 @@ export class Gaze {
         const known = (from[row] as number) >= 0 && other + PART <= was.length;
         const now = told[group];
         for (let axis = 0; axis < 3; axis++) {
-          const straight = axis === 0 && this.groups[group] !== "lean" ? 1 : 0;
-          const here = now ? (now[3 * row + axis] as number) / WHOLE : null;
+          const straight = axis === 0 && (this.groups[group] as string).startsWith("look") ? 1 : 0;
+          const here = now ? (now[3 * row + axis] as number) / (now instanceof Int8Array ? WHOLE : 1) : null;
           const a = was[other + axis] as number;
           const shown = known ? a + ((was[other + 4 + axis] as number) - a) * t : (here ?? straight);
           data[k + axis] = shown;

@@ -56,6 +56,7 @@ export interface Acts {
   legs: number;
   looks: string[]; // the transform groups that it looks with
   leans: boolean; // clips give way to others as it turns and climbs
+  traits: number; // numbers that its bodies differ by beside that
   idle: [number, number] | null; // the clip that lies below all others, and the seconds that it takes
 }
 
@@ -115,12 +116,13 @@ export class Herd {
   }
 
   /** What it can do with its body is other than before. */
-  acting({ machines, loops, legs, looks, leans, idle }: Acts): void {
+  acting({ machines, loops, legs, looks, leans, traits, idle }: Acts): void {
     this.machines = machines;
     this.idle = idle;
     this.plays.begin(idle ? ["", ...machines] : machines, loops);
     this.feet.begin(legs);
-    this.gaze.begin([...looks.map((group) => `look/${group}`), ...(leans ? ["lean"] : [])]);
+    const threes = Array.from({ length: Math.ceil(traits / 3) }, (_, k) => `trait/${k}`);
+    this.gaze.begin([...looks.map((group) => `look/${group}`), ...(leans ? ["lean"] : []), ...threes]);
     this.from.fill(-1);
     this.act(1);
   }

@@ -1,4 +1,5 @@
-// Words that stand at places of the world: HTML over the picture.
+// Words that stand at places of the world: HTML over the picture. They stay within the view, and where two would lie over each other
+// the one that is farther away has its name alone, or nothing.
 
 import * as THREE from "three";
 import type { Stage } from "./stage";
@@ -9,9 +10,47 @@ interface Label {
   about: HTMLElement;
   at: THREE.Vector3;
   shown: string;
+  wide: [number, number]; // px, with what it holds and without
+  high: number;
+  measured: string; // what was measured: digits are all as wide
 }
 
+/** Where a label is to stand: its lower middle in px, how far away that is, and how large it is. */
+export interface Wish {
+  x: number;
+  y: number;
+  far: number;
+  wide: readonly [number, number];
+  high: number;
+}
+
+/** Left and top edge, and whether it has all of its words; null of what has no room. */
+export type Spot = { left: number; top: number; whole: boolean } | null;
+
+/** Where labels stand in a view that is `width` wide, the nearest first. */
+export function arranged(wishes: readonly Wish[], width: number): Spot[] {
+  const found: Spot[] = wishes.map(() => null);
+  const taken: [number, number, number, number][] = [];
+  const order = wishes.map((_, k) => k).sort((a, b) => (wishes[a] as Wish).far - (wishes[b] as Wish).far);
+  for (const k of order) {
+    const { x, y, wide, high } = wishes[k] as Wish;
+    for (const whole of [true, false]) {
+      const size = wide[whole ? 0 : 1];
+      const left = Math.round(Math.max(Math.min(x - size / 2, width - size - EDGE), EDGE));
+      const top = Math.round(y - high);
+      if (taken.some(([a, b, c, d]) => left < c && left + size > a && top < d && top + high > b)) continue;
+      taken.push([left, top, left + size, top + high]);
+      found[k] = { left, top, whole };
+      break;
+    }
+  }
+  return found;
+}
+
+const EDGE = 4; // px that labels stay away from the edges of the view
+
 const POINT = new THREE.Vector3();
+const AWAY = new THREE.Vector3();
 
 export class Labels {
   private readonly all = new Map<string, Label>();
@@ -44,9 +83,18 @@ export class Labels {
       HTMLElement,
     ];
     box.append(name, about);
-    box.hidden = true; // until it is known where it stands
+    box.style.visibility = "hidden"; // until it is known where it stands
     this.layer.append(box);
-    const label = { box, name, about, at: new THREE.Vector3(), shown: "" };
+    const label: Label = {
+      box,
+      name,
+      about,
+      at: new THREE.Vector3(),
+      shown: "",
+      wide: [0, 0],
+      high: 0,
+      measured: "",
+    };
     this.all.set(key, label);
     return label;
   }
@@ -54,17 +102,40 @@ export class Labels {
   private move(): boolean {
     const { camera, width, height } = this.stage;
     camera.updateMatrixWorld();
+    const seen: Label[] = [];
+    const wishes: Wish[] = [];
     for (const label of this.all.values()) {
       POINT.copy(label.at).project(camera);
-      const seen = POINT.z < 1 && Math.abs(POINT.x) < 1.1 && Math.abs(POINT.y) < 1.1;
-      const x = Math.round(((POINT.x + 1) / 2) * width);
-      const y = Math.round(((1 - POINT.y) / 2) * height);
-      const shown = seen ? `translate(${x}px, ${y}px) translate(-50%, -100%)` : "";
-      if (shown === label.shown) continue;
-      label.shown = shown;
-      label.box.hidden = !seen;
-      label.box.style.transform = shown;
+      if (POINT.z < 1 && Math.abs(POINT.x) < 1.1 && Math.abs(POINT.y) < 1.1) {
+        this.measure(label);
+        const [x, y] = [((POINT.x + 1) / 2) * width, ((1 - POINT.y) / 2) * height];
+        wishes.push({ x, y, far: AWAY.copy(label.at).distanceTo(camera.position), wide: label.wide, high: label.high });
+        seen.push(label);
+      } else this.put(label, null);
     }
+    for (const [k, spot] of arranged(wishes, width).entries()) this.put(seen[k] as Label, spot);
     return false;
+  }
+
+  private measure(label: Label): void {
+    const text = `${label.name.textContent} ${label.about.textContent}`.replace(/\d/g, "0");
+    if (text === label.measured) return;
+    label.measured = text;
+    label.about.hidden = true;
+    const bare = label.box.offsetWidth;
+    label.about.hidden = false;
+    label.wide = [label.box.offsetWidth, bare];
+    label.high = label.box.offsetHeight;
+    label.shown = "?";
+  }
+
+  private put(label: Label, spot: Spot): void {
+    const shown = spot ? `translate(${spot.left}px, ${spot.top}px)` : "";
+    const now = `${shown} ${spot?.whole}`;
+    if (now === label.shown) return;
+    label.shown = now;
+    label.about.hidden = !spot?.whole;
+    label.box.style.visibility = spot ? "visible" : "hidden";
+    label.box.style.transform = shown;
   }
 }

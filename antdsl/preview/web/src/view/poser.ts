@@ -56,7 +56,15 @@ export class Poser {
   ) {
     const { rig } = skin;
     const all = { table: rig.table, joints: rig.joints, texels: rig.texels, base: rig.base, perRow: 1, count: 0, t: 1, legs: 0 };
-    const gaze = { looks: rig.looks.length, leans: Number(rig.leans), lookAt: rig.lookAt };
+    const gaze = {
+      looks: rig.looks.length,
+      leans: Number(rig.leans),
+      lookAt: rig.lookAt,
+      told: rig.looks.length + Number(rig.leans) + Math.ceil(rig.traits / 3),
+      targets: rig.targets,
+      sizes: rig.scales,
+      scaleAt: rig.scaleAt,
+    };
     const clips = {
       samples: rig.samples,
       clips: rig.clips,
@@ -79,6 +87,11 @@ export class Poser {
 
   get textures(): THREE.Texture[] {
     return this.bones.textures;
+  }
+
+  /** What agents look at, lean and differ by, as they were posed last. */
+  get traits(): THREE.Texture {
+    return this.gazes.texture;
   }
 
   get agentsInARow(): number {

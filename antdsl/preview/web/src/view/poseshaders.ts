@@ -52,6 +52,7 @@ uniform int groups;
 uniform sampler2D gazes;
 uniform int looks;
 uniform int leans;
+uniform int told;
 
 struct Joint { vec3 move; vec4 turn; vec3 scale; vec3 shear; };
 
@@ -86,7 +87,7 @@ void addClip(inout Joint sum, int number, float turn, float part) {
   float far = mod(clip.z, 2.0) > 0.5 ? fract(turn) : clamp(turn, 0.0, 1.0);
   vec4 share = vec4(0.0);
   if (leans > 0) {
-    int here = 2 * (agent * (looks + leans) + looks);
+    int here = 2 * (agent * told + looks);
     vec2 lean = mix(at(gazes, here).xy, at(gazes, here + 1).xy, t);
     share = clamp(vec4(lean.x, -lean.x, lean.y, -lean.y), 0.0, 1.0);
     share *= vec4(greaterThanEqual(vec4(side.x, side.z, slope.x, slope.z), vec4(0.0)));
@@ -180,12 +181,27 @@ mat4 local(int joint) {
   return mat4(vec4(x, 0.0), vec4(y, 0.0), vec4(z, 0.0), vec4(texelFetch(moves, here, 0).xyz, 1.0));
 }`;
 
-/** Joints in the space of the agent, turned to where it looks as antdsl/bodies/agents/driving.py says. */
+/** A number that the body of an agent differs by. */
+export const TRAIT = /* glsl */ `
+float traitOf(sampler2D gazes, int row, int told, int first, int number, float t) {
+  int here = 2 * (row * told + first + number / 3);
+  vec4 a = texelFetch(gazes, ivec2(here % ${WIDE}, here / ${WIDE}), 0);
+  vec4 b = texelFetch(gazes, ivec2((here + 1) % ${WIDE}, (here + 1) / ${WIDE}), 0);
+  return mix(a[number % 3], b[number % 3], t);
+}`;
+
+/** Joints in the space of the agent, turned to where it looks as antdsl/bodies/agents/driving.py says, and as large as
+ * antdsl/bodies/agents/varied_bodies.py says. */
 const WORLD = /* glsl */ `
+${TRAIT}
 uniform sampler2D gazes;
 uniform int looks;
 uniform int leans;
+uniform int told;
 uniform int lookAt;
+uniform int targets;
+uniform int sizes;
+uniform int scaleAt;
 vec3 turned(vec4 q, vec3 v) { vec3 u = 2.0 * cross(q.xyz, v); return v + q.w * u + cross(q.xyz, u); }
 
 mat4 looking(mat4 m, int joint) {
@@ -193,12 +209,18 @@ mat4 looking(mat4 m, int joint) {
   for (int k = 0; k < looks; k++) {
     float weight = at(table, lookAt + k * joints + joint).x;
     if (weight <= 0.0) continue;
-    int here = 2 * (agent * (looks + leans) + k);
+    int here = 2 * (agent * told + k);
     vec3 way = mix(at(gazes, here).xyz, at(gazes, here + 1).xyz, t) * base;
     way /= max(length(way), 1e-12);
     vec4 q = 1.0 + dot(ahead, way) < 1e-6 ? vec4(0.0, 0.0, 0.0, 1.0) : unit(vec4(cross(ahead, way), 1.0 + dot(ahead, way)));
     q = unit(mix(vec4(0.0, 0.0, 0.0, 1.0), q, weight));
     m = mat4(vec4(turned(q, m[0].xyz), 0.0), vec4(turned(q, m[1].xyz), 0.0), vec4(turned(q, m[2].xyz), 0.0), m[3]);
+  }
+  for (int k = 0; k < sizes; k++) {
+    float weight = at(table, scaleAt + k * joints + joint).x;
+    if (weight == 0.0) continue;
+    float size = 1.0 + weight * (traitOf(gazes, agent, told, looks + leans, targets + k, t) - 1.0);
+    m = mat4(vec4(m[0].xyz * size, 0.0), vec4(m[1].xyz * size, 0.0), vec4(m[2].xyz * size, 0.0), m[3]);
   }
   return m;
 }

@@ -21,6 +21,11 @@ export interface Rig {
   leans: boolean;
   looks: string[]; // transform groups; from `lookAt` on in the table: the weights of joints
   lookAt: number;
+  traits: number; // numbers that bodies differ by: first weights of `targets` of blend shapes, then sizes of `scales` groups
+  targets: number;
+  scales: number;
+  scaleAt: number; // in the table: by how much of a group's size each joint and all below it is scaled
+  palette: THREE.DataTexture; // colours of materials that vary
   legs: number;
   legAt: number; // in the table: of each leg hip, knee and foot as joints, and the axis of a straight knee
   length: number; // of the body, in the definition's units
@@ -33,6 +38,7 @@ export interface Skin {
   rig: Rig;
   bones: number;
   list: THREE.DataTexture;
+  targets: THREE.DataTexture; // of each target and vertex what is added to place and normal
   rest: Float32Array; // places in the rest pose, in body lengths
   geometry: THREE.BufferGeometry;
   trunk: Float32Array; // those of the rest pose that are no part of a leg
@@ -62,6 +68,7 @@ export function rigOf(packet: Packet): Rigged {
   const group = packet.arrays.get("group") as NumberArray;
   const leg = packet.arrays.get("leg") ?? new Float32Array(0);
   const looks = [...(packet.arrays.get("look") as NumberArray)].flatMap((each) => [each, 0, 0, 0]);
+  const scales = [...(packet.arrays.get("scale") ?? [])].flatMap((each) => [each, 0, 0, 0]);
   const joints = parent.length;
   const table = [...parent].flatMap((each) => [each, 0, 0, 0]);
   table.push(...clip);
@@ -72,7 +79,7 @@ export function rigOf(packet: Packet): Rigged {
     texels: Number(packet.header.texels),
     base: new THREE.Matrix3().fromArray(base.filter((_, k) => k % 4 < 3)).transpose(),
     samples: list(packet.arrays.get("sample") as NumberArray),
-    table: list([...table, ...weights, ...leg, ...looks]),
+    table: list([...table, ...weights, ...leg, ...looks, ...scales]),
     clips: joints,
     groups: joints + clip.length / 4,
     machines: packet.header.machines as string[],
@@ -81,6 +88,11 @@ export function rigOf(packet: Packet): Rigged {
     leans: packet.header.leans === true,
     looks: packet.header.looks as string[],
     lookAt: joints + clip.length / 4 + group.length + leg.length / 4,
+    traits: Number(packet.header.traits ?? 0),
+    targets: Number(packet.header.targets ?? 0),
+    scales: scales.length / 4 / joints,
+    scaleAt: joints + clip.length / 4 + group.length + leg.length / 4 + looks.length / 4,
+    palette: list(packet.arrays.get("palette") ?? []),
     legs: leg.length / 8,
     legAt: joints + clip.length / 4 + group.length,
     length: Number(packet.header.length),
@@ -104,7 +116,9 @@ function skinOf(rig: Rig, packet: Packet, level: string): Skin {
   put("colour", 4, true);
   put("bone", 4, false);
   put("weight", 4, false);
-  geometry.setAttribute("layer", new THREE.BufferAttribute(Float32Array.from(take("layer")), 1));
+  const paint = take("paint");
+  const worn = [...take("layer")].flatMap((layer, k) => [layer, paint[2 * k] as number, paint[2 * k + 1] as number]);
+  geometry.setAttribute("worn", new THREE.BufferAttribute(Float32Array.from(worn), 3));
   geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(take("face")), 1));
   const rest = Float32Array.from(take("position"));
   const point = new THREE.Vector3();
@@ -113,17 +127,31 @@ function skinOf(rig: Rig, packet: Packet, level: string): Skin {
     point.fromArray(rest, k).applyMatrix3(rig.base).toArray(rest, k);
     box.expandByPoint(point);
   }
+  const targets: number[] = [];
+  const offset = take("target");
+  for (let k = 0; k < offset.length; k += 6) targets.push(...offset.subarray(k, k + 3), 0, ...offset.subarray(k + 3, k + 6), 0);
   const bone = take("bone");
   const trunk = rest.filter((_, k) => part[bone[4 * Math.floor(k / 3)] as number] === 0);
   const size = box.isEmpty() ? new THREE.Vector3(1, 1, 1) : box.getSize(point);
-  return { rig, bones: joint.length, list: list(bones), rest, trunk, geometry, half: [size.x / 2, size.z / 2] };
+  return {
+    rig,
+    bones: joint.length,
+    list: list(bones),
+    targets: list(targets),
+    rest,
+    trunk,
+    geometry,
+    half: [size.x / 2, size.z / 2],
+  };
 }
 
 export function forgetRig({ low, fine }: Rigged): void {
   for (const skin of [low, fine]) {
     skin.list.dispose();
+    skin.targets.dispose();
     skin.geometry.dispose();
   }
   low.rig.samples.dispose();
   low.rig.table.dispose();
+  low.rig.palette.dispose();
 }
