@@ -73,6 +73,7 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     report = Report()
     files: dict[str, Definition | None] = {}
     named = _named(scene)
+    chosen = {line.species for line in scene.model.crowd if line.body is not None}
     worn: dict[str, Definition] = {}
     words = _library(scene, program)
     shown = {line.species for line in scene.model.crowd if line.wear}
@@ -81,7 +82,7 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     for species, (text, place) in named.items():
         if text in BODY_WORDS:
             if species in library:
-                _check(program.species[species], library[species], text, place, report)
+                _check(program.species[species], library[species], text, place, report, species not in chosen)
             continue
         if text not in files:
             files[text], findings = definition_at(text, scene.roots, place)
@@ -166,8 +167,9 @@ def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
     return found
 
 
-def _check(species: Species, body: Definition, text: str, place: Span, report: Report) -> None:
-    """Complains of the clips, transform groups and marks that a species wants and its body does not have."""
+def _check(species: Species, body: Definition, text: str, place: Span, report: Report, by_name: bool = False) -> None:
+    """Complains of the clips, transform groups and marks that a species wants and its body does not have. `by_name`: no line says
+    which body, so that it is the one that suits the name."""
     lacks: dict[str, tuple[str, Label]] = {}  # what to do about each, and where it is wanted
 
     def want(what: str, name: str, known: Iterable[str], label: Label) -> None:
@@ -197,11 +199,43 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
     for test in parts(species):
         if isinstance(test, ClipTest):
             want("mark", test.mark, marks, Label(test.span, "asked for here"))
+    for what, help, label in _marks_elsewhere(species, body):
+        lacks.setdefault(what, (help, label))
     if lacks:
         helps = [help if len(lacks) == 1 else f"{name}: {help}" for name, (help, _) in lacks.items()]
+        if by_name:
+            helps.append(f"without a `body`, `{species.name}` has this one, by its name: add `body: …` for another")
         labels = tuple(label for _, label in lacks.values())
         words = f"`{text[-60:]}` has no {', no '.join(lacks)}"
         report.error("unknown-name", words, place, "; ".join(helps), labels=labels)
+
+
+def _marks_elsewhere(species: Species, body: Definition) -> Iterator[tuple[str, str, Label]]:
+    """Marks that a state waits for, which other clips of the body have and the one that it plays does not: what is lacking, what
+    to do, and where it is asked for."""
+    having: dict[str, list[str]] = {}
+    for clip in body.clips.values():
+        for mark in clip.marks:
+            having.setdefault(mark, []).append(clip.name)
+    for machine in species.machines:
+        for state in machine.states:
+            playing = next((body.clips.get(line.clip) for line in state.body if isinstance(line, Play)), None)
+            if playing is None:
+                continue
+            # a change `from any` may be meant for other states
+            own = [each for each in state.transitions if each.key.startswith(f"{species.name}.{machine.name}.{state.name}->")]
+            for test in (part for each in own for part in parts(each)):
+                if not isinstance(test, ClipTest) or test.machine != machine.name or test.mark not in having:
+                    continue
+                if test.mark in playing.marks:
+                    continue
+                has = ", ".join(f"`{each}`" for each in sorted(playing.marks)) or "no marks"
+                others = ", ".join(f"`{each}`" for each in sorted(having[test.mark])[:_SHOWN])
+                yield (
+                    f"mark `{test.mark}` in clip `{playing.name}`",
+                    f"`{playing.name}` has {has}; `{test.mark}` is a mark of {others}",
+                    Label(test.span, "asked for here"),
+                )
 
 
 def _plays(machine: Machine) -> Iterator[Play]:

@@ -182,11 +182,24 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
         context = error["ctx"]
         report.error("wrong-value", context["words"], span, context["help"] or None)
     else:
-        report.error("wrong-value", _words(kind, error), span)
+        report.error(
+            "wrong-value",
+            _words(kind, error),
+            span,
+            _LISTS.get(str(path[-1])) if path and kind in ("tuple_type", "too_short") else None,
+        )
 
 
 # What may be written for keys that are wanted.
-_USUAL = {"antdsl": "1", "count": "100", "species": "NAME", "from": "FILE.ant", "at": "[0, 0, 0]", "mesh": "FILE.ply"}
+_USUAL = {
+    "antdsl": "1",
+    "count": "100",
+    "species": "NAME",
+    "from": "FILE.ant",
+    "at": "[0, 0, 0]",
+    "mesh": "FILE.ply",
+    "any": "[LAYER, none]",
+}
 _SHAPES = {
     "tuple_type": "a list is wanted here",
     "dict_type": "a mapping is wanted here",
@@ -194,7 +207,10 @@ _SHAPES = {
     "model_attributes_type": "a mapping is wanted here",
     "too_long": "this list has too many values",
     "string_type": "a word is wanted here",
+    "too_short": "this list has too few values",
 }
+
+_LISTS = {"wear": "write `wear: [LAYER]`", "any": "write `{any: [LAYER, LAYER, none]}`"}  # what to write for lists, by their key
 
 
 def _words(kind: str, error: Any) -> str:
@@ -221,6 +237,7 @@ def _place(path: tuple[Key, ...]) -> str:
 def _allowed(path: tuple[Key, ...]) -> list[str]:
     """The keys that the model at a path knows."""
     from antdsl.scene import model
+    from antdsl.scene.crowd_model import AnyOf
 
     # the last word of the path (tags of the schema are among them) that tells which model complained
     models: dict[str, type[model.Part]] = {
@@ -229,6 +246,7 @@ def _allowed(path: tuple[Key, ...]) -> list[str]:
         "keys": model.PlaceKey,
         "place": model.Placement,
         "crowd": model.CrowdLine,
+        "wear": AnyOf,
         "walk": model.Walk,
         "fields": model.FieldStart,
         "camera": model.Camera,

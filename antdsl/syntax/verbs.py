@@ -42,7 +42,7 @@ _ROWS = (
     Verb("spawn", "name", "spawn worker", "the name of a species"),
     Verb("die", "alone", "die"),
     Verb("play", "called", "play walk", "the name of a clip"),
-    Verb("wear", "when", "wear load", "the name of a layer"),
+    Verb("wear", "when", "wear load when load > 0", "the name of a layer"),
     Verb("channel", "set", "channel jaw = load", "the name of a channel"),
     Verb("look", "arguments", "look head(at: meal)", "the name of a transform group"),
 )

@@ -121,6 +121,30 @@ def test_a_word_is_a_body_of_the_library_whose_clips_are_played(folder: Path) ->
 def test_without_a_body_it_is_the_one_that_suits_the_name(folder: Path) -> None:
     (error,) = open_scene(written(folder, crowd=2 * CROWD.replace(", body: walker.json", "")))[1].errors
     assert (error.span.text if error.span else "") == "walker" and "`ant` has no clip `wave`" in error.message
+    assert error.help is not None and error.help.endswith("`walker` has this one, by its name: add `body: …` for another")
+
+
+def test_a_mark_is_one_of_the_clip_that_the_state_plays(folder: Path) -> None:
+    crowd = 2 * CROWD.replace("walker.json", "ant")
+    program = PROGRAM.replace("play wave(on: arms); when clip done", "play take; when clip at bite")
+    opened(written(folder, program, crowd))
+    (error,) = open_scene(written(folder, program.replace("play take", "play groom"), crowd))[1].errors
+    assert error.message == "`ant` has no mark `bite` in clip `groom`" and error.labels[0].span.text == "clip at bite"
+    assert error.help == "`groom` has no marks; `bite` is a mark of `dig`, `take`"
+
+
+@pytest.mark.parametrize(
+    ("wear", "help"),
+    [
+        ("load", "write `wear: [LAYER]`"),
+        ("[{any: load}]", "write `{any: [LAYER, LAYER, none]}`"),
+        ("[{any: []}]", "write `{any: [LAYER, LAYER, none]}`"),
+    ],
+)
+def test_lists_of_what_is_worn_say_what_to_write(folder: Path, wear: str, help: str) -> None:
+    crowd = CROWD.replace("body: walker.json", f"body: walker.json, wear: {wear}")
+    (error,) = open_scene(written(folder, crowd=crowd))[1].errors
+    assert (error.code, error.help) == ("wrong-value", help) and "tuple" not in error.message
 
 
 def test_the_words_of_a_scene_are_those_of_the_library() -> None:

@@ -156,6 +156,10 @@ def test_an_edit_that_numbers_clips_anew_lets_them_go_on() -> None:
     ("line", "code", "help"),
     [
         ("play wave; play walk", "two-writers", "play it in a machine of its own, `machine arms { … }`"),
+        ("channel jaw = 1; channel jaw = age / 1 s", "two-writers", "keep one of them; choose with `if … then … else …`"),
+        ("look head(at: self); look head(at: self, over: 0 s)", "two-writers", None),
+        ("play wave(on: arms, on: legs)", "duplicate-argument", "leave one of them out"),
+        ("wear load when", "unfinished-line", "write it like `wear load when load > 0`"),
         ("enter { play wave }", "misplaced", "write `play wave` as a line of the state itself"),
         ("play wave(on: 3)", "wrong-argument", "write `play wave(on: arms)`"),
         ("play wave(left: 3)", "wrong-argument", "write `play wave(left: wave_left)`"),
@@ -192,3 +196,20 @@ def test_how_much_an_agent_turns_and_climbs() -> None:
     assert (clip.left, clip.right, clip.up, clip.down) == ("lean_left", "lean_right", "climb", "descend") and clip.leans
     straight = shown(f"state one {{ {line}; steer {GOES} }}", 6)
     assert straight.every("lean#turn") == pytest.approx([0] * 7, abs=1e-6)
+
+
+def test_who_waits_for_a_clip_where_none_plays_is_warned() -> None:
+    from test_program import checked
+
+    def told(first: str, second: str, anywhere: str = "") -> list[tuple[str, str | None]]:
+        states = f"  state s {{ steer heading; {first} }}\n  state t {{ steer heading; {second} }}\n"
+        text = f"ant 1\nspecies a {{\n  start s\n  {anywhere}\n{states}}}\n"
+        return [(each.code, each.help) for each in checked(text)[1].sorted()]
+
+    waits = "when clip done and age > 1 s -> s"
+    assert told("play wave; when after 1 s -> t", waits) == [
+        ("never-fires", "write `play walk` or another clip as a line of `t`")
+    ]
+    assert told("play wave; when after 1 s -> t", "play walk; " + waits) == []
+    assert told("play wave; when after 1 s -> t", waits.replace(" and ", " or ")) == []
+    assert told("play wave; when after 1 s -> t", "when after 1 s -> s", "from any when clip at foot -> t") == []

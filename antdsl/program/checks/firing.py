@@ -1,11 +1,12 @@
-"""Changes whose condition can never hold, or cannot but hold, as far as its comparisons with constants show."""
+"""Changes whose condition can never hold, or cannot but hold, as far as its comparisons with constants show, and those that wait
+for a clip where none plays."""
 
 from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.checks.analysis.conditions import Reader, always, never
-from antdsl.program.model import Const, Expr, Transition
+from antdsl.program.model import ClipTest, Const, Expr, Machine, Op, Play, Species, State, Transition
 from antdsl.program.types.descriptions import quoted
 
 
@@ -16,6 +17,7 @@ def firing(checked: Checked, report: Report) -> None:
             for state in machine.states:
                 for change in state.transitions:
                     _change(reader, change, report)
+                _without_clip(species, machine, state, report)
 
 
 def _change(reader: Reader, change: Transition, report: Report) -> None:
@@ -36,6 +38,31 @@ def _change(reader: Reader, change: Transition, report: Report) -> None:
             test.span,
             "change one of its numbers, or write `when true` if that is meant",
         )
+
+
+def _without_clip(species: Species, machine: Machine, state: State, report: Report) -> None:
+    """Changes of a state without a clip that wait for its clip. A change `from any` may be meant for other states."""
+    if any(isinstance(line, Play) for line in state.body):
+        return
+    for change in state.transitions:
+        test = change.condition
+        if test is None or not change.key.startswith(f"{species.name}.{machine.name}.{state.name}->"):
+            continue
+        for part in _all_of(test):
+            if isinstance(part, ClipTest) and part.machine == machine.name:
+                report.warning(
+                    "never-fires",
+                    f"{quoted(part.span)} never holds in `{state.name}`, which plays no clip",
+                    part.span,
+                    f"write `play {'walk' if not part.mark else 'dig'}` or another clip as a line of `{state.name}`",
+                )
+
+
+def _all_of(test: Expr) -> list[Expr]:
+    """What all has to hold for a condition to."""
+    if isinstance(test, Op) and test.name == "and":
+        return [part for arg in test.args if arg is not None for part in _all_of(arg)]
+    return [test]
 
 
 def _word(test: Expr) -> bool:

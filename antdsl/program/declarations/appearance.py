@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block
 from antdsl.program.kinds import Dim, Kind, Type
@@ -57,6 +58,22 @@ def look(scope: Scope, line: nodes.Ask, block: Block) -> model.Look | None:
         )  # fmt: skip
         return None
     return model.Look(line.name.text, at, within, over, line.span)
+
+
+def said_once(scope: Scope, node: nodes.State) -> None:
+    """Complain about a state that gives a channel two values, or turns one transform group to two places."""
+    first: dict[tuple[str, str], nodes.Ask] = {}
+    for line in node.body:
+        if not isinstance(line, nodes.Ask) or line.verb not in ("channel", "look") or line.name is None:
+            continue
+        before = first.setdefault((line.verb, line.name.text), line)
+        if before is not line:
+            does = "sets channel" if line.verb == "channel" else "turns"
+            words = f"`{node.name.text}` {does} `{line.name.text}` already, and only the second would count"
+            scope.report.error(
+                "two-writers", words, line.span,
+                "keep one of them; choose with `if … then … else …`", labels=(Label(before.span, "first here"),),
+            )  # fmt: skip
 
 
 def _misplaced(scope: Scope, line: nodes.Ask, block: Block) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block
@@ -23,7 +25,7 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
     clip = line.name.text
     found = arranged(scope, "play", _SLOTS, line, f"play {clip}") if line.arguments else {}
     if found is None:
-        type_all(scope, line)
+        type_all(scope, _without_names(line))
         return None
     if not block.body:
         scope.report.error(
@@ -47,6 +49,12 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
         clip, on, said.get("speed"), said.get("weight"), line.span, said.get("again"), add is not None and add.number != 0,
         (left, right, up, down),
     )  # fmt: skip
+
+
+def _without_names(line: nodes.Ask) -> nodes.Ask:
+    """The line without the arguments that are names of the body's, which are no expressions."""
+    named = [isinstance(each, nodes.Argument) and each.name is not None and each.name.text in _NAMES for each in line.arguments]
+    return replace(line, arguments=tuple(each for each, of_body in zip(line.arguments, named, strict=True) if not of_body))
 
 
 def _name(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> str | None:

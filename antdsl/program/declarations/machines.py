@@ -9,6 +9,7 @@ from antdsl import limits
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION, BODY
+from antdsl.program.declarations.appearance import said_once
 from antdsl.program.declarations.clips import one_clip
 from antdsl.program.declarations.statements import statements, take
 from antdsl.program.memo import part
@@ -93,6 +94,7 @@ def _state(scope: Scope, names: MachineNames, node: nodes.State, index: int, gen
     own = [_change(scope, names, line, path) for line in node.body if isinstance(line, nodes.Change)]
     changes = [c for c in own if c is not None]
     one_clip(scope, node)
+    said_once(scope, node)
     order = [c for c in changes if c.interrupt] + general + [c for c in changes if not c.interrupt]
     return model.State(
         node.name.text, index, node.label.text if node.label else "", _colour(scope, node, index),
