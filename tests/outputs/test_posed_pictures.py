@@ -9,8 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from antdsl.bodies.agents.deformers import bound
+from antdsl.bodies.agents.layer import Binding, Layer
+from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.body import rotation
+from antdsl.bodies.library.table import library_body
+from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.gallery import Gallery, NoPicture
 from antdsl.outputs.pictures.actors import actors
@@ -188,3 +194,22 @@ def test_a_cache_from_before_bodies_were_kept_is_drawn_as_it_was(cache: Cache, t
     path.write_text(json.dumps(manifest), encoding="utf-8")
     crowd = crowd_at(open_cache(tmp_path / "out"), 1)
     assert crowd.worn is not None and crowd.worn.name == "ant"
+
+
+@pytest.mark.parametrize("deformer", ["linearskinning", "dualquatskinning"])
+def test_pictures_draw_by_the_deformer_that_a_layer_names(deformer: str) -> None:
+    rabbit, count = library_body("rabbit"), 9
+    binding = Binding("", "rabbit", deformer=deformer)
+    body = PosedBody(replace(rabbit, layers={"body": Layer("body", deforming=(binding,))}), [("look", "")])
+    share, ones, none = np.linspace(0, 0.9, count, dtype=np.float32), np.ones(count, np.float32), np.zeros(count, np.float32)
+    plays = (MachineClips(np.zeros(count, np.int16), share, ones, np.full(count, -1, np.int16), none, none, none),)
+    turned = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    crowd = Crowd("rabbit", np.zeros((count, 3)), turned, np.ones(count), np.ones((count, 3)), worn=body, plays=plays)
+    drawn = crowd.posed(body, np.arange(count))[0]
+    named, other = (
+        bound(rabbit, replace(binding, deformer=name), crowd.poses()).points
+        for name in (deformer, "dualquatskinning" if deformer == "linearskinning" else "linearskinning")
+    )
+    assert np.abs(named - other).max() > 1e-3
+    nearest = cKDTree(named[4]).query(drawn[4])[0].max()
+    assert nearest < 1e-5 < cKDTree(other[4]).query(drawn[4])[0].max()
