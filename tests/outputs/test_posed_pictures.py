@@ -9,10 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.driving import Driven
+from antdsl.bodies.agents.layer import Binding, Layer
+from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.varied_bodies import Draws
 from antdsl.bodies.body import rotation
+from antdsl.bodies.library.table import library_body
+from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.following import followed
 from antdsl.outputs.gallery import Gallery, NoPicture
@@ -201,3 +207,22 @@ def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
     )  # fmt: skip
     after = followed(now, later).driven.draws
     assert after is not None and (after.seed, after.species) == (5, "ant") and np.array_equal(after.ids, ids)
+
+
+@pytest.mark.parametrize("deformer", ["linearskinning", "dualquatskinning"])
+def test_pictures_draw_by_the_deformer_that_a_layer_names(deformer: str) -> None:
+    rabbit, count = library_body("rabbit"), 9
+    binding = Binding("", "rabbit", deformer=deformer)
+    body = PosedBody(replace(rabbit, layers={"body": Layer("body", deforming=(binding,))}), [("look", "")])
+    share, ones, none = np.linspace(0, 0.9, count, dtype=np.float32), np.ones(count, np.float32), np.zeros(count, np.float32)
+    plays = (MachineClips(np.zeros(count, np.int16), share, ones, np.full(count, -1, np.int16), none, none, none),)
+    turned = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    crowd = Crowd("rabbit", np.zeros((count, 3)), turned, np.ones(count), np.ones((count, 3)), worn=body, plays=plays)
+    drawn = crowd.posed(body, np.arange(count))[0]
+    named, other = (
+        bound(rabbit, replace(binding, deformer=name), crowd.poses()).points
+        for name in (deformer, "dualquatskinning" if deformer == "linearskinning" else "linearskinning")
+    )
+    assert np.abs(named - other).max() > 1e-3
+    nearest = cKDTree(named[4]).query(drawn[4])[0].max()
+    assert nearest < 1e-5 < cKDTree(other[4]).query(drawn[4])[0].max()
