@@ -40,7 +40,8 @@ class PosedBody:
     does what has no material or one called `state`, 0 its material's; `material` [v]: names; `taken` int[v]: which point each
     vertex is, counted through the shapes of all `bindings`. Drawn are the shapes of its own layer, `body` where there
     is one so called, else the first that is not called `collision`, and of `layers` beside it; those that it does not have are
-    passed over. `fine` is for agents that are large in a picture, `coarse` for those that are small."""
+    passed over. `fine` is for agents that are large in a picture, `coarse` for those that are small, `distant` for those of some
+    pixels."""
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | Played], layers: Sequence[str] = ()) -> None:
         self.clips, self.layers, self._whole, self.name = tuple(clips), tuple(layers), definition, definition.name
@@ -90,6 +91,13 @@ class PosedBody:
         """The same with fewer triangles, for agents that are small in a picture; with a layer `close` the layer `body` has few
         enough."""
         return self if CLOSE in self._whole.layers else PosedBody(coarse(self._whole), self.clips, self.layers)
+
+    @cached_property
+    def distant(self) -> PosedBody:
+        """The same with the fewest triangles, for agents of some pixels."""
+        layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE}
+        drawn = _needed(self._whole, {binding.shape for layer in layers.values() for binding in _all(layer)})
+        return PosedBody(coarse(replace(self._whole, layers=layers, shapes=drawn)), self.clips, self.layers)
 
     def idling(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
         """What agents with these ids play where no machine says otherwise: the definition's clip for that, each from a start of

@@ -299,5 +299,5 @@ def _still(frame: int, image: Any, folder: Path) -> None:
     from PIL import Image
 
     path = folder / f"picture.{frame:04d}.png"
-    Image.fromarray(image).save(path)
+    Image.fromarray(image).save(path, compress_level=4)
     typer.echo(path)

@@ -12,6 +12,7 @@ from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.shape import Capture, Shape
 
 CELLS = 14  # to the length of a body, and at least
+_WIDER = 2.0  # a shape is made again at most
 ACROSS = 3  # to the longest side of a shape
 
 
@@ -28,7 +29,7 @@ def coarse(definition: Definition) -> Definition:
 
 def coarse_shape(shape: Shape, cell: float) -> Shape:
     """A shape whose points in one cell are their mean, and follow the joints of the first of them; triangles that have two
-    corners in one cell are left out."""
+    corners in one cell are left out. Its box stays as large, so that it is not thinner."""
     if not len(shape.points):
         return shape
     size = min(cell, float(np.ptp(shape.points, axis=0).max()) / ACROSS) or cell
@@ -40,6 +41,10 @@ def coarse_shape(shape: Shape, cell: float) -> Shape:
         sums = [np.bincount(of, values[:, axis], len(first)) for axis in range(3)]
         return np.stack(sums, 1) / counts[:, None]
 
+    points, before = mean(shape.points), shape.points.astype(np.float64)
+    low, high, width = before.min(axis=0), before.max(axis=0), np.ptp(points, axis=0)
+    wider = np.where(width > 0, (high - low) / np.where(width > 0, width, 1), 1)
+    points = low + (points - points.min(axis=0)) * np.minimum(wider, _WIDER)
     normals = None
     if shape.normals is not None:
         turned = mean(shape.normals)
@@ -50,7 +55,7 @@ def coarse_shape(shape: Shape, cell: float) -> Shape:
     follows = shape.capture
     capture = None if follows is None else Capture(follows.names, follows.joints[first], follows.weights[first], follows.inverse)
     return Shape(
-        shape.name, mean(shape.points).astype(np.float32), faces[whole], normals, None, shape.materials,
+        shape.name, points.astype(np.float32), faces[whole], normals, None, shape.materials,
         None if shape.material is None else shape.material[whole],
         {name: values[first] for name, values in shape.attributes.items()}, capture,
         dual_quaternion_blend=shape.dual_quaternion_blend,

@@ -1,5 +1,6 @@
 """All that moves, as one ray scene: every agent's posed body and every item at its size, in this frame."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import Sun, decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
 from antdsl.outputs.pictures.setting import Setting
 from antdsl.outputs.pictures.shading_rows import Floats
@@ -19,10 +20,13 @@ from antdsl.outputs.pictures.shading_rows import Floats
 Array = NDArray[np.float64]
 
 CLOSE = 60.0  # pixels of body length from which the close-up body is worth its triangles
+DISTANT = 18.0  # pixels below which a few triangles are enough
 MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
 MOST_MOMENTS = 12
 METAL, LIGHT = 1.5, -1.0  # in place of gloss
 MOST_TRIANGLES = 1_000_000  # of close-up bodies of a species' own
+_SHADOW_CELLS = 2048  # along each side of the map of shadows
+_FEW = 4.0  # pixels below which a body may lie between their middles
 _STEEP = 0.8  # of a heap's slope: what is steeper beside it is a stone or a wall
 
 
@@ -62,20 +66,54 @@ class Part:
 @dataclass(frozen=True, slots=True, eq=False)
 class Actors:
     """Everything that moves. `rays`: at one moment or at several over which the shutter is open; `mesh` is at the middle one.
-    `near` bool (h · w,): pixels where any of it may be seen. `tall`: the longest way its shadow needs to be looked for;
-    `size`: how far around a body the ground lies in its shade."""
+    `near` bool (h · w,): pixels where any of it may be seen, `tiny`: where that is so small that
+    rays through pixels' middles may miss it. `tall`: the longest way its shadow needs to be looked for, and
+    `throw` that within which its edge is soft; `size`: how far around a body the ground lies in its shade. `boxes`: lowest and
+    highest corners (b, 3) of the bodies, wherever they are while the shutter is open."""
 
     rays: tuple[PictureRays, ...]
     mesh: Mesh
     near: NDArray[np.bool_]
+    tiny: NDArray[np.bool_]
     tall: float
     size: float
+    throw: float
+    boxes: tuple[Array, Array]
+
+    def shading(self, points: Floats, sun: Sun, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
+        """For each of some `reaches`, which points (n, 3) may lie in the shadow of a box that is so much wider on all sides:
+        both seen along the sun's way, on a map across it."""
+        low, high = self.boxes
+        if not len(low):
+            return [np.zeros(len(points), np.bool_) for _ in reaches]
+        across = np.stack([sun.a, sun.b], axis=1).astype(np.float64)
+        middle, half = (low + high) / 2 @ across, (high - low) / 2 @ np.abs(across)
+        widest = half + max(reaches)
+        least, most = (middle - widest).min(axis=0), (middle + widest).max(axis=0)
+        # A column more at each end, for float32.
+        cell = np.maximum((most - least) / (_SHADOW_CELLS - 4), 1e-12)
+        places = []
+        for axis in range(2):
+            turn = (across[:, axis] / cell[axis]).astype(np.float32)
+            at = points @ turn
+            at -= np.float32(least[axis] / cell[axis] - 2)
+            places.append(np.clip(at, 0, _SHADOW_CELLS - 1).astype(np.int32))
+        cells = places[1] * _SHADOW_CELLS + places[0]
+        found = []
+        for reach in reaches:
+            first = np.floor((middle - half - reach - least) / cell).astype(np.int64) + 1
+            last = np.floor((middle + half + reach - least) / cell).astype(np.int64) + 4
+            covered = _covered(first, np.minimum(last, _SHADOW_CELLS), _SHADOW_CELLS, _SHADOW_CELLS)
+            covered[:, [0, -1]] = covered[[0, -1]] = False  # what lies outside of the map
+            found.append(covered.reshape(-1)[cells])
+        return found
 
 
 def actors(
     picture: Picture, view: View, least: float = 0.0, ground: Setting | None = None, blur: float = 0.0, enlarged: float = 3.0
 ) -> Actors:
-    """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those out of sight left out;
+    """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those of a few pixels with
+    few triangles, those out of sight left out;
     what is of loose soil follows `ground`. The shutter is open for `blur` of the way to the frame after.
 
     Bodies shorter than `least` pixels are drawn that long, though never more than `enlarged` times their size."""
@@ -94,10 +132,12 @@ def actors(
     widest = max((item.radius for item in picture.items), default=0.0)
     moments = _moments(parts, view, blur)
     meshes = [_joined(parts, moment) for moment in moments]
-    near = _near(parts, meshes, view)
+    boxes = _boxes(parts, blur)
     rays = tuple(PictureRays(mesh.vertices, mesh.faces) for mesh in meshes)
     mesh = meshes[len(meshes) // 2]
-    return Actors(rays, mesh, near, max(20 * longest, 8 * widest), max(longest, 0.3 * widest) if parts else 0.0)
+    tall, size = max(20 * longest, 8 * widest), max(longest, 0.3 * widest) if parts else 0.0
+    throw = 20 * longest if longest > 0 else tall
+    return Actors(rays, mesh, *_near(boxes, view), tall, size, throw, boxes)
 
 
 def _moments(parts: list[Part], view: View, blur: float) -> list[float]:
@@ -130,27 +170,46 @@ def _joined(parts: list[Part], moment: float) -> Mesh:
     )
 
 
-def _near(parts: list[Part], meshes: list[Mesh], view: View) -> NDArray[np.bool_]:
-    """Pixels (h · w,) within the boxes, on the screen, of all bodies at all moments."""
+def _boxes(parts: list[Part], blur: float) -> tuple[Array, Array]:
+    """The boxes of all bodies along the world's axes, lowest and highest corners (b, 3), while the shutter is open."""
+    found: list[tuple[Array, Array]] = [(np.zeros((0, 3)), np.zeros((0, 3)))]
+    for part in parts:
+        low, high = part.local.min(axis=1) + part.place, part.local.max(axis=1) + part.place
+        if part.then is not None and blur > 0:
+            end = part.at(blur)
+            low, high = np.minimum(low, end.min(axis=1)), np.maximum(high, end.max(axis=1))
+        found.append((low, high))
+    lows, highs = zip(*found, strict=True)
+    return np.concatenate(lows), np.concatenate(highs)
+
+
+def _near(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Pixels (h · w,) where a box is seen, and those where one of a few pixels is, which their middles may miss."""
     high, wide = view.height, view.width
+    corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # (8, 3, b)
+    places, ahead = view.project(np.moveaxis(corners, 2, 0).reshape(-1, 3))
+    places, ahead = places.reshape(-1, 8, 2), ahead.reshape(-1, 8)
+    low, high_ = places.min(axis=1), places.max(axis=1)
+    # What reaches behind the camera may be anywhere.
+    around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
+    low[around], high_[around] = -1, max(high, wide) + 1
+    seen = (ahead > 0).any(axis=1)
+    few = seen & ((high_ - low).max(axis=1) < _FEW)
+
+    def covered(which: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
+        first = np.clip(np.floor(low[which] - margin), 0, (wide, high)).astype(np.int64)
+        last = np.clip(np.ceil(high_[which] + margin) + (margin > 0), 0, (wide, high)).astype(np.int64)
+        return _covered(first, last, wide, high).reshape(-1)
+
+    return covered(seen, 2.0), covered(few, 0.0)
+
+
+def _covered(first: NDArray[np.int64], last: NDArray[np.int64], wide: int, high: int) -> NDArray[np.bool_]:
+    """Which cells (high, wide) of a grid lie in any of some rectangles, from columns and rows `first` (n, 2) to before `last`."""
     count = np.zeros((high + 1, wide + 1), np.int32)
-    for mesh in meshes:
-        start = 0
-        for part in parts:
-            bodies, own = part.local.shape[:2]
-            places, ahead = view.project(mesh.vertices[start : start + bodies * own])
-            start += bodies * own
-            places, ahead = places.reshape(bodies, own, 2), ahead.reshape(bodies, own)
-            low, high_ = places.min(axis=1) - 2, places.max(axis=1) + 2
-            # What reaches behind the camera may be anywhere.
-            around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
-            low[around], high_[around] = -1, max(high, wide) + 1
-            seen = (ahead > 0).any(axis=1)
-            a = np.clip(np.floor(low[seen]), 0, (wide, high)).astype(np.int64)
-            b = np.clip(np.ceil(high_[seen]) + 1, 0, (wide, high)).astype(np.int64)
-            for x, y, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
-                np.add.at(count, (y[:, 1], x[:, 0]), sign)
-    return np.asarray(count.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0).reshape(-1)
+    for x, y, sign in ((first, first, 1), (last, last, 1), (first, last, -1), (last, first, -1)):
+        np.add.at(count, (y[:, 1], x[:, 0]), sign)
+    return np.asarray(count.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0)
 
 
 def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part]:
@@ -166,12 +225,13 @@ def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part
     large = np.flatnonzero(seen & (pixels >= CLOSE))
     most = min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces))) if len(large) else 0
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
-    far = np.setdiff1d(np.flatnonzero(seen), close)
     sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), enlarged * scale)
+    tiny = seen & (sizes < DISTANT * view.pixel_at(near))
+    far = np.setdiff1d(np.flatnonzero(seen & ~tiny), close)
     # Of a body a few pixels long the parts with colours of their own would hide the state's.
     plain = np.where(pixels < CLOSE, np.clip(1 - pixels / CLOSE, 0.0, 1.0) ** 2, 0.0)
-    parts = ((True, close), (False, far))
-    bodies = [(crowd.worn.fine if fine else crowd.worn.coarse, rows) for fine, rows in parts if len(rows)]
+    levels = (("fine", close), ("coarse", far), ("distant", np.setdiff1d(np.flatnonzero(tiny), close)))
+    bodies = [(getattr(crowd.worn, level), rows) for level, rows in levels if len(rows)]
     return [_posed(crowd, body, rows, sizes, plain) for body, rows in bodies if len(body.faces)]
 
 
@@ -186,7 +246,7 @@ def _posed(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, 
         then = np.matmul(later * long, _turn(crowd.after, rows)), np.asarray(crowd.after.position, np.float64)[rows]
     bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint[None, :, None]
-    tint = tint + (1 - tint) * (0.8 * plain[rows].astype(np.float32))[:, None, None]
+    tint = tint + (1 - tint) * (0.6 * plain[rows].astype(np.float32))[:, None, None]
     colour = bright * tint + body.colours(crowd.driven.rows(rows)) * (1 - tint)
     place = np.asarray(crowd.position, np.float64)[rows]
     return _part(np.matmul(local * long, turn), place, then, body.faces, np.matmul(normal, turn), colour, 0.5)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import Sights
-from antdsl.outputs.pictures.light import displayed
+from antdsl.outputs.pictures.light import SUN_WIDTH, displayed
 from antdsl.outputs.pictures.shading import Lighting, moving_light, shadowed, still_light
 from antdsl.outputs.pictures.shading_rows import Floats
 from antdsl.outputs.pictures.softness import open_share, sunlit
@@ -24,7 +24,8 @@ _FEWEST, _BUDGET = 4, 1.1  # samples of a refined pixel at least, and of all of 
 @dataclass(frozen=True, slots=True, eq=False)
 class First:
     """By pixel, of its middle: display-linear `light` (h · w, 3), the same without what moves, `behind`, the open share `opened`
-    of its surroundings, and whether something that moves is in `front`; `swept`: at one of several moments."""
+    of its surroundings, and whether something that moves is in `front`; `swept`: at one of several moments, or
+    something tiny may be."""
 
     light: Floats
     behind: Floats
@@ -38,8 +39,18 @@ def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
     seen, cast, threads = still.middle, lighting.cast, lighting.threads
     visible, opened = np.ones(len(seen), np.float32), still.shade
     if cast.size > 0:
-        visible = sunlit(still.grid, seen.sun, lighting.sun, cast.rays, cast.tall, threads)
-        contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], 1.1 * cast.size, _CONTACT_RAYS, threads)
+        reach = 1.1 * cast.size
+        shadowed, around = cast.shading(seen.point, lighting.sun, (SUN_WIDTH * cast.throw, reach))
+        visible = sunlit(
+            still.grid,
+            seen.sun,
+            lighting.sun,
+            cast.rays[:: 1 + (len(cast.rays) > 4)],
+            cast.tall,
+            threads,
+            shadowed,
+        )
+        contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS, threads, around)
         opened = opened * contact
     albedo = dyes.coloured(seen)
     behind = np.empty_like(seen.way)
@@ -49,7 +60,7 @@ def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
 
     each(fill, pieces(len(seen)), threads)
     light = behind.copy()
-    front, swept = np.zeros(len(seen), np.bool_), np.zeros(len(seen), np.bool_)
+    front, swept = np.zeros(len(seen), np.bool_), cast.tiny.copy()
     near = np.flatnonzero(cast.near)
     every = [before(still, lighting, near, seen.far[near], (0.5, 0.5), moment) for moment in range(len(cast.rays))]
     kept, hits = every[len(every) // 2]

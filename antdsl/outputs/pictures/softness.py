@@ -15,7 +15,7 @@ from antdsl.outputs.pictures.light import Sun
 from antdsl.outputs.pictures.shading_rows import Floats, dots
 from antdsl.outputs.pictures.work import each, pieces
 
-_FINE = 6  # rays to the sun of a pixel that lies at the edge of a shadow
+_FINE = 4  # rays to the sun of a pixel that lies at the edge of a shadow
 _ORDER = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])  # of 4 × 4 pixels: those beside each other differ most
 _NEAR = 2  # pixels within which a shadow's edge is looked for: all sixteen directions are among these
 _ALIKE = 0.8  # cosine between normals of one surface
@@ -58,12 +58,22 @@ def _smaller(view: View) -> View:
     return View(view.eye, view.right, view.above, view.ahead, view.half, wide, high, view.parallel)
 
 
-def sunlit(grid: Grid, facing: Floats, sun: Sun, casts: Sequence[PictureRays], far: float, threads: int) -> Floats:
+def sunlit(
+    grid: Grid,
+    facing: Floats,
+    sun: Sun,
+    casts: Sequence[PictureRays],
+    far: float,
+    threads: int,
+    within: NDArray[np.bool_] | None = None,
+) -> Floats:
     """Share (h · w,) of the sun that pixels see: all where they do not face it, `facing` (h · w,) ≤ 0.
 
-    `casts`: what is in the way, at as many moments, over which the answers are spread; `far`: nothing farther off is."""
+    `casts`: what is in the way, at as many moments, over which the answers are spread; `far`: nothing farther off is;
+    `within` (h · w,): nothing is in the way of others."""
     high, wide = grid.view.height, grid.view.width
-    asked = np.flatnonzero(grid.solid & (facing > 0))
+    lit = grid.solid & (facing > 0)
+    asked = np.flatnonzero(lit if within is None else lit & within)
     share = np.ones(high * wide, np.float32)
     if not len(asked):
         return share
@@ -158,19 +168,23 @@ def _goes_on(grid: Grid, there: NDArray[np.int64], point: Floats, normal: Floats
     return np.asarray(alike)
 
 
-def open_share(grid: Grid, rays: PictureRays, reach: float, count: int, threads: int) -> Floats:
+def open_share(
+    grid: Grid, rays: PictureRays, reach: float, count: int, threads: int, within: NDArray[np.bool_] | None = None
+) -> Floats:
     """Share (h · w,) of directions over each pixel's surface in which nothing is near, `reach` (world units) at most: of `count`
-    rays a pixel, every second pixel of every second row, filled in between along the surfaces."""
+    rays a pixel, every second pixel of every second row, filled in between along the surfaces. `within` (h · w,): nothing is near
+    others."""
     high, wide = grid.view.height, grid.view.width
     small = grid.halved()
-    pixels = np.flatnonzero(small.solid)
+    some = None if within is None else within.reshape(high, wide)[::2, ::2].reshape(-1)
+    pixels = np.flatnonzero(small.solid if some is None else small.solid & some)
     shade = np.ones(len(small.solid), np.float32)
     if not len(pixels):
         return np.ones(high * wide, np.float32)
     row, column = np.divmod(pixels, small.view.width)
     shade[pixels] = _opened(small, pixels, _ORDER[(row % 4) * 4 + column % 4], rays, reach, count, threads)
     shade[pixels] = _filtered(shade.reshape(small.view.height, small.view.width), pixels, small, _WIDE_TAPS)
-    return _filled(grid, small, shade, rays, reach, threads)
+    return _filled(grid, small, shade, rays, reach, threads, within)
 
 
 def _opened(
@@ -196,12 +210,20 @@ def _opened(
     return opened
 
 
-def _filled(grid: Grid, small: Grid, shade: Floats, rays: PictureRays, reach: float, threads: int) -> Floats:
+def _filled(
+    grid: Grid,
+    small: Grid,
+    shade: Floats,
+    rays: PictureRays,
+    reach: float,
+    threads: int,
+    within: NDArray[np.bool_] | None = None,
+) -> Floats:
     """The shade of all pixels from that of every second one; where none of its neighbours has the same surface, by own rays."""
     high, wide = grid.view.height, grid.view.width
     full = _between(shade.reshape(small.view.height, small.view.width), high, wide)
     full[~grid.solid] = 1
-    wanted = np.flatnonzero(grid.solid)
+    wanted = np.flatnonzero(grid.solid if within is None else grid.solid & within)
     wanted = wanted[grid.broken(wanted, 2)]
     lonely: list[NDArray[np.int64]] = []
 
