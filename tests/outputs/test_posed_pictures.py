@@ -202,7 +202,10 @@ def test_a_cache_from_before_bodies_were_kept_is_drawn_as_it_was(cache: Cache, t
 def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
     ids = np.array([4, 9, 2])
     now, later = (
-        Crowd("ant", np.full((3, 3), place), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)), np.ones(3), np.ones((3, 3)), found, driven=Driven(draws=Draws(found, 5, "ant")))
+        Crowd(
+            "ant", np.full((3, 3), place), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)), np.ones(3), np.ones((3, 3)), found,
+            driven=Driven(draws=Draws(found, 5, "ant")),
+        )
         for place, found in ((0.0, ids), (1.0, ids[::-1]))
     )  # fmt: skip
     after = followed(now, later).driven.draws
