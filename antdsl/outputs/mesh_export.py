@@ -116,9 +116,9 @@ def _batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple
     orient = np.asarray(crowd.orient, np.float64)[rows]
     placed = turned(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]
     across = turned(orient, normals.astype(np.float64))
-    own, tint = encoded(worn.own) / 255.0, worn.tint[:, None]
+    own, tint = encoded(worn.colours(crowd.driven.rows(rows))) / 255.0, worn.tint[:, None]
     made = []
     for k, row in enumerate(rows.tolist()):
-        number, colours = int(crowd.ids[row]), own * (1 - tint) + tint * crowd.colour[row]
+        number, colours = int(crowd.ids[row]), own[k % len(own)] * (1 - tint) + tint * crowd.colour[row]
         made.append((species, number, Part(f"{species}_{number}", placed[k], worn.faces, across[k], colours)))
     return made
