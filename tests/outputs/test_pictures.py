@@ -343,6 +343,10 @@ def test_cameras_of_their_own_see_the_scene_and_an_ant_that_is_not_hidden():
     assert ((image[..., 0] > 1.5 * image[..., 2]) & (image[..., 0] > 120)).sum() > 100
     assert np.linalg.norm(np.array(camera.at) - picture.crowds[0].position[3]) < 5 * 4.0
     assert camera_at_eye_level(picture, 99) is None
+    (whole,) = picture.crowds
+    parts = replace(picture, crowds=tuple(whole.rows(np.isin(whole.ids, ids)) for ids in ((0, 1), (2, 3, 4, 5))))
+    apart = camera_at_eye_level(parts, 3)
+    assert apart is not None and apart.at == camera.at, "whatever others of the species wear"
 
 
 @pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])

@@ -528,3 +528,31 @@ def test_some_agents_wear_what_they_wear_among_all(carriers: Cache) -> None:
 
 def layers_by_id(picture: Picture) -> dict[int, tuple[str, ...]]:
     return {int(name): crowd.worn.layers for crowd in picture.crowds for name in crowd.ids}
+
+
+def test_things_of_one_name_and_a_field_that_is_gone_keep_apart() -> None:
+    from pxr import Usd
+
+    from antdsl.outputs.pictures.model import Item, Trail
+    from antdsl.outputs.usd.values import Out
+    from antdsl.outputs.usd.world import WorldWriter
+
+    out = Out(Usd.Stage.CreateInMemory())
+    assert [out.name("species", "camera"), out.name("mesh", "ant"), out.name("species", "ant")] == ["camera_2", "ant", "ant_2"]
+    assert out.name("mesh", "ant") == "ant"
+
+    class Nothing:
+        manifest = type("Manifest", (), {"up": "y", "units": "mm"})
+
+        def camera(self, frame: int) -> None:
+            return None
+
+    writer = WorldWriter(out, Nothing(), [1, 2, 3])  # type: ignore[arg-type]
+    items = tuple(Item("it", (float(x), 0.0, 0.0), 1.0, 1.0, "apple") for x in (0, 5))
+    trail = Trail("trail", np.zeros((2, 3)), np.ones(2), 1.0, (1.0, 0.0, 0.0), 1.0)
+    for frame, trails in ((1, ()), (2, (trail,)), (3, ())):
+        writer.frame(frame, Picture((), (), items, trails))
+    places = [p.GetAttribute("xformOp:translate").Get(1)[0] for p in out.stage.GetPrimAtPath("/World/items").GetChildren()]
+    assert places == [0, 5]
+    points = out.stage.GetPrimAtPath("/World/fields/trail").GetAttribute("points")
+    assert [len(points.Get(frame)) for frame in (1, 2, 3)] == [0, 2, 0]
