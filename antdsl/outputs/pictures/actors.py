@@ -194,7 +194,7 @@ def _near(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], ND
     around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
     low[around], high_[around] = -1, max(high, wide) + 1
     seen = (ahead > 0).any(axis=1)
-    few = seen & ((high_ - low).max(axis=1) < _FEW)
+    few: NDArray[np.bool_] = np.asarray(seen & ((high_ - low).max(axis=1) < _FEW))
 
     def covered(which: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
         first = np.clip(np.floor(low[which] - margin), 0, (wide, high)).astype(np.int64)
