@@ -194,14 +194,14 @@ def _near(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], ND
     around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
     low[around], high_[around] = -1, max(high, wide) + 1
     seen = (ahead > 0).any(axis=1)
-    few: NDArray[np.bool_] = np.asarray(seen & ((high_ - low).max(axis=1) < _FEW))
+    few = seen & ((high_ - low).max(axis=1) < _FEW)
 
     def covered(which: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
         first = np.clip(np.floor(low[which] - margin), 0, (wide, high)).astype(np.int64)
         last = np.clip(np.ceil(high_[which] + margin) + (margin > 0), 0, (wide, high)).astype(np.int64)
         return _covered(first, last, wide, high).reshape(-1)
 
-    return covered(seen, 2.0), covered(few, 0.0)
+    return covered(np.asarray(seen), 2.0), covered(np.asarray(few), 0.0)
 
 
 def _covered(first: NDArray[np.int64], last: NDArray[np.int64], wide: int, high: int) -> NDArray[np.bool_]:
