@@ -201,15 +201,15 @@ def test_a_cache_from_before_bodies_were_kept_is_drawn_as_it_was(cache: Cache, t
 
 def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
     ids = np.array([4, 9, 2])
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
     now, later = (
-        Crowd(
-            "ant", np.full((3, 3), place), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)), np.ones(3), np.ones((3, 3)), found,
-            driven=Driven(draws=Draws(found, 5, "ant")),
-        )
-        for place, found in ((0.0, ids), (1.0, ids[::-1]))
-    )  # fmt: skip
-    after = followed(now, later).driven.draws
-    assert after is not None and (after.seed, after.species) == (5, "ant") and np.array_equal(after.ids, ids)
+        Crowd("ant", at, upright, np.ones(3), np.ones((3, 3)), found, driven=Driven(draws=Draws(found, 5, "ant")))
+        for at, found in ((np.zeros((3, 3)), ids), (np.arange(9.0).reshape(3, 3), ids[::-1]))
+    )
+    after = followed(now, later)
+    draws = after.driven.draws
+    assert draws is not None and (draws.seed, draws.species) == (5, "ant") and np.array_equal(draws.ids, ids)
+    assert np.array_equal(after.position, later.position[::-1])
 
 
 @pytest.mark.parametrize("deformer", ["linearskinning", "dualquatskinning"])

@@ -201,7 +201,7 @@ def _near(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], ND
         last = np.clip(np.ceil(high_[which] + margin) + (margin > 0), 0, (wide, high)).astype(np.int64)
         return _covered(first, last, wide, high).reshape(-1)
 
-    return covered(seen, 2.0), covered(few, 0.0)
+    return covered(np.asarray(seen), 2.0), covered(np.asarray(few), 0.0)
 
 
 def _covered(first: NDArray[np.int64], last: NDArray[np.int64], wide: int, high: int) -> NDArray[np.bool_]:
