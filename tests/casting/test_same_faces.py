@@ -83,6 +83,8 @@ def kernels(request: Any, monkeypatch: pytest.MonkeyPatch) -> str:
 def answers(scene: RayScene) -> dict[str, np.ndarray]:
     origin, way = rays_at_edges()
     rows, part, mesh, face = scene.cast_within(origin, way)
+    for one, other in zip((rows, part, mesh, face), scene.cast_within(origin, way, most_hit=True), strict=True):
+        assert np.array_equal(one, other)
     first = scene.cast(origin, way)
     x, y, z = (np.ascontiguousarray(v, np.float32) for v in origin.T)
     size = np.sqrt((way**2).sum(axis=1))

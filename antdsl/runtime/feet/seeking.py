@@ -74,8 +74,9 @@ class Floor:
             if name in self.meshes and k not in self.moving and len(self.meshes[name].vertices)
         }
 
-    def cast(self, world: World, origin: Places, way: Places) -> Found:
-        """What the straight ways from `origin` by `way` meet first."""
+    def cast(self, world: World, origin: Places, way: Places, most_hit: bool = True) -> Found:
+        """What the straight ways from `origin` by `way` meet first. `most_hit`: whether most are thought to end on what bodies
+        walk on, so that it costs less to cast than to ask first; the answer is the same."""
         found = Found.none(origin.shape[1])
         if isinstance(world.ground, Plane):
             _on_plane(world, origin, way, found)
@@ -89,10 +90,10 @@ class Floor:
             if not near.size:
                 continue
             if isinstance(seen, RayScene):
-                if name not in world.setting.surfaces:  # most rays end on what bodies walk on
-                    near = _close(seen, near, origin, way)
+                sure = most_hit and name in world.setting.surfaces
+                near = near if sure else _close(seen, near, origin, way)
                 if near.size:
-                    self._on_mesh(world, k, seen, near, origin, way, found)
+                    self._on_mesh(world, k, seen, near, (origin, way), found, sure)
             elif isinstance(seen, SolidFeelers):
                 _on_solid(k, seen, near, origin, way, found)
         return found
@@ -139,9 +140,12 @@ class Floor:
             return _box(vertices_at(world, self.names[k], world.shown))
         return self._still.get(k)
 
-    def _on_mesh(self, world: World, k: int, seen: RayScene, near: Rows, origin: Places, way: Places, found: Found) -> None:
-        a, w = origin[:, near], way[:, near]
-        which, part, _, face = seen.cast_within(np.ascontiguousarray(a.T), np.ascontiguousarray(w.T), world.options.threads, True)
+    def _on_mesh(
+        self, world: World, k: int, seen: RayScene, near: Rows, rays: tuple[Places, Places], found: Found, most_hit: bool
+    ) -> None:
+        a, w = (each[:, near] for each in rays)
+        begin, step = np.ascontiguousarray(a.T), np.ascontiguousarray(w.T)
+        which, part, _, face = seen.cast_within(begin, step, world.options.threads, most_hit)
         nearer = part < found.part[near[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
         found.put(near[which], self._hits(world, k, part, a[:, which] + w[:, which] * part, face))
@@ -183,7 +187,7 @@ def _searched(
     """As `seek`, for places that the straight way from the hip does not lead to: from above them, then the nearest."""
     height = np.maximum(vec.dot(hip - wanted, up), 0.2 * leg)
     above = wanted + up * height
-    level = floor.cast(world, hip, above - hip)
+    level = floor.cast(world, hip, above - hip, most_hit=False)
     down = floor.cast(world, above, -up * (2.0 * height + leg))
     free = ~np.isfinite(level.part)
     best, nearest = Found.none(len(leg)), np.full(len(leg), np.inf)
