@@ -343,6 +343,9 @@ def test_cameras_of_their_own_see_the_scene_and_an_ant_that_is_not_hidden():
     assert ((image[..., 0] > 1.5 * image[..., 2]) & (image[..., 0] > 120)).sum() > 100
     assert np.linalg.norm(np.array(camera.at) - picture.crowds[0].position[3]) < 5 * 4.0
     assert camera_at_eye_level(picture, 99) is None
+    first = replace(crowd([[30, 0, 30]], (0.9, 0.6, 0.1), ids=np.array([7])), species="first")
+    both = replace(picture, crowds=(first, *picture.crowds))
+    assert camera_at_eye_level(both, 3) is not None and camera_at_eye_level(both, 3, species="first") is None
 
 
 @pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])

@@ -104,16 +104,17 @@ def camera_at_eye_level(
     """A camera a few body lengths from an agent, at the height of its back, with nothing in between and much to see behind it;
     with `close` so near that the agent fills the picture.
 
-    `agent`: an id of `species` (the first crowd where none is named); None takes one with company.
+    `agent`: an id of `species` (without one, of the first crowd that has it); None takes one with company.
     Gives None when there is no such agent."""
     crowds = [crowd for crowd in picture.crowds if len(crowd.position) and species in (None, crowd.species)]
     if not crowds:
         return None
-    crowd = crowds[0]
-    if agent is not None:
-        rows = np.flatnonzero(np.asarray(crowd.ids) == agent) if crowd.ids is not None else np.zeros(0, np.int64)
-    else:
+    crowd, rows = crowds[0], np.zeros(0, np.int64)
+    if agent is None:
         rows = _with_company(crowd)
+    for each in crowds if agent is not None else ():
+        if each.ids is not None and not len(rows):
+            crowd, rows = each, np.flatnonzero(np.asarray(each.ids) == agent)
     placed = [item_mesh(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
     around = [(solid.vertices, solid.faces) for solid in picture.solids if len(solid.faces)]
     solids = RayScene.of(around + [(mesh.vertices, mesh.faces) for mesh in placed])
