@@ -244,6 +244,17 @@ def _draw(
         yield frame, with_strip(image, picture, strip, show)
 
 
+def _nobody(picture: Picture, agents: tuple[int, ...]) -> str:
+    """That a camera finds no agent, and who there is."""
+    counts: dict[str, int] = {}
+    for crowd in picture.crowds:
+        counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
+    known = [f"{count} `{species}`" for species, count in counts.items() if count]
+    who = f" {agents[0]}" if agents else ""
+    has = f"; this frame has {', '.join(known) or 'nobody'}"
+    return f"error: there is no agent{who} to stand beside{has}"
+
+
 def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float, frames: list[int]) -> Camera:
     import numpy as np
 
@@ -253,9 +264,7 @@ def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, 
         close = which is View.close
         found = camera_at_eye_level(picture, agents[0] if agents else None, focal=35.0 if close else 26.0, close=close)
         if found is None:
-            raise Stop(
-                Exit.FINDINGS, f"error: there is no agent {agents[0] if agents else ''} to stand beside".replace("  ", " ")
-            )
+            raise Stop(Exit.FINDINGS, _nobody(picture, agents))
         return found
     if which is View.top:
         return camera_on_top(picture, aspect=aspect)

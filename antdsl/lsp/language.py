@@ -20,6 +20,7 @@ from antdsl.lsp.words import (
     FORM_HELP,
     INNER_HELP,
     KINDS,
+    PLAY_HELP,
     SCENE_HELP,
     SETTINGS,
     STATE_WORD_HELP,
@@ -276,6 +277,8 @@ def _arguments(word: str) -> Iterator[str]:
         for row in rows:
             if any(arg.name == word for arg in row.args):
                 yield markdown(f"{builtin_form(called, row)}\n{CALL_FORMS[called]}", f"argument of `{called}`")
+    if word in PLAY_HELP:
+        yield markdown(f"play CLIP({word}: …)\n{PLAY_HELP[word]}", "argument of `play`")
     for _, node in _library():
         if any(argument.name.text == word for argument in node.arguments):
             yield markdown(signature(node), f"argument of `{node.name.text}`")

@@ -125,6 +125,18 @@ INNER_HELP = {
     "within": "before that time is over",
     "eventually": "in that frame or a later one",
 }
+# Arguments of `play`.
+PLAY_HELP = {
+    "speed": "times as fast as by itself",
+    "weight": "share of the pose, from 0 to 1",
+    "on": "only on the joints of that transform group",
+    "again": "whether it begins anew as the state is entered",
+    "add": "`true`: added to all that is played besides",
+    "left": "the clip that it gives way to as the agent turns left",
+    "right": "the clip that it gives way to as the agent turns right",
+    "up": "the clip that it gives way to uphill",
+    "down": "the clip that it gives way to downhill",
+}
 STEPS = "by the step, and so by the frames per second: `antdsl check --strict` tells of it"
 # Units of which more is to be said than what they are worth.
 UNIT_HELP = {

@@ -347,6 +347,9 @@ def test_cameras_of_their_own_see_the_scene_and_an_ant_that_is_not_hidden():
     parts = replace(picture, crowds=tuple(whole.rows(np.isin(whole.ids, ids)) for ids in ((0, 1), (2, 3, 4, 5))))
     apart = camera_at_eye_level(parts, 3)
     assert apart is not None and apart.at == camera.at, "whatever others of the species wear"
+    first = replace(crowd([[30, 0, 30]], (0.9, 0.6, 0.1), ids=np.array([7])), species="first")
+    both = replace(picture, crowds=(first, *picture.crowds))
+    assert camera_at_eye_level(both, 3) is not None and camera_at_eye_level(both, 3, species="first") is None
 
 
 @pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])

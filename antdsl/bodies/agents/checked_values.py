@@ -112,7 +112,8 @@ class Values:
 
     def _outside(self, place: Span, what: str, value: float, least: float, most: float) -> None:
         nearest = least if value < least else most
-        bounds = f"from {least:g} to {most:g}" if most < limits.LARGEST else f"of at least {least:g}"
+        open_above = most >= limits.LARGEST and value < least
+        bounds = f"of at least {least:g}" if open_above else f"from {least:g} to {most:g}"
         words = f"{what} is a number {bounds}, not {place.text[:30]}"
         self.report.error("out-of-range", words, place, f"write `{nearest:g}`" if abs(nearest) < limits.LARGEST else None)
 
