@@ -66,7 +66,7 @@ def test_what_bodies_did_is_kept_of_the_latest_frames_and_costs_no_older_ones(sc
     )
     assert 5 < len(kept.poses) < len(kept.light)
     assert list(kept.poses) == list(range(122 - len(kept.poses), 122))
-    assert {"forager/plays/main", "forager/feet"} <= remembered(session, 121)["forager"].keys()
+    assert {"forager/plays/main", "forager/wears"} <= remembered(session, 121)["forager"].keys()
 
 
 def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:

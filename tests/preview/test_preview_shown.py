@@ -64,7 +64,7 @@ def test_a_light_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> 
     for name, array in light.items():
         assert np.array_equal(array, exact[name]), name
     assert {"forager/heading", "forager/up", "forager/size", "forager/state/main"} <= light.keys()
-    assert {"forager/plays/main", "forager/feet", "forager/stance"} <= light.keys(), "bodies are posed as they were then"
+    assert {"forager/plays/main", "forager/wears"} <= light.keys(), "bodies are posed as they were then"
     page.ask("step")
     page.shown(11)
     assert page.status(frame=11, light=False)["head"] == 15
