@@ -158,6 +158,7 @@ _WORDS: tuple[tuple[str, str], ...] = (
     ("food", "crumb"),  # whatever it is called
     ("nest", "mound"),
     ("home", "mound"),
+    ("camp", "mound"),
     ("hill", "mound"),
     ("heap", "mound"),
     ("door", "none"),  # places that are meant, not things
