@@ -16,6 +16,7 @@ from antdsl.casting.faces import Faces, nearest_on_triangle
 Vectors = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mesh = tuple[Vectors, NDArray[np.int32]]
+Met = tuple[Index, Vectors, Index, Vectors]
 
 _CROWD = 2_000  # places asked about at once, from which on finer distances pay
 _CHUNK = 1 << 16  # rays at once
@@ -142,14 +143,11 @@ class RayScene:
     def cast_within(
         self, origin: Vectors, step: Vectors, threads: int = 1, most_hit: bool = False
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
-        """Which rays hit something between `origin` [n,3] and `origin + step`: their numbers, ascending, and t, mesh, face. Where
-        `most_hit`, it is not asked first which do, which costs more than it saves then; the answer is the same."""
+        """Which rays hit from `origin` [n,3] to `origin + step`, ascending; t, mesh, face. `most_hit`: it is not asked first."""
         which, t, face, _ = self._first(origin - self.origin, step, 1.0, threads, most_hit)
         return which, t, *self._counted(face)
 
-    def _first(
-        self, origin: Vectors, way: Vectors, most: float, threads: int, most_hit: bool = False
-    ) -> tuple[Index, Vectors, Index, Vectors]:
+    def _first(self, origin: Vectors, way: Vectors, most: float, threads: int, most_hit: bool = False) -> Met:
         """Which rays from places [n,3], as the scene counts them, hit something within `most` lengths of their way [n,3]: their
         numbers, ascending, after what part of the way, the face over all meshes and the weights of its corners.
 
@@ -161,7 +159,7 @@ class RayScene:
             return nothing
         rows, a, w = np.arange(len(origin)), origin, way
         begin: Vectors | None = None
-        found: list[tuple[Index, Vectors, Index, Vectors]] = []
+        found: list[Met] = []
         for _ in range(_AGAIN):
             if not rows.size:
                 break
