@@ -131,7 +131,7 @@ def test_strips_fans_shared_meshes_and_mirrored_nodes() -> None:
     nodes = [{"name": "a", "mesh": 0}, {"name": "a", "mesh": 0, "scale": [-1, 1, 1]}]
     found = body_of(writer.tree({"nodes": nodes, "meshes": [{"primitives": primitives}]}), bytes(writer.data))
     shape = found.shapes["a"]
-    assert shape.faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4], [6, 7, 5], [7, 8, 5], [8, 9, 5]]
+    assert shape.faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4], [1, 2, 0], [2, 3, 0], [3, 4, 0]]
     assert found.rig.names == ("a", "a_2") and found.rig.rest[1, 0, 0] == -1
     assert found.layers["body"].static == (Binding("a", "a"), Binding("a_2", "a"))
 

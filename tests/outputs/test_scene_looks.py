@@ -52,7 +52,7 @@ def test_pictures_draw_what_the_scene_says_and_the_cache_keeps_it(tmp_path: Path
     picture = Gallery(cache).picture(2)
     assert {solid.name: solid.kind for solid in picture.solids} == {"ground": "leaf", "can": "metal"}
     assert {item.name: (item.shape, item.look) for item in picture.items} == {
-        "crumb": ("sphere", "light"), "hidden": ("none", None), "apple": ("apple", None),
+        "crumb": ("crumb", "light"), "hidden": ("none", None), "apple": ("apple", None),
     }  # fmt: skip
 
 

@@ -176,7 +176,7 @@ def test_one_looks_first_as_the_camera_of_the_scene_does(browser: Browser, forag
         first = seen.now("screen", "forager", 7)
         labels = seen.page.locator(".sight-labels > div")
         assert labels.count() == 3
-        assert all(each.evaluate("it => it.hidden || it.style.transform !== ''") for each in labels.all())
+        assert all(each.evaluate("it => it.style.visibility === 'hidden' || it.style.transform !== ''") for each in labels.all())
         keys(seen, "f")
         settled(seen)
         assert seen.now("screen", "forager", 7) != pytest.approx(first, abs=3)
