@@ -176,4 +176,4 @@ def test_gaits_can_be_walked(word: str) -> None:
         assert slow.stride / slow.speed > fast.stride / fast.speed  # faster legs
     assert body.gaits and all(len(gait.phases) == len(body.legs) for gait in body.gaits)
     fastest = body.gaits[-1]
-    assert fastest.speed / fastest.stride < 6  # cycles a second: at 24 frames a second no leg is seen to go backwards
+    assert fastest.speed / fastest.stride <= 8  # a second: three frames a cycle at 24 a second, so none goes backwards

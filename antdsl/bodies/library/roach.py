@@ -39,7 +39,8 @@ _TRIPOD = (0.0, 0.5, 0.5, 0.0, 0.0, 0.5)
 GAITS = (
     Gait("slow", 0.4, 0.38, 0.72, 0.035, (0.667, 0.167, 0.333, 0.833, 0.0, 0.5)),
     Gait("tripod", 2.0, 0.56, 0.56, 0.045, _TRIPOD),
-    Gait("fast tripod", 6.0, 1.02, 0.36, 0.060, _TRIPOD),
+    Gait("fast tripod", 6.0, 0.80, 0.46, 0.055, _TRIPOD),
+    Gait("sprint", 8.5, 1.08, 0.40, 0.060, _TRIPOD),
 )
 MATERIALS = {
     "thorax": (0.12, 0.050, 0.018),

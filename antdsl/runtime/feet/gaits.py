@@ -11,8 +11,9 @@ from antdsl.scene.setting import LegsData
 
 Floats = NDArray[np.float32]
 
-MOST_CYCLES = 0.25  # of a gait in one frame: faster legs would seem to go backward or to stand (their stride grows instead)
+MOST_CYCLES = 1 / 3  # of a gait in one frame: faster legs would seem to go backward or to stand (their stride grows instead)
 REACHED = 0.97  # of a leg's length: how far its foot may be from its hip and stand
+ROOM = 0.38  # of how far a foot can be ahead of its hip: so far it can go either way from where it rests
 SINK = 0.12  # of a leg's length: how far the trunk may come down for a longer step
 _RESTING = 0.5  # s, of one cycle in which feet are put back where they rest, where the slowest gait has no speed
 
@@ -57,12 +58,24 @@ class Gaits:
         return Stepping(stride.astype(np.float32), duty.astype(np.float32), lift.astype(np.float32), self.phases.T[:, k].T)
 
 
-def _reach(legs: LegsData) -> Floats:
-    """How far ahead or behind of where it rests each foot can be, with the trunk a little lower."""
+def resting(legs: LegsData) -> tuple[Floats, Floats]:
+    """Where feet rest, ahead and aside of the body, float32[L] each: as the body stands, and nearer to the hip where a leg is
+    stretched out so far that it could not follow a step."""
+    down, ahead = legs.foot - legs.hip, _ahead(legs)
+    most = ahead * (1.0 - ROOM)
+    x = legs.hip[:, 0] + np.clip(down[:, 0], -most, most)
+    return np.asarray(x, np.float32), np.asarray(legs.foot[:, 2], np.float32)
+
+
+def _ahead(legs: LegsData) -> NDArray[np.float64]:
+    """How far ahead or behind of its hip each foot can be, with the trunk a little lower."""
     down = legs.hip - legs.foot
     length = legs.length * REACHED
     height = np.maximum(down[:, 1] - SINK * legs.length, 0.0)
-    across = length * length - height * height - down[:, 2] * down[:, 2]
-    ahead = np.sqrt(np.maximum(across, 0.0))
-    found = np.minimum(ahead + down[:, 0], ahead - down[:, 0])
+    return np.sqrt(np.maximum(length * length - height * height - down[:, 2] * down[:, 2], 0.0))
+
+
+def _reach(legs: LegsData) -> Floats:
+    """How far ahead or behind of where it rests each foot can be."""
+    found = _ahead(legs) - np.abs(resting(legs)[0].astype(np.float64) - legs.hip[:, 0])
     return np.asarray(np.maximum(found, 0.05 * legs.length), np.float32)

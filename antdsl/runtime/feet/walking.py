@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.feet import trunk
-from antdsl.runtime.feet.gaits import MOST_CYCLES, REACHED, SINK, Gaits, Stepping
+from antdsl.runtime.feet.gaits import MOST_CYCLES, REACHED, SINK, Gaits, Stepping, resting
 from antdsl.runtime.feet.seeking import Floor, seek
 from antdsl.runtime.feet.state import NOTHING, STANDS, Feet, by_leg
 from antdsl.runtime.world import Population, World
@@ -83,8 +83,7 @@ class Walkers:
 
     def __init__(self, legs: LegsData) -> None:
         self.legs, self.gaits = legs, Gaits(legs)
-        rest = legs.foot.astype(np.float32)
-        self.rest = (rest[:, 0], rest[:, 2])
+        self.rest = resting(legs)
         self.off = (_OFF * legs.length).astype(np.float32)
         self.leg = legs.length.astype(np.float32)
 
