@@ -72,7 +72,7 @@ def _ahead(legs: LegsData) -> NDArray[np.float64]:
     down = legs.hip - legs.foot
     length = legs.length * REACHED
     height = np.maximum(down[:, 1] - SINK * legs.length, 0.0)
-    return np.sqrt(np.maximum(length * length - height * height - down[:, 2] * down[:, 2], 0.0))
+    return np.asarray(np.sqrt(np.maximum(length * length - height * height - down[:, 2] * down[:, 2], 0.0)))
 
 
 def _reach(legs: LegsData) -> Floats:
