@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.looks import SOIL
 from antdsl.outputs.pictures.model import Trail
 from antdsl.outputs.pictures.shading_rows import Floats
 from antdsl.outputs.pictures.stage import Samples
@@ -12,6 +13,9 @@ from antdsl.outputs.pictures.work import pieces
 Array = NDArray[np.float64]
 
 _MOST_VOXELS = 40_000_000
+_MOST_COVERED = 0.66  # of the ground's own colour
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB
+_GRAINS = (0.5, 1.6)  # times the light of soil
 
 
 class TrailCloth:
@@ -138,5 +142,7 @@ def cover_of(strength: Array, full: float) -> Floats:
 
 
 def dyed(albedo: Floats, share: Floats, trail: Trail) -> Floats:
-    """Ground colours (n, 3) with the trail on them; its strongest covers most of the ground's own colour."""
-    return albedo + (decoded(trail.colour) - albedo) * (0.85 * share)[:, None]
+    """Linear ground colours (n, 3) with the trail on them. Its strongest covers two thirds of the ground's own colour, and is as
+    light or dark as the grains below it."""
+    light = np.clip((albedo @ _LUMINANCE) / np.float32(SOIL @ _LUMINANCE), *_GRAINS)
+    return np.asarray(albedo + (decoded(trail.colour) * light[:, None] - albedo) * (_MOST_COVERED * share)[:, None], np.float32)
