@@ -39,7 +39,7 @@ def back(seen: Seen, frame: int) -> None:
     scrub.focus()
     scrub.fill(str(frame))
     scrub.dispatch_event("change")
-    seen.until("a.frame === it && a.still", 30, frame)
+    seen.until("a.frame === it && a.still && !a.light", 60, frame)
 
 
 def keys(seen: Seen, *pressed: str) -> None:
