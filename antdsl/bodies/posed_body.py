@@ -183,11 +183,16 @@ class PosedBody:
         driven: Driven = NOTHING,
     ) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of the same agents, in body lengths."""
-        poses = self.poses(machines, count, feet, threads, driven=driven)
+        points, normals = self.shaped(self.poses(machines, count, feet, threads, driven=driven))
+        return points[:, self.taken], normals[:, self.taken]
+
+    def shaped(self, poses: Poses) -> tuple[Floats, Floats]:
+        """Points and unit normals float32[n, p, 3] of the shapes of all bindings, one after the other, in body lengths: front +x,
+        up +y."""
         found = [bound(self._definition, binding, poses) for binding in self._bindings]
-        none = np.zeros((count, 0, 3), np.float32)
-        points = np.concatenate([none, *(each.points for each in found)], axis=1)[:, self.taken]
-        normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)[:, self.taken]
+        none = np.zeros((len(poses.world), 0, 3), np.float32)
+        points = np.concatenate([none, *(each.points for each in found)], axis=1)
+        normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)
         return points @ self._base.T, normals @ self._turn.T
 
 

@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.model import Crowd
 
@@ -18,10 +19,9 @@ def followed(now: Crowd, later: Crowd) -> Crowd:
     is. Both have ids."""
     own, ids = np.asarray(now.ids), np.asarray(later.ids)
     order = np.argsort(ids, kind="stable")
-    found = np.minimum(np.searchsorted(ids, own, sorter=order), max(len(ids) - 1, 0))
-    at = order[found] if len(ids) else np.zeros(len(own), np.intp)
-    there = ids[at] == own if len(ids) else np.zeros(len(own), np.bool_)
-    rows = np.where(there, at, len(ids) + np.arange(len(own)))
+    at, there = matched(own, ids[order])
+    rows = len(ids) + np.arange(len(own))
+    rows[there] = order[at[there]]
     whole = {
         name: _joined(getattr(later, name), getattr(now, name)) for name in ("position", "orient", "plays", "feet", "driven")
     }
@@ -37,12 +37,18 @@ def followed(now: Crowd, later: Crowd) -> Crowd:
     )
 
 
+def matched(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Where each id stands among others, which ascend, and whether it does."""
+    if len(ids) == len(others) and np.array_equal(ids, others):
+        return np.arange(len(ids)), np.ones(len(ids), np.bool_)
+    at = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))
+    return at, others[at] == ids if len(others) else np.zeros(len(ids), np.bool_)
+
+
 def _joined(one: Any, other: Any) -> Any:
     """The rows of both, one after the other; None where one has none."""
     if one is None or other is None:
         return None
-    if isinstance(one, (int, str)):
-        return one
     if isinstance(one, np.ndarray):
         return np.concatenate([one, other])
     if isinstance(one, Mapping):

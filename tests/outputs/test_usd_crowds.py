@@ -150,9 +150,8 @@ def test_an_agent_with_a_skeleton_is_an_instance_posed_as_in_pictures(people: Ca
         crowd = Gallery(people).picture(frame).crowds[0]
         assert crowd.worn is not None and crowd.ids is not None
         poses = crowd.worn.poses(crowd.plays, PEOPLE, feet=crowd.feet_beside(np.arange(PEOPLE)))
-        from antdsl.outputs.usd.drawn import DrawnBody
 
-        points = DrawnBody(crowd.worn).posed(poses)[0]
+        points = crowd.worn.shaped(poses)[0]
         for k in range(0, PEOPLE, 3):
             mine = points[k] * crowd.scale[k] @ rotation(crowd.orient[k : k + 1])[0].T + crowd.position[k]
             theirs = skinned(stage, f"/World/walker/agent_{crowd.ids[k]}", frame)
@@ -231,7 +230,6 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
     from pxr import UsdGeom, UsdShade
 
     from antdsl.outputs.pictures.light import decoded
-    from antdsl.outputs.usd.drawn import DrawnBody
 
     stage = exported(people, tmp_path / "out.usdc", skeletons=0)
     made = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
@@ -242,7 +240,7 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
         crowd = Gallery(people).picture(frame).crowds[0]
         assert crowd.worn is not None
         numbers, state = made.GetProtoIndicesAttr().Get(frame), people.frame(frame)["state"]
-        points = DrawnBody(crowd.worn.coarse).posed(crowd.worn.coarse.poses(crowd.plays, PEOPLE))[0]
+        points = crowd.worn.coarse.shaped(crowd.worn.coarse.poses(crowd.plays, PEOPLE))[0]
         for k in range(PEOPLE):
             mesh = UsdGeom.Mesh(stage.GetPrimAtPath(paths[numbers[k]]))
             used.add(paths[numbers[k]])
@@ -441,13 +439,12 @@ def blended(target, points, weight: float):  # type: ignore[no-untyped-def]
 
 def test_feet_and_trunks_of_skeletons_are_where_pictures_have_them(breeders: Cache, tmp_path: Path) -> None:
     """UsdSkel has scales in half precision: a gaster that breathes is off by a few ten-thousandths of a body length."""
-    from antdsl.outputs.usd.drawn import DrawnBody
 
     stage = exported(breeders, tmp_path / "out.usdc")
     crowd = Gallery(breeders).picture(6).crowds[0]
     assert crowd.worn is not None and crowd.feet is not None and crowd.ids is not None
-    points = DrawnBody(crowd.worn).posed(crowd.poses())[0]
-    flat = DrawnBody(crowd.worn).posed(crowd.worn.poses(crowd.plays, len(points)))[0]
+    points = crowd.worn.shaped(crowd.poses())[0]
+    flat = crowd.worn.shaped(crowd.worn.poses(crowd.plays, len(points)))[0]
     assert np.abs(points - flat).max() > 0.02, "feet matter"
     for k in range(0, len(points), 3):
         mine = points[k] * crowd.scale[k] @ rotation(crowd.orient[k : k + 1])[0].T + crowd.position[k]

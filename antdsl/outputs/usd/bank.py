@@ -126,7 +126,7 @@ class _Drawn:
         """The mesh of a pose, and how far it reaches, in body lengths."""
         machines = [alone(np.array([p // (SAMPLES + 1) - 1]), np.array([p % (SAMPLES + 1) / SAMPLES])) for p in played]
         poses: Poses = self._drawn.body.poses(machines, 1)
-        points, normals = (each[0] for each in self._drawn.posed(poses))
+        points, normals = (each[0] for each in self._drawn.body.shaped(poses))
         path = f"{self._path}/pose_{number:04d}"
         made = mesh(self._stage, path, points, self._drawn.faces, normals, self._drawn.uvs)
         self._looks.bind_faces(made, self._drawn.names, self._drawn.material)

@@ -7,9 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 
 Floats = NDArray[np.float32]
@@ -35,22 +33,12 @@ class DrawnBody:
         self.material = np.concatenate(material)
         mapped = [np.zeros((len(s.points), 2), np.float32) if s.uvs is None else s.uvs for s in shapes]
         self.uvs = np.concatenate(mapped) if any(shape.uvs is not None for shape in shapes) else None
-        base = body.definition.base()[:3, :3]
-        self._base, self._turn = base.astype(np.float32), (base * body.definition.length).astype(np.float32)
-
-    def posed(self, poses: Poses) -> tuple[Floats, Floats]:
-        """Points and unit normals float32[n, v, 3] of n agents, in body lengths: front +x, up +y."""
-        found = [bound(self.body.shaded, binding, poses) for binding in self.body.bindings]
-        none = np.zeros((len(poses.world), 0, 3), np.float32)
-        points = np.concatenate([none, *(each.points for each in found)], axis=1)
-        normals = np.concatenate([none, *(each.normals for each in found if each.normals is not None)], axis=1)
-        return points @ self._base.T, normals @ self._turn.T
 
     def extent(self) -> NDArray[np.float64]:
         """The box (2, 3) that the body stays in as it plays each of its clips, with some room, in body lengths."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for machines in self._playing():
-            points = self.posed(self.body.poses(machines, len(machines[0].clip) if machines else 1))[0].reshape(-1, 3)
+            points = self.body.shaped(self.body.poses(machines, len(machines[0].clip) if machines else 1))[0].reshape(-1, 3)
             if len(points):
                 low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
         if not np.isfinite(low).all():

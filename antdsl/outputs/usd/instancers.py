@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.outputs.following import matched
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.usd.bank import Bank
-from antdsl.outputs.usd.moments import Agents, Moment, matched
+from antdsl.outputs.usd.moments import Agents, Moment
 from antdsl.outputs.usd.values import ROOT, Out, Samples, identifier, integers, name_states, vectors
 from antdsl.scene.geometry.usd import pxr
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.vector_rows import dot
 from antdsl.outputs.cache.cache_reader import Arrays
+from antdsl.outputs.following import matched
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.model import Crowd, Picture
 
@@ -160,14 +161,6 @@ def _part(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]
     if crowd.ids is None or len(crowd.position) == len(ids):
         return crowd, np.arange(len(crowd.position))
     return crowd, np.searchsorted(ids, crowd.ids)
-
-
-def matched(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Where each id stands among others, which ascend, and whether it does."""
-    if len(ids) == len(others) and np.array_equal(ids, others):
-        return np.arange(len(ids)), np.ones(len(ids), np.bool_)
-    at = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))
-    return at, others[at] == ids if len(others) else np.zeros(len(ids), np.bool_)
 
 
 def _leading(here: Agents, after: Agents | None, before: Agents | None, dt: float) -> Agents:

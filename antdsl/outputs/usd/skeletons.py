@@ -11,10 +11,11 @@ from antdsl.bodies.agents.affine import decomposed, normalised
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.outputs.following import matched
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
 from antdsl.outputs.usd.materials import Looks
-from antdsl.outputs.usd.moments import Agents, Moment, matched
+from antdsl.outputs.usd.moments import Agents, Moment
 from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Out, Samples, Visibility, identifier, name_states
 from antdsl.scene.geometry.usd import pxr
 
