@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import pytest
 
+from antdsl.machine_code import machine
 from antdsl.numerics import compiled
-from antdsl.runtime.backends.native import machine
 
 
 def need_numba() -> None:

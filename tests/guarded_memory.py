@@ -102,8 +102,8 @@ def main(arguments: list[str]) -> None:
     import random_extremes
     from random_extremes import Extremes
 
+    from antdsl.machine_code import machine
     from antdsl.runtime import Options, bind, state_hash, step
-    from antdsl.runtime.backends.native import machine
 
     assert machine.available()
     usual = Options("numpy", on_fault="quarantine")

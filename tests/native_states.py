@@ -11,10 +11,10 @@ from pathlib import Path
 
 import plans
 
+from antdsl.machine_code import machine
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import Options, Setting, bind, state_hash, step
-from antdsl.runtime.backends.native import machine
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 FRAMES = 8

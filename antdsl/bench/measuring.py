@@ -20,14 +20,15 @@ from antdsl.bench.cases import case_of
 from antdsl.bench.costs import BOUND, Cost, Job, Measured, SetUp
 from antdsl.bench.counting import count_step
 from antdsl.bench.ratios import in_turn
+from antdsl.machine_code import machine
+from antdsl.machine_code.object_cache import VARIABLE
 from antdsl.outputs.writer.process_memory import memory
 from antdsl.pipeline import Shot
 from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.resources import benchmark_file
 from antdsl.runtime import Options, World, bind, step
 from antdsl.runtime.backends import NativeBackend
-from antdsl.runtime.backends.native import machine, ready
-from antdsl.runtime.backends.native.object_cache import VARIABLE
+from antdsl.runtime.backends.native import ready
 
 WARM = 4  # steps that are not counted: the rows come into order of place after the first, kernels are loaded
 _TURN = 0.02  # seconds that a turn takes at least, where the number of steps is left open

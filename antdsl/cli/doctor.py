@@ -99,8 +99,8 @@ def _optional(package: str, purpose: str) -> None:
 
 
 def _machine_code(problems: list[str]) -> None:
-    from antdsl.runtime.backends.native import machine
-    from antdsl.runtime.backends.native.object_cache import ObjectCache
+    from antdsl.machine_code import machine
+    from antdsl.machine_code.object_cache import ObjectCache
 
     why = machine.unavailable()
     _tell("machine code", not why, why or f"for {machine.host().cpu}")

@@ -47,7 +47,8 @@ def plan(
 
 def _as_code(made: Plan, setting: Setting | None, code: bool) -> str:
     """`setting`: of the scene; None for a program by itself."""
-    from antdsl.runtime.backends.native import listing, machine
+    from antdsl.machine_code import machine
+    from antdsl.runtime.backends.native import listing
     from antdsl.runtime.backends.native.programs import Facts
 
     if why := machine.unavailable():

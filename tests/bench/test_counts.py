@@ -106,7 +106,8 @@ def test_a_line_more_in_a_program_is_counted(backend: str, monkeypatch: pytest.M
 
 
 def test_one_more_operation_is_one_more_instruction_of_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.runtime.backends.native import emitter, listing, machine
+    from antdsl.machine_code import emitter, machine
+    from antdsl.runtime.backends.native import listing
 
     def counts() -> dict[str, int]:
         return listing.counts(listing.of_plan(case_of("node").make(60).plan, machine.ANY))

@@ -24,9 +24,9 @@ from antdsl.bench.processes import Failed, measured
 from antdsl.bench.programs import BOIDS, NODE
 from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, phases, ratio_text, told, whole_step
 from antdsl.cli.printing.bench_tables import show
+from antdsl.machine_code import machine as native_machine
+from antdsl.machine_code.object_cache import VARIABLE
 from antdsl.runtime.backends import NumpyBackend
-from antdsl.runtime.backends.native import machine as native_machine
-from antdsl.runtime.backends.native.object_cache import VARIABLE
 from antdsl.runtime.world import Population, World
 from antdsl.source import Source
 from antdsl.syntax import format as formatted

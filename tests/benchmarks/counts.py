@@ -30,8 +30,8 @@ def counted(cases: Sequence[str] = ()) -> Counts:
     """Counts by case, of all without any, in this process."""
     from antdsl.bench.cases import case_of
     from antdsl.bench.counting import counts_of
+    from antdsl.machine_code import machine
     from antdsl.runtime.backends import BACKENDS
-    from antdsl.runtime.backends.native import machine
 
     left_out = {"reference"}  # nobody waits for the definition's speed
     if not machine.available():
@@ -70,7 +70,7 @@ def main() -> None:
     if given.record and given.cases:
         parser.error("--record takes all cases")
     if given.record:
-        from antdsl.runtime.backends.native import machine
+        from antdsl.machine_code import machine
 
         if why := machine.unavailable():
             raise SystemExit(f"--record takes all backends: {why}")

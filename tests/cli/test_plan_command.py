@@ -10,9 +10,10 @@ import commands
 import pytest
 from compilers import need_llvmlite
 
+from antdsl.machine_code import machine
 from antdsl.pipeline import open_scene
 from antdsl.plan import show
-from antdsl.runtime.backends.native import listing, machine
+from antdsl.runtime.backends.native import listing
 from antdsl.runtime.backends.native.programs import Facts
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

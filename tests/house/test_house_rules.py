@@ -21,7 +21,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
     "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
-    "highlighting", "graphs", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
+    "highlighting", "graphs", "machine_code", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "sweep", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
@@ -128,7 +128,7 @@ OWN_FILES = {
     "outputs/cache/npz.py": "files and folders just written, to see them on the disk",
     "preview/serving/pages.py": "the page that comes with antdsl",
     "preview/serving/returning.py": "its own keys, of the last starts",
-    "runtime/backends/native/object_cache.py": "folders, part by part",
+    "machine_code/object_cache.py": "folders, part by part",
     "scene/paths.py": "folders, part by part",
     "scene/geometry/usd/trial.py": "the null device",
     "syntax/grammar.py": "the grammar",

@@ -12,13 +12,13 @@ import pytest
 from meaning import crowd
 from plan_text import plan_of
 
+from antdsl.machine_code import machine
+from antdsl.machine_code.entries import entry
+from antdsl.machine_code.lanes import Module
 from antdsl.numerics.float_environment import be_standard, is_standard, standard
 from antdsl.passes import optimise
 from antdsl.plan import ir
 from antdsl.runtime import Options, Setting, bind, state_hash, step
-from antdsl.runtime.backends.native import machine
-from antdsl.runtime.backends.native.entries import entry
-from antdsl.runtime.backends.native.lanes import Module
 
 pytestmark = pytest.mark.skipif(not machine.available(), reason="a host's flags are set by machine code")
 

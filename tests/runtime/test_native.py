@@ -12,15 +12,16 @@ import pytest
 from meaning import crowd, item, play
 
 from antdsl import limits
+from antdsl.machine_code import machine
+from antdsl.machine_code.emitter import elementwise
+from antdsl.machine_code.lanes import BOOL, F32, I32, I64, WIDTH, Lanes, Module
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
 from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import listing, machine, ready
+from antdsl.runtime.backends.native import listing, ready
 from antdsl.runtime.backends.native.block import Writer
-from antdsl.runtime.backends.native.emitter import elementwise
-from antdsl.runtime.backends.native.lanes import BOOL, F32, I32, I64, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.layout import Layout
 
 pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")

@@ -13,7 +13,8 @@ import pytest
 from children import child_environment
 from sampling import sampled
 
-from antdsl.runtime.backends.native import listing, machine
+from antdsl.machine_code import machine
+from antdsl.runtime.backends.native import listing
 
 pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
 

@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 from meaning import crowd, play
 
+from antdsl.machine_code import codes, machine, object_cache
 from antdsl.runtime import Options, World, bind, state_hash, step
 from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import machine, object_cache, ready
+from antdsl.runtime.backends.native import ready
 
 pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
 
@@ -44,8 +45,8 @@ def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list
         cache = object_cache.ObjectCache(tmp_path / "code")
         objects = functools.cache(lambda: cache)
         objects()
-        monkeypatch.setattr(ready, "_objects", objects)
-        monkeypatch.setattr(ready, "_known", OrderedDict())
+        monkeypatch.setattr(codes, "_objects", objects)
+        monkeypatch.setattr(codes, "_known", OrderedDict())
         monkeypatch.setattr(ready, "_plans", WeakKeyDictionary())
         monkeypatch.setattr(machine, "object_code", noted)
         return compiled

@@ -17,9 +17,9 @@ import pytest
 from children import child_environment
 from compilers import need_llvmlite
 
-from antdsl.runtime.backends.native import object_cache
-from antdsl.runtime.backends.native.machine import Target, host, load, object_code
-from antdsl.runtime.backends.native.object_cache import VARIABLE, ObjectCache, key, usual_folder, versions
+from antdsl.machine_code import object_cache
+from antdsl.machine_code.machine import Target, host, load, object_code
+from antdsl.machine_code.object_cache import VARIABLE, ObjectCache, key, usual_folder, versions
 
 TARGET = Target("x86_64-unknown-linux-gnu", "znver1", "+avx2,-fma")
 KEY, OTHER = (key(text, TARGET, versions=("1",)) for text in ("one", "other"))
@@ -477,8 +477,8 @@ def test_what_was_used_longest_ago_goes_first(folder: Path) -> None:
 _WRITER = """
 import sys
 from pathlib import Path
-from antdsl.runtime.backends.native.machine import Target
-from antdsl.runtime.backends.native.object_cache import ObjectCache, key
+from antdsl.machine_code.machine import Target
+from antdsl.machine_code.object_cache import ObjectCache, key
 
 names = [key(str(n), Target("", "", ""), versions=()) for n in range(12)]
 cache = ObjectCache(Path(sys.argv[1]), cap=7 * 40_000)

@@ -18,12 +18,13 @@ from meaning import crowd, play
 from sampling import sampled
 
 from antdsl.cli.printing.profile_table import MOST, show
+from antdsl.machine_code import machine
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.preview import Session
 from antdsl.runtime import Options, World, bind, state_hash, step, stepping
 from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
 from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import machine, programs, ready, runner
+from antdsl.runtime.backends.native import programs, ready, runner
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.profiling import Meter, Profile
 

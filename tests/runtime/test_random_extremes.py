@@ -8,9 +8,9 @@ import random_extremes
 from random_extremes import Extremes
 from sampling import sampled
 
+from antdsl.machine_code import machine
 from antdsl.plan import ir
 from antdsl.runtime import Built, Options, Setting, bind, state_hash, step
-from antdsl.runtime.backends.native import machine
 
 PROGRAMS, FRAMES, BY_REFERENCE = 300, 50, 3
 MOST = 150  # agents; programs that breed without end are followed as far as that

@@ -11,9 +11,9 @@ from compilers import need_numba
 from meaning import WAYS
 from plan_text import plan_of
 
+from antdsl.machine_code import machine
 from antdsl.passes import optimise
 from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, World, bind, state_hash, step
-from antdsl.runtime.backends.native import machine
 from antdsl.runtime.backends.native.programs import Facts
 from antdsl.runtime.moving import moving_geometry
 from antdsl.scene.setting import Moves, SolidData

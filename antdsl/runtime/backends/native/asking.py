@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from antdsl.fields.pheromone import LARGEST_DEPOSIT, UNIT
+from antdsl.machine_code.lanes import BOOL, F64, I32, I64, PTR, WIDTH, Lanes
 from antdsl.plan import ir
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.native.block import BlockWriter
-from antdsl.runtime.backends.native.lanes import BOOL, F64, I32, I64, PTR, WIDTH, Lanes
 
 _WHOLE = 6755399441055744.0  # 1.5 * 2**52: in a sum with it a whole number stands in the last bits
 

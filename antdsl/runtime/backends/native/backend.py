@@ -7,16 +7,17 @@ from concurrent.futures import Future
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.machine_code import codes, machine
+from antdsl.machine_code.lanes import WIDTH
 from antdsl.numerics import compiled
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
-from antdsl.runtime.backends.native import listing, machine
+from antdsl.runtime.backends.native import listing
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays, Grids
-from antdsl.runtime.backends.native.lanes import WIDTH
 from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.programs import Facts, program
-from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, known, told
+from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, known
 from antdsl.runtime.backends.native.runner import Block, Chunk
 from antdsl.runtime.backends.native.tables import Rooms, Tables
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
@@ -76,7 +77,7 @@ class NativeBackend(NumpyBackend):
     def told(self) -> list[str]:
         """Sentences for the user on what is otherwise than asked; none of it changes a result."""
         found = [] if self._without is None else [self._without]
-        return found + (told() if self._coming is not None else [])
+        return found + (codes.told() if self._coming is not None else [])
 
     def have_code(self, world: World) -> None:
         """Wait until the steps from now on run as machine code, or cannot."""

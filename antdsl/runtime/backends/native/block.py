@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from antdsl.machine_code.emitter import Emitter, elementwise
+from antdsl.machine_code.entries import entry
+from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
-from antdsl.runtime.backends.native.emitter import Emitter, elementwise
-from antdsl.runtime.backends.native.entries import entry
-from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
 from antdsl.runtime.backends.native.marks import Lines, marks_of
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from antdsl.machine_code.emitter import Emitter
+from antdsl.machine_code.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.block import Writer
-from antdsl.runtime.backends.native.emitter import Emitter
-from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Lanes, Module
 
 SLACK, BEYOND = 1.0 + 1e-6, 1.0 + 1e-5  # as in `senses.neighbours_compiled`
 

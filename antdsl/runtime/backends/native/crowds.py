@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from antdsl import limits
+from antdsl.machine_code.lanes import BOOL, F32, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockWriter, Writer
 from antdsl.runtime.backends.native.cells import BEYOND, Rows, write_down
-from antdsl.runtime.backends.native.lanes import BOOL, F32, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.near import STRIDE, Found, Search, measured
 from antdsl.runtime.backends.native.sets import PairValues, take

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.machine_code.lanes import F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
+from antdsl.machine_code.memory import Addresses, address
 from antdsl.runtime.backends.native.block import Writer
-from antdsl.runtime.backends.native.lanes import F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.layout import Layout
-from antdsl.runtime.backends.native.memory import Addresses, address
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.neighbours import Shape

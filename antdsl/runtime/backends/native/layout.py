@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 
+from antdsl.machine_code.lanes import BOOL, F32, I32, I64
 from antdsl.plan import ir
-from antdsl.runtime.backends.native.lanes import BOOL, F32, I32, I64
 
 KINDS = {ir.Kind.F32: F32, ir.Kind.BOOL: BOOL, ir.Kind.I32: I32, ir.Kind.I64: I64}
 Key = tuple[Hashable, ...]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
+from antdsl.machine_code.machine import Target
 from antdsl.plan import ir
-from antdsl.runtime.backends.native.machine import Target
 from antdsl.runtime.backends.native.programs import Facts, Program, program
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 

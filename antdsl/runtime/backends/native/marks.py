@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.machine_code.lanes import BOOL, I64, PTR, Lanes
+from antdsl.machine_code.line_marks import NO_MARKS, Marks
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction
 from antdsl.runtime.backends.metering import instructions_of
-from antdsl.runtime.backends.native.lanes import BOOL, I64, PTR, Lanes
 
 if TYPE_CHECKING:
     from antdsl.runtime.backends.native.block import Writer
@@ -46,32 +47,7 @@ class Lines:
         return self._counters[key]
 
 
-class NoMarks:
-    """As `Marks` for code that is not timed: nothing is written."""
-
-    def of(self, instruction: Instruction) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    def elsewhere(self) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    def count(self) -> None:
-        pass
-
-    def before(self) -> None:
-        pass
-
-    def emitted(self, text: str, value: Lanes | None = None) -> None:
-        pass
-
-    def block(self) -> None:
-        pass
-
-
-NO_MARKS = NoMarks()
-
-
-class Marks:
+class LineMarks:
     """Writes the marks of a function. `current` is the counter of what the text has come to; a mark is written before the next
     instruction of another one, so that lines which need no instruction of their own have none."""
 
@@ -150,9 +126,9 @@ class Marks:
         e.begin(following)
 
 
-def marks_of(w: Writer, lines: Lines | None) -> Marks | NoMarks:
+def marks_of(w: Writer, lines: Lines | None) -> Marks:
     """The marks of a function, where its lines are counted."""
-    return NO_MARKS if lines is None else Marks(w, lines)
+    return NO_MARKS if lines is None else LineMarks(w, lines)
 
 
 @dataclass(slots=True, eq=False)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from antdsl.machine_code.lanes import I32, I64, Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Writer
-from antdsl.runtime.backends.native.lanes import I32, I64, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
 
 STRIDE = 64  # bytes from one operand or result of a search to the next

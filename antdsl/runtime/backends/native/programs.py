@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
+from antdsl.machine_code.lanes import Module
+from antdsl.machine_code.machine import Target
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction
 from antdsl.runtime.backends.native import grids, search, sets
 from antdsl.runtime.backends.native.asking import ASKING
 from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
-from antdsl.runtime.backends.native.lanes import Module
 from antdsl.runtime.backends.native.layout import KINDS, Layout
-from antdsl.runtime.backends.native.machine import Target
 from antdsl.runtime.backends.native.marks import Lines
 from antdsl.runtime.backends.native.schedule import PAIRED, schedule
 from antdsl.runtime.backends.native.senses import GUARDS, NATIVE, OF_PAIRS, ON_MOVING_GROUND

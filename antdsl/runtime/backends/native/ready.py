@@ -6,7 +6,6 @@ nothing, and an edit only the stages that it changes."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -16,15 +15,13 @@ from threading import Lock
 from typing import Any
 from weakref import ReferenceType, WeakKeyDictionary, ref
 
+from antdsl.machine_code import codes, machine
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Run
-from antdsl.runtime.backends.native import machine, object_cache
 from antdsl.runtime.backends.native.programs import Facts, Program, program
 from antdsl.runtime.sensing import SENSES
 
-_KEPT = 256  # functions whose code stays in memory
-_known: OrderedDict[str, machine.Code] = OrderedDict()
 _plans: WeakKeyDictionary[ir.Plan, dict[Facts, Ready]] = WeakKeyDictionary()
 _asked: list[tuple[ReferenceType[Future[Ready]], Generator[None, None, Ready]]] = []
 _guard = Lock()
@@ -73,11 +70,11 @@ def _made(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, 
             together[(*key, stage)] = _groups(called)
         for each in (*code.requests, *(each for called in code.schedule.calls for each in called)):
             calls[each] = numpy_calls.call(each, blocks[key])(each.out, each.inputs, None)
-    codes = {}
+    found = {}
     for name, text in made.units.items():
-        codes[name] = _loaded(text)
+        found[name] = codes.code(text)
         yield
-    ready = Ready(blocks, facts, made, codes, calls, together)
+    ready = Ready(blocks, facts, made, found, calls, together)
     with _guard:
         _plans.setdefault(plan, {})[facts] = ready
     return ready
@@ -122,47 +119,16 @@ def _over(asked: ReferenceType[Future[Ready]], tell: Callable[[Future[Ready]], N
         tell(coming)
 
 
-def told() -> list[str]:
-    """Sentences for the user on why compiled code of other runs was not used, or that of this one is not kept."""
-    return list(_objects().told) if _objects.cache_info().currsize else []
-
-
 def forget() -> None:
     """Let go of all code in memory that no backend has in use, as in a process that begins; what a folder keeps stays there."""
     with _guard:
-        _known.clear()
         _plans.clear()
-    _objects.cache_clear()
+    codes.forget()
 
 
 @cache
 def _worker() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "machine code")
-
-
-@cache
-def _objects() -> object_cache.ObjectCache:
-    return object_cache.ObjectCache()
-
-
-def _loaded(text: str) -> machine.Code:
-    """The code of one function: that in memory, that which another run has kept, or new code."""
-    target = machine.host()
-    key = object_cache.key(text, target, versions=object_cache.versions())
-    with _guard:
-        if key in _known:
-            _known.move_to_end(key)
-            return _known[key]
-    kept = _objects().get(key)
-    made = machine.object_code(text, target) if kept is None else kept
-    code = machine.load(made)
-    if kept is None:
-        _objects().put(key, made)
-    with _guard:
-        _known[key] = code
-        while len(_known) > _KEPT:
-            _known.popitem(last=False)
-    return code
 
 
 def _groups(calls: list[Instruction]) -> list[list[Instruction]]:

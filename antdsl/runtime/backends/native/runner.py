@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.machine_code.lanes import WIDTH
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Scope
 from antdsl.runtime.backends.native.block import BlockCode
-from antdsl.runtime.backends.native.lanes import WIDTH
 from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.ready import Ready
 from antdsl.runtime.backends.native.tables import Tables

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from antdsl import limits
+from antdsl.machine_code.lanes import BOOL, F32, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.native.block import BlockWriter, Near, Writer
 from antdsl.runtime.backends.native.cells import BEYOND, Rows, write_down
 from antdsl.runtime.backends.native.crowds import write_many
-from antdsl.runtime.backends.native.lanes import BOOL, F32, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.near import STRIDE, Search, measured
 from antdsl.runtime.backends.native.schedule import operands_of

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.machine_code.emitter import Emitter
+from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes
 from antdsl.numerics import randomness
 from antdsl.numerics.philox import UNIT
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Lower, Writer
-from antdsl.runtime.backends.native.emitter import Emitter
-from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.moving.obstacle_clearance import may_touch
 

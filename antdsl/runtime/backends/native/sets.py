@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.machine_code.lanes import F32, I32, I64, Lanes
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.compile import Does, Instruction
 from antdsl.runtime.backends.native.block import BlockWriter, Writer
-from antdsl.runtime.backends.native.lanes import F32, I32, I64, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.schedule import PAIRED
 from antdsl.runtime.backends.native.sums import START, Sum

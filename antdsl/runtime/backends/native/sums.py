@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.machine_code.emitter import Emitter
+from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes
 from antdsl.numerics import exact_sums
 from antdsl.plan import ir
-from antdsl.runtime.backends.native.emitter import Emitter
-from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes
 
 NO_LABEL = (1 << 63) - 1
 

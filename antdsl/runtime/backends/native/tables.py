@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, WIDTH
+from antdsl.machine_code.memory import Addresses, address, roomy
 from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays
-from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, WIDTH
 from antdsl.runtime.backends.native.layout import Key
-from antdsl.runtime.backends.native.memory import Addresses, address, roomy
 from antdsl.runtime.backends.native.search import MOST
 from antdsl.runtime.moving.obstacle_clearance import clearance
 from antdsl.runtime.world import AXES, Population, World

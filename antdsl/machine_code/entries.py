@@ -5,7 +5,7 @@ function that is called sets the register of that and calls another one with the
 
 from __future__ import annotations
 
-from antdsl.runtime.backends.native.lanes import I32, I64, PTR, Module
+from antdsl.machine_code.lanes import I32, I64, PTR, Module
 
 ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
 _USUAL = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps

@@ -30,7 +30,7 @@ from antdsl.limits import MIB
 from antdsl.whole import PART, whole
 
 if TYPE_CHECKING:
-    from antdsl.runtime.backends.native.machine import Target
+    from antdsl.machine_code.machine import Target
 
 VARIABLE: Final = "ANTDSL_NATIVE_CACHE"
 CAP: Final = 256 * MIB
@@ -66,7 +66,7 @@ def versions() -> tuple[str, ...]:
     import llvmlite.binding as llvm
 
     import antdsl
-    from antdsl.runtime.backends.native import machine
+    from antdsl.machine_code import machine
 
     try:
         passes = blake2b(read_bounded(machine.__file__, MIB), digest_size=16).hexdigest()

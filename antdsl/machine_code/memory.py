@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.backends.native.lanes import WIDTH
+from antdsl.machine_code.lanes import WIDTH
 
 
 def roomy(array: NDArray[Any]) -> NDArray[Any]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from antdsl.runtime.backends.native.machine import Target
+    from antdsl.machine_code.machine import Target
 
 WIDTH = 8
 F32, F64, BOOL, I8, I32, I64, PTR = "float", "double", "i1", "i8", "i32", "i64", "ptr"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.runtime.backends.native.lanes import (
+from antdsl.machine_code.lanes import (
     BITS,
     BOOL,
     F32,
@@ -25,8 +25,8 @@ from antdsl.runtime.backends.native.lanes import (
     Module,
     literal,
 )
-from antdsl.runtime.backends.native.marks import NO_MARKS, Marks, NoMarks
-from antdsl.runtime.backends.native.meanings import MEANINGS
+from antdsl.machine_code.line_marks import NO_MARKS, Marks
+from antdsl.machine_code.meanings import MEANINGS
 
 
 class Emitter:
@@ -39,7 +39,7 @@ class Emitter:
         self.lines: list[str] = []
         self.block = "entry"
         self.known: list[dict[Any, Any]] = [{}]
-        self.marks: Marks | NoMarks = NO_MARKS  # of code that is timed by line
+        self.marks: Marks = NO_MARKS  # of code that is timed by line
         self._numbers = 0
 
     # --- text ----------------------------------------------------------------------------------------------------------

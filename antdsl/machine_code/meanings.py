@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.runtime.backends.native.lanes import F64, I32, I64, PTR, WIDTH, Lanes
+from antdsl.machine_code.lanes import F64, I32, I64, PTR, WIDTH, Lanes
 
 
 def _minimum(e: Any, a: Any, b: Any) -> Any:

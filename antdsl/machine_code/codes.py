@@ -1,0 +1,50 @@
+"""The code of a text: that in memory, that which another run has kept, or new code."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from functools import cache
+from threading import Lock
+
+from antdsl.machine_code import machine, object_cache
+
+_KEPT = 256  # functions whose code stays in memory
+_known: OrderedDict[str, machine.Code] = OrderedDict()
+_guard = Lock()
+
+
+def code(text: str) -> machine.Code:
+    """The functions of a text, ready to run on this processor. Raises RuntimeError where the text is wrong."""
+    target = machine.host()
+    key = object_cache.key(text, target, versions=object_cache.versions())
+    with _guard:
+        if key in _known:
+            _known.move_to_end(key)
+            return _known[key]
+    kept = _objects().get(key)
+    made = machine.object_code(text, target) if kept is None else kept
+    found = machine.load(made)
+    if kept is None:
+        _objects().put(key, made)
+    with _guard:
+        _known[key] = found
+        while len(_known) > _KEPT:
+            _known.popitem(last=False)
+    return found
+
+
+def told() -> list[str]:
+    """Sentences for the user on why compiled code of other runs was not used, or that of this one is not kept."""
+    return list(_objects().told) if _objects.cache_info().currsize else []
+
+
+def forget() -> None:
+    """Let go of all code in memory that nobody has in use, as in a process that begins; what a folder keeps stays there."""
+    with _guard:
+        _known.clear()
+    _objects.cache_clear()
+
+
+@cache
+def _objects() -> object_cache.ObjectCache:
+    return object_cache.ObjectCache()
