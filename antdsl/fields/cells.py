@@ -15,6 +15,7 @@ from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import Mesh
 from antdsl.ground.mesh.topology import facing
+from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
@@ -147,31 +148,65 @@ class SurfaceCells:
         """
         return self.lookup_sides(points, facing(np.asarray(normals).reshape(-1, 3)))
 
-    def lookup_sides(self, points: Floats, side: NDArray[np.int64]) -> Cells:
-        """As `lookup`, for faces that face as `facing` says, int64[n]."""
+    def lookup_sides(self, points: Floats, side: NDArray[np.int8]) -> Cells:
+        """As `lookup`, for faces that face as `facing` says, int8[n]."""
         return self.follow(points, side, None)[0]
 
-    def follow(self, points: Floats, side: NDArray[np.int64], before: Known | None) -> tuple[Cells, Known | None]:
+    def follow(
+        self, points: Floats, side: NDArray[np.int8], before: Known | None, out: Cells | None = None
+    ) -> tuple[Cells, Known | None]:
         """As `lookup_sides`, given what was found for as many points before: only those in another voxel or on another side are
-        looked up. Gives what to remember; None where looking up costs no more than that."""
+        looked up. `out`: int32[n] to write into. Gives what to remember too; None where looking up costs no more than that."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
+        cell = np.empty(len(points), np.int32) if out is None or len(out) != len(points) else out
         if not len(self):
-            return np.full(len(points), -1, np.int32), None
+            cell.fill(-1)
+            return cell, None
+        find = self._located if compiled.wanted(len(points)) and self._numbered else self._located_plainly
+        missing, known = find(points, side, before, cell)
+        if missing:
+            missed = np.flatnonzero(cell < 0)
+            missed = missed[np.isfinite(points[missed]).all(axis=1)]
+            bounded = np.clip(points[missed] / self.cell + 0.5, -1e15, 1e15)
+            voxel = np.floor(bounded).astype(np.int64) - self._low
+            cell[missed] = self._nearby(points[missed], voxel, side[missed].astype(np.int64))
+        return cell, known
+
+    def _located(
+        self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells
+    ) -> tuple[int, Known | None]:
+        """Write the cell of each point's own voxel and side, -1 for none; gives how many have none, and what to remember."""
+        from antdsl.fields.cells_compiled import located
+
+        known, index = None, _NO_INDEX
+        direct = self._direct if self._direct is not None else np.empty(0, np.int32)
+        if self._direct is None:
+            index, known = self._index, before
+            if known is None or known.of is not self or len(known.key) != len(points):
+                known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
+        remembered = _NOTHING if known is None else (known.key, known.cell)
+        box = (self.cell, self._low, self._size)
+        keys = (direct, self._keys, index.shift, index.start)
+        return int(located(np.ascontiguousarray(points), side, *box, *keys, *remembered, cell)), known
+
+    def _located_plainly(
+        self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells
+    ) -> tuple[int, Known | None]:
+        """The same with NumPy."""
         key = np.empty(len(points), np.int64)
         within = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _CHUNK):
             some = slice(a, a + _CHUNK)
             self._keys_at(points[some], side[some], key[some], within[some])
-        cell, known = self._found(key, within, before)
-        missed = np.flatnonzero(cell < 0)
-        if missed.size:
-            missed = missed[np.isfinite(points[missed]).all(axis=1)]
-            bounded = np.clip(points[missed] / self.cell + 0.5, -1e15, 1e15)
-            voxel = np.floor(bounded).astype(np.int64) - self._low
-            cell[missed] = self._nearby(points[missed], voxel, side[missed])
-        return cell, known
+        cell[:], known = self._found(key, within, before)
+        return int(np.count_nonzero(cell < 0)), known
 
-    def _keys_at(self, points: Floats, side: NDArray[np.int64], key: NDArray[np.int64], within: NDArray[np.bool_]) -> None:
+    @property
+    def _numbered(self) -> bool:
+        """Whether keys ascend with the numbers of cells, or each is listed: so that a kernel finds them."""
+        return True
+
+    def _keys_at(self, points: Floats, side: NDArray[np.int8], key: NDArray[np.int64], within: NDArray[np.bool_]) -> None:
         """Write the key of each point's voxel and side, and whether that lies within the box."""
         for axis in range(3):
             step = np.floor(points[:, axis] / self.cell + 0.5)
@@ -198,7 +233,7 @@ class SurfaceCells:
             cell = before.cell.copy()
             other = np.flatnonzero((key != before.key) | (cell < 0))  # where there was none, one may have been added
             cell[other] = self._find(key[other], within[other])
-        return cell.copy(), Known(self, key, cell)
+        return cell, Known(self, key, cell)
 
     def _find(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
         """The cell of each key that lies within the box, -1 for none."""
@@ -372,6 +407,10 @@ class _Index:
             less = (numbers.take(np.minimum(middle, len(numbers) - 1)) < asked) & (low < high)
             low, high = np.where(less, middle + 1, low), np.where(less, high, middle)
         return low
+
+
+_NO_INDEX = _Index(0, np.zeros(1, np.int32), 0)
+_NOTHING = (np.empty(0, np.int64), np.empty(0, np.int32))
 
 
 def _rank(counts: NDArray[np.int64]) -> NDArray[np.int64]:

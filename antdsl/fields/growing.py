@@ -99,6 +99,10 @@ class GrowingCells(SurfaceCells):
             grown[:before] = np.where(table == before, before + more, table)
             self._tables[k] = grown
 
+    @property
+    def _numbered(self) -> bool:
+        return self._direct is not None
+
     def _find(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
         if self._direct is not None:
             return super()._find(key, within)

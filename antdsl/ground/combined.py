@@ -146,12 +146,12 @@ class Terrain:
                 normal[rows] = normals(volume, self.position(footing.take(rows)))
         return normal
 
-    def sides(self, footing: Footing) -> NDArray[np.int64]:
+    def sides(self, footing: Footing) -> NDArray[np.int8]:
         """Which of six ways the normals point most, as `MeshGround.sides`."""
         rows = self._mesh_rows(footing)
         if rows.size == len(footing) and self.meshes is not None:
             return self.meshes.sides(footing.faces(rows))
-        return np.where(footing.mesh >= 0, facing(self.normal(footing)), 0)
+        return np.where(footing.mesh >= 0, facing(self.normal(footing)), np.int8(0))
 
     def upright(self, footing: Footing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""

@@ -54,8 +54,8 @@ class Plane:
         """Up, float64[n,3]."""
         return np.broadcast_to(self._up, footing.point.shape)
 
-    def sides(self, footing: Footing) -> Index:
-        """Which of six ways up points most, int64[n], as `Ground.sides`."""
+    def sides(self, footing: Footing) -> NDArray[np.int8]:
+        """Which of six ways up points most, int8[n], as `Ground.sides`."""
         return facing(self.normal(footing))
 
     def upright(self, footing: Footing, up: Floats) -> Floats:

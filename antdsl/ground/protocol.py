@@ -231,8 +231,8 @@ class Ground(Protocol):
     def normal(self, footing: Footing) -> Floats:
         """Unit normals, float64[n,3], of faces by how they are wound, out of solids; zero for footings nowhere."""
 
-    def sides(self, footing: Footing) -> Index:
-        """Which of six ways the normals point most, int64[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
+    def sides(self, footing: Footing) -> NDArray[np.int8]:
+        """Which of six ways the normals point most, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
 
     def upright(self, footing: Footing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere."""

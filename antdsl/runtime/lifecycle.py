@@ -31,8 +31,8 @@ def find_cells(world: World, population: Population) -> None:
         found: dict[int, Cells] = {}  # fields may share their cells
         for name, field in world.fields.items():
             if id(field.cells) not in found:
-                known = population.voxels.get(name)
-                found[id(field.cells)], population.voxels[name] = field.cells.follow(place, sides, known)
+                known, room = population.voxels.get(name), population.cells.get(name)
+                found[id(field.cells)], population.voxels[name] = field.cells.follow(place, sides, known, room)
             population.cells[name] = found[id(field.cells)]
 
 

@@ -6,11 +6,13 @@ Nothing here acts on the agents, and nothing is part of the state.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.binding.spacing import takes_room
 from antdsl.runtime.moving.capsules import depths
@@ -35,6 +37,9 @@ _COUNTS = (
     "deep_max",
 )  # fmt: skip
 _WAYS = ("ids", "start", "path", "age")
+_SEEN = tuple(f"{vector}.{axis}" for vector in ("position", "heading", "up") for axis in "xyz")
+_SPEEDS = (*(f"{vector}.{axis}" for vector in ("velocity", "push") for axis in "xyz"), "max_speed", "size")
+_CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
 
 
 @dataclass(slots=True, eq=False)
@@ -45,6 +50,10 @@ class Window:
     start: NDArray[np.float64]
     path: NDArray[np.float64]
     age: NDArray[np.int64]
+    straight: NDArray[np.float64] = field(init=False)  # room for what a step finds
+
+    def __post_init__(self) -> None:
+        self.straight = np.empty(len(self.ids))
 
 
 @dataclass(slots=True, eq=False)
@@ -119,41 +128,74 @@ class Motion:
         self.steps += 1
 
     def _step(self, world: World, population: Population) -> None:
+        window = self._window(population)
+        steps = max(1, round(_WINDOW / world.dt))
+        count = self._counted if compiled.wanted(len(population)) else self._counted_plainly
+        straight = count(population, window, np.float32(world.dt), steps)
+        self.wishing += len(population)
+        self.ways += len(straight)
+        self.circling += int(np.count_nonzero(straight < _CIRCLING))
+        self.straightness += float(straight.sum())
+
+    def _counted_plainly(self, population: Population, window: Window, dt: np.float32, steps: int) -> NDArray[np.float64]:
+        """Adds a step to the counts and to the ways; gives how straight those are that have ended, 0 to 1."""
         now, start = population.now, population.start
         self.turns += _histogram(_turned(population, "heading"))
         tilts = _turned(population, "up")
         self.tilts += _histogram(tilts)
         self.tilt_max = max(self.tilt_max, float(tilts.max()))
         gone = vec.length(vec.sub(vec.named(now, "position"), vec.named(start, "position")))
-        longest = now["max_speed"] * np.float32(world.dt)
+        longest = now["max_speed"] * dt
         share = gone[longest > 0] / longest[longest > 0]
-        self.step_max = max(self.step_max, float(share.max(initial=0.0)))
+        self.step_max = max(self.step_max, float(np.fmax.reduce(share, initial=0.0)))
         speed = vec.length(vec.named(now, "velocity"))
         wish = vec.length(vec.named(now, "push")) > _WISH
-        self.wishing += len(population)
         self.standing += int(np.count_nonzero(wish & (speed < now["max_speed"] * np.float32(_STILL))))
-        window = self._window(population)
-        window.path += speed * world.dt
+        window.path += speed * dt
         window.age += 1
-        done = np.flatnonzero(window.age >= max(1, round(_WINDOW / world.dt)))
-        if len(done):
-            net = np.sqrt(((population.position[done] - window.start[done]) ** 2).sum(axis=1))
-            path = window.path[done]
-            walked = path > _MOVED * now["size"][done]
-            share = np.minimum(net[walked] / path[walked], 1.0)
-            self.ways += len(share)
-            self.circling += int(np.count_nonzero(share < _CIRCLING))
-            self.straightness += float(share.sum())
-            window.start[done], window.path[done], window.age[done] = population.position[done], 0.0, 0
+        done = np.flatnonzero(window.age >= steps)
+        net = np.sqrt(((population.position[done] - window.start[done]) ** 2).sum(axis=1))
+        path = window.path[done]
+        walked = path > _MOVED * now["size"][done]
+        window.start[done], window.path[done], window.age[done] = population.position[done], 0.0, 0
+        straight: NDArray[np.float64] = np.minimum(net[walked] / path[walked], 1.0)
+        return straight
+
+    def _counted(self, population: Population, window: Window, dt: np.float32, steps: int) -> NDArray[np.float64]:
+        """The same by a kernel."""
+        from antdsl.runtime.motion_measures_compiled import counted
+
+        now, start = population.now, population.start
+        seen, before = (tuple(each[name] for name in _SEEN) for each in (now, start))
+        speeds = tuple(now[name] for name in _SPEEDS)
+        found = np.zeros(3)
+        ended = counted(
+            seen, before, speeds, (population.position, window.start, window.path, window.age), (self.turns, self.tilts),
+            _bins(), (dt, np.float32(_WISH), np.float32(_STILL), steps, np.float32(_MOVED)), window.straight, found,
+        )  # fmt: skip
+        self.tilt_max = max(self.tilt_max, float(_angle(np.array([found[0]], np.float32))[0]))
+        self.step_max = max(self.step_max, float(found[1]))
+        self.standing += int(found[2])
+        return window.straight[:ended]
 
     def _window(self, population: Population) -> Window:
         """The window of a species, its rows brought into those of the agents."""
-        known = self.windows.get(population.name)
-        ids = population.ids
-        if known is not None and (known.ids is ids or np.array_equal(known.ids, ids)):
+        known, ids = self.windows.get(population.name), population.ids
+        if known is not None and known.ids is ids:
+            return known
+        if known is not None and len(known.ids) == len(ids) and np.array_equal(known.ids, ids):
+            known.ids = ids  # not compared again
             return known
         n = len(ids)
-        fresh = Window(ids, population.position.copy(), np.zeros(n), np.zeros(n, np.int64))
+        fresh = Window(ids, np.empty((n, 3)), np.empty(n), np.empty(n, np.int64))
+        if known is not None and population.reordered is not None and population.reordered[0] is known.ids:
+            rows = population.reordered[1]
+            if len(rows) == n:
+                for name in _WAYS[1:]:
+                    getattr(known, name).take(rows, axis=0, out=getattr(fresh, name), mode="clip")
+                self.windows[population.name] = fresh
+                return fresh
+        fresh.start[:], fresh.path[:], fresh.age[:] = population.position, 0.0, 0
         if known is not None and len(known.ids):
             rows = population.rows_of(known.ids)
             there = rows >= 0
@@ -191,12 +233,35 @@ def _turned(population: Population, name: str) -> NDArray[np.float32]:
     """By how many degrees a unit vector of each agent has turned in the step."""
     now, start = population.now, population.start
     chord = vec.length(vec.sub(vec.named(now, name), vec.named(start, name)))
-    angle: NDArray[np.float32] = np.degrees(2 * np.arcsin(np.minimum(chord * np.float32(0.5), 1)))
+    return _angle(np.minimum(chord * np.float32(0.5), 1))
+
+
+def _angle(half: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Degrees over a half chord of the unit circle."""
+    angle: NDArray[np.float32] = np.degrees(2 * np.arcsin(half))
     return angle
 
 
+def _bin_of(angle: NDArray[np.float32]) -> NDArray[np.int64]:
+    return (angle * np.float32(_BINS / 180)).astype(np.int64)
+
+
 def _histogram(angle: NDArray[np.float32]) -> NDArray[np.int64]:
-    return np.bincount((angle * np.float32(_BINS / 180)).astype(np.int64), minlength=_BINS + 1)[: _BINS + 1]
+    return np.bincount(_bin_of(angle), minlength=_BINS + 1)[: _BINS + 1]
+
+
+@cache
+def _bins() -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """The least half chord of each bin of turns, float32[bins + 2], the last beyond all, and the bin of the least half chord of
+    each of 4096 cells, int64[cells + 1]. Bins are found by halving, since a longer chord is a greater angle."""
+    wanted = np.arange(1, _BINS + 1)
+    low, high = (np.full(_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
+    while (low < high).any():  # positive floats are ordered as their bits are
+        middle = (low + high) >> 1
+        there = _bin_of(_angle(middle.astype(np.int32).view(np.float32))) >= wanted
+        low, high = np.where(there, low, np.minimum(middle + 1, high)), np.where(there, middle, high)
+    least = np.concatenate([[0.0], low.astype(np.int32).view(np.float32), [np.inf]]).astype(np.float32)
+    return least, _bin_of(_angle(np.arange(_CELLS + 1, dtype=np.float32) / np.float32(_CELLS)))
 
 
 def _percentile(counts: NDArray[Any]) -> float:

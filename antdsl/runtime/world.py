@@ -101,6 +101,7 @@ class Population:
     effects: Effects = field(default_factory=Effects)
     all_taken: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: what claims for all gave in this step
     version: int = 0  # changes whenever rows do
+    reordered: tuple[NDArray[np.int64], NDArray[np.intp]] | None = None  # ids before the last `select_rows`, and the rows of it
     next_id: int = 0
     normal: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), np.float32))  # of what the feet are on, its side
     laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
@@ -288,6 +289,7 @@ def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     """Keep these rows, in this order."""
+    population.reordered = (population.ids, rows)
     population.ids, population.born = population.ids[rows], population.born[rows]
     population.quarantined, population.position = population.quarantined[rows], population.position[rows]
     population.normal, population.footing = population.normal[rows], population.footing.take(rows)

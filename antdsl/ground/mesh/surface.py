@@ -132,12 +132,18 @@ class MeshGround:
             return np.zeros((len(footing), 3))
         return np.ascontiguousarray(np.where(known, self._table.normal.take(face, axis=1), 0.0).T)
 
-    def sides(self, footing: Footing) -> Index:
-        """Which of six ways the faces' normals point most, int64[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
-        face, known = self._faces_of(footing)
+    def sides(self, footing: Footing) -> NDArray[np.int8]:
+        """Which of six ways the faces' normals point most, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
         if not self._faces.size:
-            return np.zeros(len(footing), np.int64)
-        return np.where(known, self._side.take(face), 0)
+            return np.zeros(len(footing), np.int8)
+        if compiled.wanted(len(footing)):
+            from antdsl.ground.mesh.sides_compiled import faced
+
+            found = np.empty(len(footing), np.int8)
+            faced(footing.mesh, footing.face, self._first, self._side, found)
+            return found
+        face, known = self._faces_of(footing)
+        return np.where(known, self._side.take(face), np.int8(0))
 
     def upright(self, footing: Footing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere.

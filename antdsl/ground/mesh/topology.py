@@ -315,9 +315,9 @@ def _creased(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Flo
     return np.where(size[:, None] > 0, total / np.maximum(size, 1e-300)[:, None], normal[corner])
 
 
-def facing(normals: Floats) -> NDArray[np.int64]:
+def facing(normals: Floats) -> NDArray[np.int8]:
     """Which of six ways normals [n,3] face most: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
     n = np.asarray(normals)
     axis = np.abs(n).argmax(axis=1)
     side: NDArray[np.int64] = 2 * axis + (n[np.arange(len(n)), axis] < 0)
-    return side
+    return side.astype(np.int8)
