@@ -187,7 +187,7 @@ class SurfaceCells:
         remembered = _NOTHING if known is None else (known.key, known.cell)
         box = (self.cell, self._low, self._size)
         keys = (direct, self._keys, index.shift, index.start)
-        return int(located(np.ascontiguousarray(points), side, *box, *keys, *remembered, cell)), known
+        return int(located(points, side, *box, *keys, *remembered, cell)), known
 
     def _located_plainly(
         self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells

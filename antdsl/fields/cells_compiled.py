@@ -1,45 +1,53 @@
 """The cell of each agent as one pass: as `cells` finds it, the same bits. Imported only where `compiled.wanted` says so."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, Strided2, inlined, kernel
 
 
-@njit(inline="always")
+@inlined
 def _along(place, cell, low, size):  # type: ignore[no-untyped-def]
     """The number of a voxel along one axis of the box, -1 outside."""
-    step = np.floor(place / cell + 0.5) - low
-    if step >= 0.0 and step < size:
+    step = np.floor(place / cell + 0.5) - np.float64(low)
+    if step >= 0.0 and step < np.float64(size):
         return np.int64(step)
-    return np.int64(-1)
+    return -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def located(points, side, cell, low, size, direct, keys, shift, start, known, here, found):  # type: ignore[no-untyped-def]
-    """Write the cell of the voxel and side of each point into `found` int32[n]; gives how many have none, which get -1.
+@kernel
+def located(
+    points: Strided2[F64],
+    side: Array1[I8],
+    cell: F64,
+    low: Array1[I64],
+    size: Array1[I64],
+    direct: Array1[I32],
+    keys: Array1[I64],
+    shift: I64,
+    start: Array1[I32],
+    known: Array1[I64],
+    here: Array1[I32],
+    found: Array1[I32],
+) -> int:
+    """Write the cell of the voxel and side of each point into `found` [n]; gives how many have none, which get -1.
 
-    points float64[n,3] mm, side int8[n], low and size int64[3] of the box. Cells stand in `direct` int32 by key, or where that is
-    empty, by halving among the `keys` int64 in their block: these begin at `start` int32[blocks + 1], of 2**shift keys each.
-    `known` int64[n] and `here` int32[n]: keys of the points before, -1 outside the box, and their cells; they are renewed."""
-    lx, ly, lz = np.float64(low[0]), np.float64(low[1]), np.float64(low[2])
-    sx, sy, sz = np.float64(size[0]), np.float64(size[1]), np.float64(size[2])
-    missed = np.int64(0)
+    `points` [n,3] mm, `low` and `size` [3] of the box. Cells stand in `direct` by key, or where that is empty, by halving among
+    the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each. `known` and `here` [n]: keys of the
+    points before, -1 outside the box, and their cells; they are renewed."""
+    missed, listed = 0, direct.size > 0
     for n in range(found.size):
-        x = _along(points[n, 0], cell, lx, sx)
-        y = _along(points[n, 1], cell, ly, sy)
-        z = _along(points[n, 2], cell, lz, sz)
-        at = np.int64(-1)
+        x = _along(points[n, 0], cell, low[0], size[0])
+        y = _along(points[n, 1], cell, low[1], size[1])
+        z = _along(points[n, 2], cell, low[2], size[2])
+        at, key = -1, -1
         if x >= 0 and y >= 0 and z >= 0:
-            key = ((x * size[1] + y) * size[2] + z) * 6 + np.int64(side[n])
-            if direct.size > 0:
-                at = np.int64(direct[key])
+            key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
+            if listed:
+                at = direct[key]
             elif key == known[n] and here[n] >= 0:
-                at = np.int64(here[n])
+                at = here[n]
             else:
-                block = key >> shift
-                a, b = np.int64(start[block]), np.int64(start[block + 1])
+                a, b = start[key >> shift], start[(key >> shift) + 1]
                 while a < b:
                     middle = (a + b) >> 1
                     if keys[middle] < key:
@@ -48,13 +56,10 @@ def located(points, side, cell, low, size, direct, keys, shift, start, known, he
                         b = middle
                 if a < keys.size and keys[a] == key:
                     at = a
-            if direct.size == 0:
-                known[n] = key
-        elif direct.size == 0:
-            known[n] = -1
-        if direct.size == 0:
-            here[n] = np.int32(at)
-        found[n] = np.int32(at)
+        if not listed:
+            known[n] = key
+            here[n] = at
+        found[n] = at
         if at < 0:
             missed += 1
     return missed

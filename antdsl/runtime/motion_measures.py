@@ -37,8 +37,7 @@ _COUNTS = (
     "deep_max",
 )  # fmt: skip
 _WAYS = ("ids", "start", "path", "age")
-_SEEN = tuple(f"{vector}.{axis}" for vector in ("position", "heading", "up") for axis in "xyz")
-_SPEEDS = (*(f"{vector}.{axis}" for vector in ("velocity", "push") for axis in "xyz"), "max_speed", "size")
+_SEEN = ("position", "heading", "up")
 _CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
 
 
@@ -133,9 +132,10 @@ class Motion:
         count = self._counted if compiled.wanted(len(population)) else self._counted_plainly
         straight = count(population, window, np.float32(world.dt), steps)
         self.wishing += len(population)
-        self.ways += len(straight)
-        self.circling += int(np.count_nonzero(straight < _CIRCLING))
-        self.straightness += float(straight.sum())
+        if len(straight):
+            self.ways += len(straight)
+            self.circling += int(np.count_nonzero(straight < _CIRCLING))
+            self.straightness += float(straight.sum())
 
     def _counted_plainly(self, population: Population, window: Window, dt: np.float32, steps: int) -> NDArray[np.float64]:
         """Adds a step to the counts and to the ways; gives how straight those are that have ended, 0 to 1."""
@@ -166,16 +166,16 @@ class Motion:
         from antdsl.runtime.motion_measures_compiled import counted
 
         now, start = population.now, population.start
-        seen, before = (tuple(each[name] for name in _SEEN) for each in (now, start))
-        speeds = tuple(now[name] for name in _SPEEDS)
-        found = np.zeros(3)
-        ended = counted(
-            seen, before, speeds, (population.position, window.start, window.path, window.age), (self.turns, self.tilts),
-            _bins(), (dt, np.float32(_WISH), np.float32(_STILL), steps, np.float32(_MOVED)), window.straight, found,
+        seen = (vec.named(each, name) for each in (now, start) for name in _SEEN)
+        ways = (window.start, window.path, window.age)
+        meant = (np.float32(_WISH), np.float32(_STILL), np.float32(_MOVED))
+        ended, standing, half, share = counted(
+            *seen, vec.named(now, "velocity"), vec.named(now, "push"), now["max_speed"], now["size"], population.position, *ways,
+            self.turns, self.tilts, *_bins(), window.straight, dt, *meant, steps,
         )  # fmt: skip
-        self.tilt_max = max(self.tilt_max, float(_angle(np.array([found[0]], np.float32))[0]))
-        self.step_max = max(self.step_max, float(found[1]))
-        self.standing += int(found[2])
+        self.tilt_max = max(self.tilt_max, float(_angle(np.array([half], np.float32))[0]))
+        self.step_max = max(self.step_max, share)
+        self.standing += standing
         return window.straight[:ended]
 
     def _window(self, population: Population) -> Window:

@@ -1,71 +1,102 @@
 """The measures of a step as one pass over the agents: the same operations in the same order as `motion_measures`, the same bits."""
 
-# The annotations are for readers: `@kernel` reads the source, `njit` the first call.
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Strided2, independent, inlined, kernel, scratch
+
+_Vector = tuple[Array1[F32], Array1[F32], Array1[F32]]
+_PART = 512  # agents, of whom the numbers are worked out before they are counted
 
 
-@njit(inline="always")
+@inlined
 def _length(x, y, z):  # type: ignore[no-untyped-def]
     return np.sqrt((x * x + y * y) + z * z)
 
 
-@njit(inline="always")
-def _bin(half, least, first):  # type: ignore[no-untyped-def]
+@inlined
+def _between(a, b, i):  # type: ignore[no-untyped-def]
+    return _length(a[0][i] - b[0][i], a[1][i] - b[1][i], a[2][i] - b[2][i])
+
+
+@inlined
+def _count(half, least, first, bins):  # type: ignore[no-untyped-def]
     """The last bin whose least half chord is no more than this one's; `first`: where to begin to look, by its size."""
     k = first[np.int64(half * np.float32(4096.0))]
     while half >= least[k + 1]:
         k += 1
-    return k
+    bins[k] += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def counted(
-    now: Any, start: Any, speeds: Any, ways: Any, histograms: Any, bins: Any, numbers: Any, shares: Any, found: Any
-) -> int:
-    """Adds one step of agents to the measures; gives the number of shares written.
+    position: _Vector,
+    heading: _Vector,
+    up: _Vector,
+    position_before: _Vector,
+    heading_before: _Vector,
+    up_before: _Vector,
+    velocity: _Vector,
+    push: _Vector,
+    fastest: Array1[F32],
+    size: Array1[F32],
+    place: Strided2[F64],
+    began: Strided2[F64],
+    path: Array1[F64],
+    age: Array1[I64],
+    turns: Array1[I64],
+    tilts: Array1[I64],
+    least: Array1[F32],
+    first: Array1[I64],
+    straight: Array1[F64],
+    dt: F32,
+    wish: F32,
+    still: F32,
+    far: F32,
+    steps: I64,
+) -> tuple[int, int, float, float]:
+    """Adds one step of agents to the measures: to the bins of turns and tilts, and to `path` and `age` of the ways that they
+    `began`. Gives how many ways have ended, whose straightness is written to `straight`; how many stand; the greatest half chord
+    of a tilt, and the greatest share of the longest step.
 
-    now, start: position, heading and up, nine arrays float32[n] each; speeds: velocity, push, max_speed, size, eight of them;
-    ways: place float64[n,3], start of the way float64[n,3], its length float64[n], age int64[n]; histograms: turns and tilts
-    int64; bins: least half chord of each, float32, and where to begin; numbers: of a step in s, a push that is meant, the share
-    of speed that is standing float32, steps of a window, the way in body lengths that counts; shares float64[n]: straightness of
-    ways that have ended; found float64[5]: greatest half chord of a tilt, greatest share of a step, who stands, zeros before."""
-    px, py, pz, hx, hy, hz, ux, uy, uz = now
-    qx, qy, qz, gx, gy, gz, wx, wy, wz = start
-    vx, vy, vz, ax, ay, az, fastest, size = speeds
-    place, began, path, age = ways
-    turns, tilts = histograms
-    least, first = bins
-    dt, wish, still, steps, far = numbers
-    one, none = np.float32(1.0), np.float32(0.0)
-    tilt, share, standing, ended = none, none, 0, 0
-    for i in range(path.size):
-        half = min(_length(hx[i] - gx[i], hy[i] - gy[i], hz[i] - gz[i]) * np.float32(0.5), one)
-        turns[_bin(half, least, first)] += 1
-        half = min(_length(ux[i] - wx[i], uy[i] - wy[i], uz[i] - wz[i]) * np.float32(0.5), one)
-        tilts[_bin(half, least, first)] += 1
-        tilt = max(tilt, half)
-        longest = fastest[i] * dt
-        if longest > none:
-            gone = _length(px[i] - qx[i], py[i] - qy[i], pz[i] - qz[i]) / longest
-            if gone > share:
-                share = gone
-        speed = _length(vx[i], vy[i], vz[i])
-        if _length(ax[i], ay[i], az[i]) > wish and speed < fastest[i] * still:
-            standing += 1
-        path[i] += np.float64(speed * dt)
-        age[i] += 1
-        if age[i] >= steps:
-            if path[i] > np.float64(far * size[i]):
-                x, y, z = place[i, 0] - began[i, 0], place[i, 1] - began[i, 1], place[i, 2] - began[i, 2]
-                shares[ended] = min(_length(x, y, z) / path[i], 1.0)
-                ended += 1
-            began[i, 0], began[i, 1], began[i, 2] = place[i, 0], place[i, 1], place[i, 2]
-            path[i], age[i] = 0.0, 0
-    found[0], found[1], found[2] = np.float64(tilt), np.float64(share), np.float64(standing)
-    return ended
+    `fastest` (mm/s) and `size` (mm) of each; `least` half chord of each bin, and the `first` to look at. `dt` s; `wish`: the
+    least push that is meant; `still`: the share of speed that is standing; a way ends after `steps` and counts when it is `far`
+    body lengths long."""
+    ended, standing = 0, 0
+    tilted, longest = np.float32(0.0), np.float32(0.0)
+    turn, tilt, share, speed = scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32)
+    wanted = scratch(_PART, F32)
+    count = path.size
+    for begin in range(0, count, 512):
+        end = min(begin + _PART, count)
+        for i in independent(begin, end):
+            turn[i - begin] = _between(heading, heading_before, i) * np.float32(0.5)
+        for i in independent(begin, end):
+            tilt[i - begin] = _between(up, up_before, i) * np.float32(0.5)
+        for i in independent(begin, end):
+            share[i - begin] = _between(position, position_before, i) / (fastest[i] * dt)
+        for i in independent(begin, end):
+            speed[i - begin] = _length(velocity[0][i], velocity[1][i], velocity[2][i])
+        for i in independent(begin, end):
+            wanted[i - begin] = _length(push[0][i], push[1][i], push[2][i])
+        for i in range(begin, end):
+            at = i - begin
+            _count(min(turn[at], np.float32(1.0)), least, first, turns)
+            half = min(tilt[at], np.float32(1.0))
+            _count(half, least, first, tilts)
+            tilted = max(tilted, half)
+            if fastest[i] * dt > np.float32(0.0) and share[at] > longest:
+                longest = share[at]
+            if wanted[at] > wish and speed[at] < fastest[i] * still:
+                standing += 1
+            path[i] += np.float64(speed[at] * dt)
+            age[i] += 1
+            if age[i] >= steps:
+                if path[i] > np.float64(far * size[i]):
+                    net = _length(place[i, 0] - began[i, 0], place[i, 1] - began[i, 1], place[i, 2] - began[i, 2])
+                    straight[ended] = min(net / path[i], 1.0)
+                    ended += 1
+                for k in range(3):
+                    began[i, k] = place[i, k]
+                path[i] = 0.0
+                age[i] = 0
+    return ended, standing, np.float64(tilted), np.float64(longest)

@@ -1,14 +1,13 @@
 """Which way faces point, of many footings in one pass: as `surface.MeshGround.sides`."""
 
-from __future__ import annotations
-
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import I8, I32, I64, Array1, kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def faced(mesh, face, first, side, found):  # type: ignore[no-untyped-def]
-    """Write the side (int8) of each face, of those of its mesh (int32[n] both), which begin at `first` int64; 0 for nowhere."""
+@kernel
+def faced(mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], found: Array1[I8]) -> None:
+    """Write the side of each face, of those of its mesh, which begin at `first`; 0 for nowhere."""
     for n in range(found.size):
-        found[n] = 0
         if mesh[n] >= 0 and face[n] >= 0:
             found[n] = side[first[mesh[n]] + face[n]]
+        else:
+            found[n] = 0
