@@ -68,8 +68,8 @@ def walk_all(
     """One step of the agents from `begin` to before `end`; sets `done` for those that it moved and returns how many wait, in
     `reals` and `wholes` (.., end - begin).
 
-    Then where agents stand, their body, wish, heading and up (3, n), and where the results go. Agents neither done nor waiting are
-    left as they are.
+    Then where agents stand, their body, wish, heading and up (3, n), and where the results go. Agents neither done nor waiting
+    are left as they are.
     """
     table, link, forked, first = surface
     sub_first, sub_count, clear, reach, noise = near

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.machine_code.kernels import BOOL, F32, F64, Array1, Array2, Strided2, called, inlined, kernel
+from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -135,9 +135,9 @@ def arrive(
     """Velocity and heading where the walk has led, with place and up, into three arrays each: `position`, `to`, `heading`, `up`;
     and in `hasty` whose up turns by more than `most` (radians), or whose body by more than `max_turn` allows and `beyond` that.
 
-    `velocity`, `step`: before the walk, float32; `old` the place before it, (n, 3); `walked`: place, up, heading and direction of the
-    walk, (3, n), and who is blocked.
-    `faces`: whether `face`, three arrays, has ways to face. `at_once` is the longest response of who faces at once where it goes.
+    `velocity`, `step`: before the walk, float32; `old` the place before it, (n, 3); `walked`: place, up, heading and direction of
+    the walk, (3, n), and who is blocked. `faces`: whether `face` has ways to face. `at_once` is the longest
+    response of who faces at once where it goes.
     """
     place, above, ahead, direction, blocked = walked
     rate = _ONE / dt

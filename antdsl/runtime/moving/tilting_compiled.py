@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, called, inlined, kernel
+from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 # Of walls: normal and way ahead (3, k), angle, how far, over how much.
-Walls = tuple[Array2[F64], Array2[F64], Array1[F64], Array1[F64], Array1[F64]]
+Walls = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array1[F64]]
 _F = np.float32
 _OPPOSITE, _STEEP = 0.05, 0.9  # as `tilting` and `vectors`
 
