@@ -335,6 +335,8 @@ class Expressions(Arithmetic):
         return self.op(f"getelementptr {array.of.stored}, ptr {array.address}, i64 {place.name}", "ptr").name
 
     def _indexed(self, node: ast.expr, of: Item, index: ast.expr) -> Item:
+        if isinstance(of, tuple) and isinstance(index, ast.Slice):
+            return of[slice(*(self._of_text(node, end) for end in (index.lower, index.upper, index.step)))]
         if isinstance(of, tuple):
             at = self.number(index)
             if at.known is None:
@@ -350,6 +352,14 @@ class Expressions(Arithmetic):
             word = "zext" if scalar.name.startswith("U") else "sext"
             return self.op(f"{word} {scalar.stored} {found.name} to i64", INT)
         return found
+
+    def _of_text(self, node: ast.AST, number: ast.expr | None) -> int | None:
+        if number is None:
+            return None
+        known = self.number(number).known
+        if not isinstance(known, int):
+            self.fail(node, "whole numbers of the text are wanted here")
+        return known
 
     def access(self) -> str:
         """What is written behind a load or a store."""
