@@ -164,7 +164,8 @@ def _format(type: Any) -> str:
     if isinstance(type, tuple):
         return "".join(_format(each) for each in type)
     if isinstance(type, Scalar):
-        return str(_FORMATS[type.kind])
+        return _FORMATS[type.kind]
+    assert isinstance(type, ArrayType)
     return "q" + "q" * type.axes * (2 if type.strided else 1)
 
 
