@@ -335,6 +335,8 @@ class Expressions(Arithmetic):
         return self.op(f"getelementptr {array.of.stored}, ptr {array.address}, i64 {place.name}", "ptr").name
 
     def _indexed(self, node: ast.expr, of: Item, index: ast.expr) -> Item:
+        if isinstance(of, tuple) and isinstance(index, ast.Slice):
+            return of[slice(*(self._of_text(node, end) for end in (index.lower, index.upper, index.step)))]
         if isinstance(of, tuple):
             at = self.number(index)
             if at.known is None:
@@ -342,6 +344,8 @@ class Expressions(Arithmetic):
             return of[int(at.known)]
         if not isinstance(of, Array):
             self.fail(node, "only arrays and tuples have elements")
+        if not isinstance(index, ast.Tuple) and len(of.lengths) > 1:
+            return self._row(node, of, self.number(index))
         place, scalar = self.element(node, of, index), of.of
         found = self.op(f"load {scalar.stored}, ptr {place}{self.access()}", scalar.kind)
         if scalar.kind == TRUTH:
@@ -350,6 +354,23 @@ class Expressions(Arithmetic):
             word = "zext" if scalar.name.startswith("U") else "sext"
             return self.op(f"{word} {scalar.stored} {found.name} to i64", INT)
         return found
+
+    def _row(self, node: ast.AST, of: Array, index: Number) -> Array:
+        """What lies at an index of the first axis, an array with one axis less."""
+        step = constant(1) if of.steps is None else of.steps[0]
+        for each in of.lengths[1:] if of.steps is None else ():
+            step = self.arithmetic(node, ast.Mult(), step, each)
+        place = self.arithmetic(node, ast.Mult(), index, step)
+        address = self.op(f"getelementptr {of.of.stored}, ptr {of.address}, i64 {place.name}", "ptr").name
+        return Array(of.of, address, of.lengths[1:], None if of.steps is None else of.steps[1:], of.origin)
+
+    def _of_text(self, node: ast.AST, number: ast.expr | None) -> int | None:
+        if number is None:
+            return None
+        known = self.number(number).known
+        if not isinstance(known, int):
+            self.fail(node, "whole numbers of the text are wanted here")
+        return known
 
     def access(self) -> str:
         """What is written behind a load or a store."""

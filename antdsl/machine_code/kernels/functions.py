@@ -25,12 +25,12 @@ def scratch(count: int, dtype: Any) -> Any:
     return np.empty(count, dtype)
 
 
-def as_bits(value: float) -> int:
+def as_bits(value: Any) -> Any:
     """The bits of a float64 as a whole number."""
     return int(np.float64(value).view(np.int64))
 
 
-def as_float(bits: int) -> float:
+def as_float(bits: Any) -> Any:
     """The float64 of these bits."""
     return float(np.int64(bits).view(np.float64))
 
