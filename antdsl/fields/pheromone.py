@@ -21,6 +21,7 @@ UNIT = 2.0**-24  # deposits are whole numbers of this
 LARGEST_DEPOSIT = 2.0**16  # so that five million of them in one cell stay within 63 bits
 FLUSH = 1e-12
 _SPARSE = 0.2  # share of cells that hold scent above which looking for who may smell any does not pay
+_NONE = np.empty(0)
 _SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
@@ -147,21 +148,35 @@ class PheromoneField:
         for cells, amounts in self._left:
             values[cells] = amounts
         self._left.clear()
+        most = largest_stable_diffusion(self.cells.cell, dt)
+        if diffusion > most * (1 + 1e-9):
+            raise ValueError(
+                f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s"
+            )
+        if compiled.wanted(len(values)):
+            self._stepped(float(np.float32(keep)), diffusion * dt / self.cells.cell**2)
+            return
         if self.deposits_first:
             self._land()
-        if diffusion > 0:
-            most = largest_stable_diffusion(self.cells.cell, dt)
-            if diffusion > most * (1 + 1e-9):
-                raise ValueError(
-                    f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s"
-                )
-            if values.any():
-                values += (diffusion * dt / self.cells.cell**2) * (self._laplacian @ values)
+        if diffusion > 0 and values.any():
+            values += (diffusion * dt / self.cells.cell**2) * (self._laplacian @ values)
         if keep != 1:
             values *= float(np.float32(keep))
         if not self.deposits_first:
             self._land()
         values[values < FLUSH] = 0.0
+
+    def _stepped(self, keep: float, spread: float) -> None:
+        """The rest of a step by kernels."""
+        from antdsl.fields.pheromone_step_compiled import stepped
+
+        lands = 0 if not self._touched else 1 if self.combine == "add" else 2
+        self._touched = False
+        if self.deposits_first:
+            stepped(self._padded, _NONE, self._pending, 0.0, 1.0, UNIT, self.limit, -np.inf, lands)
+        change = self._laplacian.of(self._padded) if spread > 0 else _NONE
+        last = (0.0, self.limit, 0) if self.deposits_first else (UNIT, self.limit, lands)
+        stepped(self._padded, change, self._pending, spread, keep, *last[:2], FLUSH, last[2])
 
     def _land(self) -> None:
         """Deposits become part of what the cells hold, up to the limit."""
@@ -308,11 +323,22 @@ class _Flow:
         self._inward = inward
         own = np.repeat(np.arange(inward.shape[0]), np.diff(inward.indptr))
         self._out = np.bincount(own, inward.data, inward.shape[0]).astype(np.float64)
+        self._links = inward.data, inward.indices.astype(np.int32, copy=False), inward.indptr.astype(np.int64, copy=False)
+        self._change = np.empty(0)
 
     def __matmul__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         flow: NDArray[np.float64] = self._inward @ values
         flow -= self._out * values
         return flow
+
+    def of(self, held: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The same by a kernel, in an array that is written anew by the next call; `held` may have more behind the cells."""
+        from antdsl.fields.pheromone_step_compiled import flowed
+
+        if not len(self._change):
+            self._change = np.empty(len(self._out))
+        flowed(held, *self._links, self._out, self._change)
+        return self._change
 
 
 def _solved(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

@@ -6,11 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.numerics import compiled
 from antdsl.senses.neighbours import CellGrid
 
 Floats = NDArray[np.float32]
 
 _CROWDED = 24  # pairs an agent on average, above which they are not all listed
+_LISTS = 27  # cells around an agent, with its own
+_ALONG = 2.0**40  # cells along an axis that whole numbers count
+_WIDER = 1 + 1e-6  # than bodies reach, for distances are rounded
 _NEAREST = 8  # neighbours that are asked for first; twice as many again where these do not settle it
 
 
@@ -24,6 +28,14 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
     widest = float(radius.max(initial=0.0))
     if not np.isfinite(widest) or widest <= 0:
         return worst
+    far = max(float(np.abs(axis).max(initial=0.0)) for axis in (x, y, z))
+    if compiled.wanted(len(x)) and far < widest * _ALONG:
+        from antdsl.senses.overlaps_compiled import worst as looked_through
+
+        lists, others = np.full(1 << len(x).bit_length(), -1, np.int32), np.empty(len(x), np.int32)
+        if looked_through(x, y, z, radius, 2 * widest * _WIDER, _CROWDED * _LISTS * len(x), lists, others, worst):
+            return worst
+        worst.fill(0)
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & np.isfinite(radius))
     place = np.stack([x[rows], y[rows], z[rows]], axis=1)
     if _pairs_at_most(place, 2 * widest) <= _CROWDED * len(rows):

@@ -94,6 +94,11 @@ class NumpyBackend:
             self._values[name] = self._of_step(world, name)
             n = len(population) + self.spare
             self._pairs[name] = {}
+            kept = self._kept.get(name)
+            if kept is not None and all(len(has) == n for has, _ in kept.values()):
+                for has, _ in kept.values():
+                    has.fill(False)
+                continue
             self._kept[name] = {
                 node: (np.zeros(n, np.bool_), [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
                 for node in kept_senses(population.plan)

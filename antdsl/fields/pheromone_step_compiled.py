@@ -1,0 +1,52 @@
+"""A step of a field as one pass over its cells: as `pheromone.PheromoneField.step`, the same bits."""
+
+import numpy as np
+
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, independent, kernel
+
+
+@kernel
+def flowed(
+    held: Array1[F64], data: Array1[F64], cell: Array1[I32], start: Array1[I64], out: Array1[F64], change: Array1[F64]
+) -> None:
+    """Write what flows into each cell less what flows out: from its linked cells `cell[start[n]:start[n+1]]`, of whose amounts
+    comes the share `data`; `out` is the share of its own that leaves it."""
+    for n in range(out.size):
+        total = 0.0
+        for k in range(start[n], start[n + 1]):
+            total += data[k] * held[cell[k]]
+        change[n] = total - out[n] * held[n]
+
+
+@kernel
+def stepped(
+    held: Array1[F64],
+    change: Array1[F64],
+    pending: Array1[I64],
+    spread: F64,
+    keep: F64,
+    unit: F64,
+    limit: F64,
+    least: F64,
+    lands: I64,
+) -> None:
+    """Take cells through a step: `spread` of the `change` is added (an empty array: nothing spreads), the share `keep` stays, then
+    deposits `pending`, in units, are added (`lands` 1) or are the least that is there (2), and what is no more than the `least`
+    is nothing. `pending` is 0 afterwards."""
+    spreads = change.size > 0
+    for n in independent(0, pending.size):
+        value = held[n]
+        if spreads:
+            value += spread * change[n]
+        value *= keep
+        if lands > 0:
+            landed = np.float64(pending[n]) * unit
+            if lands == 1:
+                value += landed
+            elif landed > value:
+                value = landed
+            pending[n] = 0
+        value = min(value, limit)
+        if value < least:
+            value = 0.0
+        held[n] = value

@@ -1,0 +1,60 @@
+"""How far bodies stand inside each other, in one pass over the agents: as `overlaps` finds it, the same bits.
+
+Each agent in turn looks through those before it that stand in the cells around its own, and then joins its cell's list. Cells are
+found by a hash (M. Teschner et al., Optimized Spatial Hashing for Collision Detection of Deformable Objects, 2003): lists of two
+cells that fall together are one, which adds pairs that are too far apart and changes nothing."""
+
+import numpy as np
+
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, inlined, kernel
+
+
+@inlined
+def _cell(place, width):  # type: ignore[no-untyped-def]
+    return np.int64(np.floor(np.float64(place) / width))
+
+
+@kernel
+def worst(
+    x: Array1[F32],
+    y: Array1[F32],
+    z: Array1[F32],
+    radius: Array1[F32],
+    width: F64,
+    most: I64,
+    lists: Array1[I32],
+    others: Array1[I32],
+    found: Array1[F32],
+) -> bool:
+    """Write the worst overlap of each agent to `found`, which is zeros. `width`: of a cell (mm), no less than any two bodies
+    reach. `lists`, as many as a power of 2: the last agent of each, -1 for none; `others`: before each in its list. False where
+    more than `most` pairs would have to be measured."""
+    mask, pairs = lists.size - 1, 0
+    for i in range(x.size):
+        if not (np.isfinite(x[i]) and np.isfinite(y[i]) and np.isfinite(z[i]) and np.isfinite(radius[i])):
+            continue
+        cx, cy, cz = _cell(x[i], width), _cell(y[i], width), _cell(z[i], width)
+        here = found[i]
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                for dz in range(-1, 2):
+                    key = (((cx + dx) * 73856093) ^ ((cy + dy) * 19349663) ^ ((cz + dz) * 83492791)) & mask
+                    j = lists[key]
+                    while j >= 0:
+                        pairs += 1
+                        one, two, three = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+                        distance = np.sqrt((one * one + two * two) + three * three)
+                        room = max(radius[i] + radius[j], np.float32(1e-9))
+                        if distance < room:
+                            part = np.float32(1.0) - distance / room
+                            here = max(here, part)
+                            if part > found[j]:
+                                found[j] = part
+                        j = others[j]
+        found[i] = here
+        if pairs > most:
+            return False
+        key = ((cx * 73856093) ^ (cy * 19349663) ^ (cz * 83492791)) & mask
+        others[i] = lists[key]
+        lists[key] = i
+    return True
