@@ -20,6 +20,23 @@ def roomy(array: NDArray[Any]) -> NDArray[Any]:
     return found
 
 
+def roomy_rows(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+    """Some of the numbers of an array [n], with eight spare ones behind them, zeros."""
+    whole = np.empty(len(rows) + WIDTH, array.dtype)
+    array.take(rows, out=whole[: len(rows)], mode="clip")
+    whole[len(rows) :] = 0
+    found: NDArray[Any] = whole[: len(rows)]
+    return found
+
+
+def has_room(array: NDArray[Any]) -> bool:
+    """Whether an array is the beginning of one with eight more."""
+    whole = array.base
+    if not isinstance(whole, np.ndarray) or whole.ndim != 1 or whole.dtype != array.dtype or not array.flags.c_contiguous:
+        return False
+    return len(whole) >= len(array) + WIDTH and address(whole) == address(array)
+
+
 def address(array: NDArray[Any]) -> int:
     """Where an array begins in memory. ValueError where it does not lie in one piece."""
     try:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing, Ground
+from antdsl.machine_code.memory import roomy_rows
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
 from antdsl.runtime.requests import Effects
@@ -290,14 +291,22 @@ def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     """Keep these rows, in this order."""
     population.reordered = (population.ids, rows)
-    population.ids, population.born = population.ids[rows], population.born[rows]
-    population.quarantined, population.position = population.quarantined[rows], population.position[rows]
-    population.normal, population.footing = population.normal[rows], population.footing.take(rows)
+    population.ids, population.born = population.ids.take(rows), population.born.take(rows)
+    population.quarantined, population.position = population.quarantined.take(rows), _picked(population.position, rows)
+    population.normal, population.footing = population.normal.take(rows, axis=0), population.footing.take(rows)
     population.cells.clear()
     for table in (population.events, population.raised):
         for name, array in table.items():
-            table[name] = array[rows]
-    _remake(population, lambda array, _: array[rows])
+            table[name] = array.take(rows)
+    _remake(population, lambda array, _: roomy_rows(array, rows))
+
+
+def _picked(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+    """Rows of vectors (n, 3), each component contiguous."""
+    picked = np.empty((3, len(rows)), vectors.dtype)
+    for component, own in zip(picked, vectors.T, strict=True):
+        own.take(rows, out=component, mode="clip")
+    return picked.T
 
 
 def add_rows(

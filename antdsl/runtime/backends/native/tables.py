@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, WIDTH
-from antdsl.machine_code.memory import Addresses, address, roomy
+from antdsl.machine_code.memory import Addresses, address, has_room, roomy
 from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockCode
@@ -42,7 +42,7 @@ class Rooms:
         array = holders[not start][name]
         known = self._moved.get(id(array))
         if known is None:
-            new = roomy(array)
+            new = array if has_room(array) else roomy(array)
             known = self._moved[id(array)] = (array, new, address(new))
             self._moved[id(new)] = (new, *known[1:])
         elif known[1] is not array:  # somebody goes on with the one without room, as who asks specs does: it may have changed
