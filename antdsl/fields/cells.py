@@ -178,16 +178,12 @@ class SurfaceCells:
         """Write the cell of each point's own voxel and side, -1 for none; gives how many have none, and what to remember."""
         from antdsl.fields.cells_compiled import located
 
-        known, index = None, _NO_INDEX
-        direct = self._direct if self._direct is not None else np.empty(0, np.int32)
-        if self._direct is None:
-            index, known = self._index, before
-            if known is None or known.of is not self or len(known.key) != len(points):
-                known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
-        remembered = _NOTHING if known is None else (known.key, known.cell)
-        box = (self.cell, self._low, self._size)
-        keys = (direct, self._keys, index.shift, index.start)
-        return int(located(points, side, *box, *keys, *remembered, cell)), known
+        known = before
+        if known is None or known.of is not self or len(known.key) != len(points):
+            known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
+        index, direct = (self._index, _NO_CELLS) if self._direct is None else (_NO_INDEX, self._direct)
+        keys = (self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
+        return int(located(points, side, *keys, known.key, known.cell, cell)), known
 
     def _located_plainly(
         self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells
@@ -410,7 +406,7 @@ class _Index:
 
 
 _NO_INDEX = _Index(0, np.zeros(1, np.int32), 0)
-_NOTHING = (np.empty(0, np.int64), np.empty(0, np.int32))
+_NO_CELLS = np.empty(0, np.int32)
 
 
 def _rank(counts: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -42,10 +42,10 @@ def located(
         at, key = -1, -1
         if x >= 0 and y >= 0 and z >= 0:
             key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
-            if listed:
-                at = direct[key]
-            elif key == known[n] and here[n] >= 0:
+            if key == known[n] and here[n] >= 0:
                 at = here[n]
+            elif listed:
+                at = direct[key]
             else:
                 a, b = start[key >> shift], start[(key >> shift) + 1]
                 while a < b:
@@ -56,7 +56,7 @@ def located(
                         b = middle
                 if a < keys.size and keys[a] == key:
                     at = a
-        if not listed:
+        if key != known[n] or at != here[n]:
             known[n] = key
             here[n] = at
         found[n] = at
