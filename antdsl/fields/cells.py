@@ -172,9 +172,7 @@ class SurfaceCells:
             cell[missed] = self._nearby(points[missed], voxel, side[missed].astype(np.int64))
         return cell, known
 
-    def _located(
-        self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells
-    ) -> tuple[int, Known | None]:
+    def _located(self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells) -> tuple[int, Known | None]:
         """Write the cell of each point's own voxel and side, -1 for none; gives how many have none, and what to remember."""
         from antdsl.fields.cells_compiled import located
 

@@ -150,9 +150,7 @@ class PheromoneField:
         self._left.clear()
         most = largest_stable_diffusion(self.cells.cell, dt)
         if diffusion > most * (1 + 1e-9):
-            raise ValueError(
-                f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s"
-            )
+            raise ValueError(f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s")
         if compiled.wanted(len(values)):
             self._stepped(float(np.float32(keep)), diffusion * dt / self.cells.cell**2)
             return

@@ -30,8 +30,8 @@ def stepped(
     least: F64,
     lands: I64,
 ) -> None:
-    """Take cells through a step: `spread` of the `change` is added (an empty array: nothing spreads), the share `keep` stays, then
-    deposits `pending`, in units, are added (`lands` 1) or are the least that is there (2), and what is no more than the `least`
+    """Take cells through a step: `spread` of the `change` is added (an empty array: none), the share `keep` stays, then deposits
+    `pending`, in units, are added (`lands` 1) or are the least that is there (2), and what is no more than the `least`
     is nothing. `pending` is 0 afterwards."""
     spreads = change.size > 0
     for n in independent(0, pending.size):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import facing
-from antdsl.ground.protocol import Floats, Footing, Index, Move
+from antdsl.ground.protocol import Floats, Footing, Move
 
 
 class Plane:

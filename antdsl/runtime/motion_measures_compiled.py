@@ -1,4 +1,4 @@
-"""The measures of a step as one pass over the agents: the same operations in the same order as `motion_measures`, the same bits."""
+"""The measures of a step as one pass over the agents: the operations of `motion_measures` in the same order, the same bits."""
 
 import numpy as np
 
