@@ -107,7 +107,7 @@ class SurfaceCells:
         """Which way each cell faces, as `facing` counts."""
         return self._keys % 6
 
-    def _key(self, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _key(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
         key: NDArray[np.int64] = ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
         return key
 

@@ -219,10 +219,10 @@ def lay(population: Population) -> None:
     population.laid = None
     if not len(rows):
         return
-    up, heading = (np.stack([start[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
-    normal = population.normal[rows].T
-    population.laid = (rows, up[:, rows], heading[:, rows], _laid_down(rows, heading, up, population.normal))
-    for name, shown in (("up", normal), ("heading", population.laid[3])):
+    up, heading = (np.stack([start[f"{name}.{axis}"].take(rows) for axis in AXES]) for name in ("up", "heading"))
+    normal = population.normal.take(rows, axis=0)
+    population.laid = (rows, up, heading, _laid_down(np.arange(len(rows)), heading, up, normal))
+    for name, shown in (("up", normal.T), ("heading", population.laid[3])):
         for axis, component in zip(AXES, shown, strict=True):
             start[f"{name}.{axis}"][rows] = now[f"{name}.{axis}"][rows] = component
 
