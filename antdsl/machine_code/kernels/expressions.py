@@ -344,6 +344,8 @@ class Expressions(Arithmetic):
             return of[int(at.known)]
         if not isinstance(of, Array):
             self.fail(node, "only arrays and tuples have elements")
+        if not isinstance(index, ast.Tuple) and len(of.lengths) > 1:
+            return self._row(node, of, self.number(index))
         place, scalar = self.element(node, of, index), of.of
         found = self.op(f"load {scalar.stored}, ptr {place}{self.access()}", scalar.kind)
         if scalar.kind == TRUTH:
@@ -352,6 +354,15 @@ class Expressions(Arithmetic):
             word = "zext" if scalar.name.startswith("U") else "sext"
             return self.op(f"{word} {scalar.stored} {found.name} to i64", INT)
         return found
+
+    def _row(self, node: ast.AST, of: Array, index: Number) -> Array:
+        """What lies at an index of the first axis, an array with one axis less."""
+        step = constant(1) if of.steps is None else of.steps[0]
+        for each in of.lengths[1:] if of.steps is None else ():
+            step = self.arithmetic(node, ast.Mult(), step, each)
+        place = self.arithmetic(node, ast.Mult(), index, step)
+        address = self.op(f"getelementptr {of.of.stored}, ptr {of.address}, i64 {place.name}", "ptr").name
+        return Array(of.of, address, of.lengths[1:], None if of.steps is None else of.steps[1:], of.origin)
 
     def _of_text(self, node: ast.AST, number: ast.expr | None) -> int | None:
         if number is None:

@@ -85,6 +85,8 @@ class Writer(Expressions):
 
     def _to(self, node: ast.AST, target: ast.expr, item: Item) -> None:
         match target:
+            case ast.Name(id="_"):
+                pass
             case ast.Name(id=name):
                 self.assign(node, name, item)
             case ast.Tuple(elts=parts):
