@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from antdsl.machine_code.kernels.expressions import Expressions
@@ -252,9 +252,6 @@ class Writer(Expressions):
         end = self.label("end")
         for item in items:
             following = self.label("next")
-            before = {name: self.variables.get(name) for name in _names(target)}
-            for name in before:
-                self.variables.pop(name, None)
             self._bind(node, target, item)
             self._body(Loop(following, end, self.loops[-1].group if self.loops else ""), lambda: self.block(body))
             self.begin(following)
@@ -282,6 +279,8 @@ class Writer(Expressions):
         at = self.op(f"load i64, ptr {number}", INT)
         self.branch(self.op(f"icmp {'slt' if step > 0 else 'sgt'} {at.typed}, {end.name}", TRUTH), inner, done)
         self.begin(inner)
+        if isinstance(self.variables.get(name), Number):  # left behind by a loop that was written out
+            del self.variables[name]
         group = self.unit.number("distinct !{}") if free else (self.loops[-1].group if self.loops else "")
         self.assign(self.definition, name, at)
         self._body(Loop(following, done, group), write)
@@ -354,12 +353,6 @@ class Writer(Expressions):
 
 def target_of(node: ast.AugAssign) -> ast.expr:
     return node.target
-
-
-def _names(target: ast.expr) -> Iterator[str]:
-    for each in ast.walk(target):
-        if isinstance(each, ast.Name):
-            yield each.id
 
 
 def written(unit: Unit, part: Any, inputs: list[Item]) -> tuple[str, Item]:
