@@ -16,10 +16,10 @@ from weakref import ref
 
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.kernels.statements import written
+from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit, result_type
-from antdsl.machine_code.kernels.values import Array, Item, Number, leaves, type_name
+from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
 from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.memory import address
 
@@ -90,7 +90,7 @@ class Kernel:
         numbers = iter(range(100_000))
         inputs = [_argument(each, words, body, numbers) for each in types]
         name, result = written(unit, self.part, inputs)
-        arguments = ", ".join(f"{type_name(each)} {each.name}" for item in inputs for each in leaves(item))
+        arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
         found = list(leaves(result))
         if len(found) > _RESULTS:
             raise TypeError(f"{self.__name__} gives back more than {_RESULTS} numbers")
@@ -111,7 +111,7 @@ class Kernel:
             body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
         module = Module(target)
         text = entry(module, self.__name__, "\n".join(body))
-        lines += [*unit.declared.values(), module.text(), *unit.functions, text, *unit.metadata]
+        lines += [*unit.declared.values(), module.text(), *unit.functions, text]
         return "\n".join(lines) + "\n", types, result, unit.written
 
 
