@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from antdsl.numerics.compiled import plain
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
-Column, Indices = Array1[F64], Array1[I64]
+Column: TypeAlias = Array1[F64]
+Indices: TypeAlias = Array1[I64]
 
 
 def pairs(
