@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import ast
-import ctypes
 import inspect
-import struct
 import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from threading import Lock
 from types import FunctionType, GenericAlias
 from typing import Any
-from weakref import ref
 
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.entries import entry
+from antdsl.machine_code.kernels.calling import RESULTS, caller
 from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit, result_type
 from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
 from antdsl.machine_code.lanes import Module
-from antdsl.machine_code.memory import address
 
 Function = Callable[..., Any]
-_RESULTS = 8  # words before the arguments, for what is given back
-_FORMATS = {"double": "d", "float": "d", "i64": "q", "u64": "Q", "i1": "q"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +68,7 @@ class Kernel:
         with self._lock:
             if self._run is None:
                 text, types, result, stored = self._text(machine.host())
-                self._run = _caller(self.__name__, codes.code(text), types, result, stored)
+                self._run = caller(self.__name__, codes.code(text), types, result, stored)
             return self._run
 
     def text(self, target: machine.Target = machine.ANY) -> str:
@@ -85,15 +80,15 @@ class Kernel:
         definition, world = self.part.source()
         types = [_type(each.annotation, world) for each in definition.args.args]
         unit, lines = Unit(), [f"; {machine.WHOLE}"]
-        words = iter(range(_RESULTS, 100_000))
+        words = iter(range(RESULTS, 100_000))
         body: list[str] = []
         numbers = iter(range(100_000))
         inputs = [_argument(each, words, body, numbers) for each in types]
         name, result = written(unit, self.part, inputs)
         arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
         found = list(leaves(result))
-        if len(found) > _RESULTS:
-            raise TypeError(f"{self.__name__} gives back more than {_RESULTS} numbers")
+        if len(found) > RESULTS:
+            raise TypeError(f"{self.__name__} gives back more than {RESULTS} numbers")
         call = f"call {result_type(result)} {name}({arguments})"
         body.append(f"  {call}" if not found else f"  %given = {call}")
         for k, each in enumerate(found):
@@ -162,85 +157,3 @@ def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterato
     lengths = tuple(read(INT) for _ in range(type.axes))
     steps = tuple(read(INT) for _ in range(type.axes)) if type.strided else None
     return Array(type.of, place, lengths, steps, origin)
-
-
-def _format(type: Any) -> str:
-    if isinstance(type, tuple):
-        return "".join(_format(each) for each in type)
-    if isinstance(type, Scalar):
-        return _FORMATS[type.kind]
-    assert isinstance(type, ArrayType)
-    return "q" + "q" * type.axes * (2 if type.strided else 1)
-
-
-def _caller(name: str, code: machine.Code, types: list[Any], result: Item, stored: set[int]) -> Callable[..., Any]:
-    """Calls the code: arguments are checked and laid into a table, whose first words have what is given back."""
-    layout = struct.Struct(f"={8 * _RESULTS}x" + "".join(_format(each) for each in types))
-    given = struct.Struct("=" + "".join(_FORMATS[each.kind] for each in leaves(result)))
-    truths = [each.kind == "i1" for each in leaves(result)]
-    function = code.function(name)
-    numbers = iter(range(100_000))
-    lay = [_layer(each, numbers, stored, name) for each in types]
-    count = len(types)
-    free: list[tuple[Any, int]] = []  # tables that no call is using
-
-    def run(*arguments: Any) -> Any:
-        if len(arguments) != count:
-            raise TypeError(f"{name} takes {count} arguments, not {len(arguments)}")
-        words: list[Any] = []
-        for put, argument in zip(lay, arguments, strict=True):
-            put(words, argument)
-        try:
-            table, place = free.pop()
-        except IndexError:
-            table = ctypes.create_string_buffer(layout.size)
-            place = ctypes.addressof(table)
-        layout.pack_into(table, 0, *words)
-        function(place, 0, 0)
-        found = given.unpack_from(table)
-        free.append((table, place))
-        if not truths:
-            return None
-        values = tuple(bool(value) if truth else value for value, truth in zip(found, truths, strict=True))
-        return values if isinstance(result, tuple) else values[0]
-
-    return run
-
-
-def _layer(type: Any, numbers: Iterator[int], stored: set[int], name: str) -> Callable[[list[Any], Any], None]:
-    """Puts an argument's words into a list."""
-    if isinstance(type, tuple):
-        parts = [_layer(each, numbers, stored, name) for each in type]
-
-        def several(words: list[Any], argument: Any) -> None:
-            for put, each in zip(parts, argument, strict=True):
-                put(words, each)
-
-        return several
-    if isinstance(type, Scalar):
-        cast: Callable[[Any], Any] = float if type.kind in ("double", "float") else int
-        return lambda words, argument: words.append(cast(argument))
-    dtype, axes, written_to, is_strided = type.of.dtype, type.axes, next(numbers) in stored, type.strided
-    size = dtype.itemsize
-    last: tuple[Any, tuple[int, ...]] = (lambda: None, ())  # the array of the call before, most often that of this one too
-
-    def described(array: Any) -> tuple[int, ...]:
-        if dtype != array.dtype or array.ndim != axes:
-            raise ValueError(f"{name} wants an array of {dtype} with {axes} axes, not of {array.dtype} with {array.ndim}")
-        if written_to and not array.flags.writeable:
-            raise ValueError(f"{name} writes to an array that is read-only")
-        if not is_strided:
-            return (address(array), *array.shape)
-        if array.size and any(step % size for step in array.strides):
-            raise ValueError(f"{name} wants whole elements from one index to the next")
-        return (array.__array_interface__["data"][0], *array.shape, *(step // size for step in array.strides))
-
-    def put(words: list[Any], array: Any) -> None:
-        nonlocal last
-        known, found = last
-        if known() is not array:
-            found = described(array)
-            last = (ref(array), found)
-        words.extend(found)
-
-    return put
