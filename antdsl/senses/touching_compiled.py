@@ -12,7 +12,8 @@ from antdsl.numerics.compiled import plain
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
-Column, Indices = Array1[F64], Array1[I64]
+Column = Array1[F64]
+Indices = Array1[I64]
 
 
 def pairs(
