@@ -56,6 +56,8 @@ if TYPE_CHECKING:
 
         def __len__(self) -> int: ...
 
+        def __iter__(self) -> Any: ...
+
     class Array2(Array1[T]):
         """An array with two axes, in one piece."""
 
