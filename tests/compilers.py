@@ -9,10 +9,18 @@ from antdsl.machine_code import machine
 from antdsl.numerics import compiled
 
 
-def need_numba() -> None:
+def need_kernels() -> None:
     """Skip the test where kernels cannot be compiled."""
     if not compiled.available():
-        pytest.skip("needs numba")
+        pytest.skip("needs compiled kernels")
+
+
+def need_numba() -> None:
+    """Skip the test where what benchmarks compare with cannot be compiled."""
+    try:
+        import numba  # noqa: F401
+    except Exception as problem:  # made for another NumPy: it says so in different ways
+        pytest.skip(f"needs numba: {problem}")
 
 
 def need_llvmlite() -> None:

@@ -3,7 +3,8 @@
 `python tests/state_hashes.py --compare` holds every example against `tests/state_hashes.txt` at frames 0, 1, 2, 4, 8, … and tells
 the first frame that differs; `--record` writes that file anew. `--frames 8` stops after frame 8, `--most 200` takes at most
 so many agents of each line of a crowd (and is only printed: the file is of whole crowds). Scenes may be named one by one. With
-COMPILED=1 in the environment, compiled kernels are used for any number of agents. Exit code 1 where a hash differs, so that
+COMPILED=host in the environment, compiled kernels are used for any number of agents; with COMPILED=oldest they are made for the
+oldest x86-64. Exit code 1 where a hash differs, so that
 `git bisect run python tests/state_hashes.py --compare examples/worth/scene.yaml` finds the commit that changed one."""
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from antdsl.machine_code import machine
 from antdsl.numerics import compiled
 from antdsl.pipeline import open_scene
 from antdsl.runtime import bind, state_hash, step
@@ -76,8 +78,11 @@ def main() -> int:
     task.add_argument("--compare", action="store_true")
     task.add_argument("--record", action="store_true")
     asked = parser.parse_args()
-    if os.environ.get("COMPILED") == "1":
+    chosen = os.environ.get("COMPILED")
+    if chosen:
         compiled.wanted = lambda count: True
+    if chosen == "oldest":
+        machine.host = lambda: machine.Target("x86_64-unknown-linux-gnu", "x86-64", "")
     known = recorded() if RECORDED.exists() else {}
     wrong = 0
     for scene in asked.scenes:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from antdsl import __version__
 
-PACKAGES = ("numpy", "scipy", "llvmlite", "numba", "open3d", "open3d-cpu")
+PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 _PROCESSORS = Path("/proc/cpuinfo")  # Linux
 
 

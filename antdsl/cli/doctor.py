@@ -15,7 +15,6 @@ EXTRAS = {
     "graphlay": "pictures of state machines: pip install 'antdsl[graph]'",
     "pygls": "editors: pip install 'antdsl[lsp]'",
     "websockets": "the preview: pip install 'antdsl[preview]'",
-    "numba": "speed with thousands of agents: pip install 'antdsl[fast]'",
 }
 
 
@@ -90,11 +89,6 @@ def _optional(package: str, purpose: str) -> None:
     from importlib.util import find_spec
 
     words = "installed" if find_spec(package) is not None else f"not installed; wanted for {purpose}"
-    if package == "numba" and words == "installed":
-        from antdsl.numerics import compiled
-
-        if not compiled.available():
-            words = "of no use here: turned off, made for another NumPy, or no folder to keep compiled kernels in"
     typer.echo(f"{'ok     ' if words == 'installed' else '-      '} {package:<16} {words}")
 
 

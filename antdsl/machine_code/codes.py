@@ -33,6 +33,15 @@ def code(text: str) -> machine.Code:
     return found
 
 
+def kept(text: str) -> bool:
+    """Whether the code of a text is there, in memory or from another run."""
+    key = object_cache.key(text, machine.host(), versions=object_cache.versions())
+    with _guard:
+        if key in _known:
+            return True
+    return _objects().get(key) is not None
+
+
 def told() -> list[str]:
     """Sentences for the user on why compiled code of other runs was not used, or that of this one is not kept."""
     return list(_objects().told) if _objects.cache_info().currsize else []

@@ -1,6 +1,7 @@
-"""Whether to use the compiled kernels: they need the extra `[fast]`, and enough work for their start-up to pay.
+"""Whether to use the compiled kernels, and in how many parts: they have to be made or loaded, and want enough work to pay.
 
-Kernels give the same bits as the NumPy code that stands beside them. `NUMBA_DISABLE_JIT=1` keeps to NumPy.
+Kernels give the same bits as the NumPy code that stands beside them, which is what runs where none can be compiled.
+`ANTDSL_KERNELS=0` keeps to NumPy.
 
 Loading them takes about as long as a hundred steps of a small crowd, and nobody knows how many follow. So a crowd that is large,
 for whom a few steps make up for it, begins with them, and a small one once its steps have cost a share of what loading does, half
@@ -14,19 +15,21 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.machine_code import machine
 from antdsl.numerics.float_environment import be_standard
 
 T = TypeVar("T")
+VARIABLE = "ANTDSL_KERNELS"
 PART = 4_096  # agents for whom a thread pays
 LEAST = 2_000  # agents; a step of these without kernels takes so long that a few make up for loading them
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _AT_ONCE = 50_000  # numbers, worked on before any step: then a world is made ready that is large
-_LOADING, _COMPILING = 0.3, 25.0  # s of processor time before it: for kernels kept from another run, and the first time
+_LOADING, _COMPILING = 0.2, 2.5  # s of processor time before it: for kernels kept from another run, and the first time
 _long = False
 _running = False
 _spent = 0.0
@@ -42,7 +45,7 @@ def begin_step(agents: int) -> None:
     """Start with kernels where a step of so many agents comes that will pay for them, or where steps before it would have."""
     global _running
     if not _running and _pays(agents):
-        _running = available()
+        _running = _begun()
 
 
 def end_step(seconds: float) -> None:
@@ -67,10 +70,20 @@ def _pays(agents: int) -> bool:
 
 @cache
 def _kept() -> bool:
-    """Whether kernels of another run are found where they most likely are; those that are elsewhere count as none."""
-    named = os.environ.get("NUMBA_CACHE_DIR")
-    folders = Path(named).glob("*") if named else (Path(__file__).parent / "__pycache__",)
-    return any(any(folder.glob("elementary_compiled.*.nbi")) for folder in folders)
+    """Whether another run has kept kernels: the one that is the first of all."""
+    from antdsl.numerics.elementary_compiled import cosines
+
+    return available() and cosines.kept()
+
+
+def _begun() -> bool:
+    """Whether kernels can be used from now on. One is made, which says to the next run that they are kept."""
+    if not available():
+        return False
+    from antdsl.numerics.elementary_compiled import cosines
+
+    cosines.made()
+    return True
 
 
 def wanted(count: int) -> bool:
@@ -78,27 +91,18 @@ def wanted(count: int) -> bool:
     its calls."""
     global _running
     if not _running and count >= _AT_ONCE:
-        _running = available()
+        _running = _begun()
     return _running and count > 0
 
 
-@cache
 def available() -> bool:
-    """Whether kernels can be compiled here, and kept for the next run: compiling takes seconds."""
-    try:
-        import numba
-
-        from antdsl.numerics.kernel_cache import njit
-
-        njit(cache=True)(wanted)  # nothing is compiled, but it is an error where no folder can be written to
-    except Exception:  # also where it is not installed, or made for another NumPy: it says so in different ways
-        return False
-    return not numba.config.DISABLE_JIT
+    """Whether kernels can be compiled here, and are not turned off."""
+    return os.environ.get(VARIABLE) != "0" and machine.available()
 
 
 def plain(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """The same in one piece and writable: a kernel is compiled anew for any other kind."""
-    return tuple(a if a.flags.writeable and a.flags.c_contiguous else a.copy() for a in arrays)
+    """The same in one piece, as most kernels read them."""
+    return tuple(np.ascontiguousarray(a) for a in arrays)
 
 
 @cache

@@ -65,8 +65,8 @@ def main() -> None:
     parser.add_argument("--record", action="store_true")
     parser.add_argument("--print", action="store_true")
     given = parser.parse_args()
-    if os.environ.get("NUMBA_DISABLE_JIT") != "1":  # before numba is imported
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "NUMBA_DISABLE_JIT": "1"})
+    if os.environ.get("ANTDSL_KERNELS") != "0":
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "ANTDSL_KERNELS": "0"})
     if given.record and given.cases:
         parser.error("--record takes all cases")
     if given.record:

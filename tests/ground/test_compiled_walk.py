@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from compilers import need_numba
+from compilers import need_kernels
 from open_shapes import WORSE
 from sampling import sampled
 from torture_walks import shapes
@@ -82,7 +82,7 @@ def crowd(ground: MeshGround, rng: np.random.Generator) -> Move:
 
 @pytest.mark.parametrize("name", sampled(GROUNDS, GROUNDS.keys() - {"slivers", "soup", "book", "layers", "bows"}))
 def test_the_compiled_walk_gives_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     ground = MeshGround(GROUNDS[name]())
     rng = np.random.default_rng(5)
     use(monkeypatch, False)
@@ -111,7 +111,7 @@ def test_the_compiled_walk_gives_the_same_bits(name: str, monkeypatch: pytest.Mo
 
 
 def test_odd_wishes_and_footings_nowhere_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     ground = MeshGround(GROUNDS["boulders"]())
     rng = np.random.default_rng(6)
     use(monkeypatch, False)
@@ -211,7 +211,7 @@ def assert_same_arrays(one: dict, two: dict) -> None:
 
 @pytest.mark.parametrize("substep", [0, 1])
 def test_velocities_after_a_push_have_the_same_bits(substep: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     found = []
     for fast in (False, True):
         crowd_ = people(np.random.default_rng(9))
@@ -224,7 +224,7 @@ def test_velocities_after_a_push_have_the_same_bits(substep: int, monkeypatch: p
 
 
 def test_arriving_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     found = []
     for fast in (False, True):
         rng = np.random.default_rng(10)
@@ -260,7 +260,7 @@ def test_finer_distances_of_an_obstacle_are_still_below_the_true_ones() -> None:
 
 
 def test_the_compiled_walk_gives_the_same_bits_beside_a_mesh_that_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     meshes = {"sheet": grid(30, 12), "stone": ball(5, (0, 1, 0), 7)}
     ground = MovingGround(meshes, ["stone"])
     rng = np.random.default_rng(16)

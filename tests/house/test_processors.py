@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from children import child_environment
-from compilers import need_numba
+from compilers import need_kernels
 
 ROOT = Path(__file__).resolve().parents[2]
 # One of each example; what lies beside them has the same program and ground.
@@ -20,7 +20,7 @@ SCENES = (
     "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "walker/scene", "worth/scene",
 )  # fmt: skip
 SOME = ("moods/scene",)
-PLAIN = {"NUMBA_DISABLE_JIT": "1"}
+PLAIN = {"ANTDSL_KERNELS": "0"}
 # What NumPy chooses between at run time, libm's versions with AVX2 and FMA, and BLAS for the oldest processor that it knows.
 WITHOUT = {
     "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
@@ -37,7 +37,7 @@ def disabled() -> str:
 
 
 def hashes(scenes: tuple[str, ...], frames: int, most: int, settings: dict[str, str], before: tuple[str, ...] = ()) -> str:
-    clean = {k: v for k, v in child_environment().items() if not k.startswith(("NPY_", "NUMBA_", "GLIBC_", "OPENBLAS_"))}
+    clean = {k: v for k, v in child_environment().items() if not k.startswith(("NPY_", "ANTDSL_", "GLIBC_", "OPENBLAS_"))}
     paths = [str(ROOT / "examples" / f"{scene}.yaml") for scene in scenes]
     made = subprocess.run(
         [*before, sys.executable, str(ROOT / "tests" / "state_hashes.py"), "--frames", str(frames), "--most", str(most), *paths],
@@ -81,13 +81,10 @@ def test_every_example_without_them(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("processor", ["host", "nehalem"])
+@pytest.mark.parametrize("processor", ["host", "oldest"])
 def test_every_example_with_kernels_compiled_for_another_processor(processor: str, tmp_path: Path) -> None:
-    need_numba()
-    chosen = (
-        {} if processor == "host" else {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
-    )
-    assert hashes(SCENES, 4, 200, {"COMPILED": "1", **chosen}) == here(SCENES, 4, 200)
+    need_kernels()
+    assert hashes(SCENES, 4, 200, {"COMPILED": processor, "ANTDSL_NATIVE_CACHE": str(tmp_path)}) == here(SCENES, 4, 200)
 
 
 @pytest.mark.slow

@@ -1,8 +1,7 @@
-"""Kernels that are kept for the next run: what becomes of their files fails no run, and old ones are not used."""
+"""When kernels are begun with, and what becomes of the code that another run has kept."""
 
 from __future__ import annotations
 
-import errno
 import importlib.util
 import sys
 from pathlib import Path
@@ -10,34 +9,36 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from compilers import need_kernels
 
+from antdsl.machine_code import codes, machine
 from antdsl.numerics import compiled
 
-pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs numba")
-
-OTHER = """from antdsl.numerics.kernel_cache import njit
+OTHER = """from antdsl.machine_code.kernels import inlined
 from kernel_numbers import NUMBER
-@njit(cache=True, inline="always")
+@inlined
 def twice(x):
     return 2 * x + NUMBER
 """
-KERNEL = """from antdsl.numerics.kernel_cache import njit
+KERNEL = """from antdsl.machine_code.kernels import F64, kernel
 from kernel_numbers import NUMBER
 from kernel_other import twice
-@njit(cache=True)
-def value(x):
+@kernel
+def value(x: F64) -> F64:
     return twice(x) + NUMBER
 """
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    import numba
-
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "kept"))
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    need_kernels()
     for name, text in (("kernel_other", OTHER), ("kernel_value", KERNEL)):
         (tmp_path / f"{name}.py").write_text(text)
-    return tmp_path
+    (tmp_path / "kept").mkdir(mode=0o700)
+    monkeypatch.setenv("ANTDSL_NATIVE_CACHE", str(tmp_path / "kept"))
+    codes.forget()
+    yield tmp_path
+    codes.forget()
 
 
 def load(folder: Path, monkeypatch: pytest.MonkeyPatch, number: float = 1.0) -> Any:
@@ -51,42 +52,20 @@ def load(folder: Path, monkeypatch: pytest.MonkeyPatch, number: float = 1.0) -> 
         module = importlib.util.module_from_spec(spec)
         monkeypatch.setitem(sys.modules, name, module)
         spec.loader.exec_module(module)
+    codes.forget()
     return module.value
 
 
-def hits(kernel: Any) -> int:
-    return sum(kernel.stats.cache_hits.values())
-
-
 def test_kept_kernels_are_used_until_a_number_elsewhere_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for number, hit in ((1.0, 0), (1.0, 1), (5.0, 0), (5.0, 1)):
+    made = []
+    compile_ = machine.object_code
+    monkeypatch.setattr(machine, "object_code", lambda *text: made.append(text) or compile_(*text))
+    for number, hit in ((1.0, False), (1.0, True), (5.0, False), (5.0, True)):
         kernel = load(folder, monkeypatch, number)
+        assert kernel.kept() == hit
+        made.clear()
         assert kernel(2.0) == 4 + 2 * number
-        assert hits(kernel) == hit
-
-
-@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-@pytest.mark.parametrize("size", [0, 40])
-def test_a_file_that_was_cut_short_is_made_anew(folder: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, size: int) -> None:
-    assert load(folder, monkeypatch)(2.0) == 6
-    files = list((folder / "kept").rglob(f"*value*.{suffix}"))
-    assert files
-    for file in files:
-        file.write_bytes(file.read_bytes()[:size])
-    for hit in (0, 1):
-        kernel = load(folder, monkeypatch)
-        assert kernel(2.0) == 6 and hits(kernel) == hit
-
-
-def test_a_full_disk_fails_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from numba.core.caching import IndexDataCacheFile
-
-    def full(*args: Any) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(IndexDataCacheFile, "save", full)
-    kernel = load(folder, monkeypatch)
-    assert kernel(2.0) == 6 and hits(kernel) == 0
+        assert bool(made) != hit and kernel.kept()
 
 
 @pytest.fixture

@@ -82,7 +82,7 @@ def test_memory_counts_what_the_plan_keeps(tmp_path: Path) -> None:
 def test_the_command_prints_it_and_loads_no_geometry(tmp_path: Path) -> None:
     check = (
         "import sys; from antdsl.cli import _run; sys.argv = ['antdsl', 'check', 'examples/foraging/forager.ant', '--cost'];"
-        "code = _run(); print(code, [m for m in ('open3d', 'scipy', 'numba') if m in sys.modules])"
+        "code = _run(); print(code, [m for m in ('open3d', 'scipy', 'llvmlite') if m in sys.modules])"
     )
     env = child_environment()
     done = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=env, capture_output=True, text=True, timeout=60)

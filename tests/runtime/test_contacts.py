@@ -118,7 +118,7 @@ def test_the_same_bits_for_any_rows_threads_chunks_and_backend(mode: str) -> Non
     assert len(found) == 1
 
 
-@pytest.mark.skipif(not compiled.available(), reason="needs numba")
+@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 @pytest.mark.parametrize("mode", ["hard", "soft"])
 @pytest.mark.parametrize("spread", [0.0, 4.0, 30.0])
 def test_compiled_loops_give_the_same_bits(mode: str, spread: float, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,7 +212,7 @@ def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
 
 
 @pytest.mark.parametrize(
-    "fast", [False, pytest.param(True, marks=pytest.mark.skipif(not compiled.available(), reason="needs numba"))]
+    "fast", [False, pytest.param(True, marks=pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels"))]
 )
 @pytest.mark.parametrize(
     "size, reach", [((90, 90, 0), (1, 1.2)), ((60, 60, 60), (1, 8)), ((90, 90, 4), (0.5, 6)), ((1e6, 1e6, 3), (1, 2))]

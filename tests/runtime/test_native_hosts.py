@@ -39,7 +39,7 @@ def ran(script: str, *arguments: str, **settings: str) -> subprocess.CompletedPr
     usual = {k: v for k, v in child_environment(TESTS).items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
     return subprocess.run(
         [sys.executable, str(TESTS / script), *arguments],
-        env={**usual, "NUMBA_DISABLE_JIT": "1", **settings},
+        env={**usual, "ANTDSL_KERNELS": "0", **settings},
         capture_output=True,
         text=True,
     )
@@ -122,6 +122,6 @@ def test_instructions_change_no_state_of_an_example(scene: str, wanted: str) -> 
 
 def test_without_llvmlite_a_run_has_the_same_states(wanted: str, tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(NO_LLVMLITE, encoding="utf-8")
-    found = ran("native_states.py", PYTHONPATH=child_environment(tmp_path, TESTS)["PYTHONPATH"])
+    found = ran("native_states.py", ANTDSL_KERNELS="1", PYTHONPATH=child_environment(tmp_path, TESTS)["PYTHONPATH"])
     told, *states = found.stdout.splitlines()
     assert "llvmlite is not installed" in told and states == [wanted], found.stderr[-2000:]

@@ -12,7 +12,7 @@ from antdsl.runtime.moving import advance
 
 N = 4000
 DT = np.float32(1 / 24)
-pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs numba")
+pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 
 
 def vectors(rng: np.random.Generator, size: float) -> np.ndarray:

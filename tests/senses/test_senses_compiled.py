@@ -12,7 +12,7 @@ from antdsl.runtime import Options, state_hash, step
 from antdsl.senses import neighbours
 from antdsl.senses.neighbours import CellGrid, Pairs
 
-pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs numba")
+pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 COLUMNS = Pairs.__slots__
 EXTENTS = ((400, 10, 400), (100, 100, 100), (3000, 0, 0), (0, 900, 0), (9e6, 4e4, 9e6), (60, 1, 60))
 RADII = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_numba
+from compilers import need_kernels
 from scipy.spatial import cKDTree
 
 from antdsl import limits
@@ -17,7 +17,7 @@ from antdsl.senses.neighbours import CellGrid, Pairs
 @pytest.fixture(autouse=True, params=["numpy", "compiled"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     if request.param == "compiled":
-        need_numba()
+        need_kernels()
     monkeypatch.setattr(compiled, "wanted", lambda count: request.param == "compiled")
     return request.param
 

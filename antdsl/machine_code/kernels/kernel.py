@@ -58,6 +58,7 @@ class Kernel:
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
         self._lock = Lock()
         self._run: Callable[..., Any] | None = None
+        self._code: machine.Code | None = None
 
     def __call__(self, *arguments: Any) -> Any:
         run = self._run or self.made()
@@ -68,8 +69,13 @@ class Kernel:
         with self._lock:
             if self._run is None:
                 text, types, result, stored = self._text(machine.host())
-                self._run = caller(self.__name__, codes.code(text), types, result, stored)
+                self._code = codes.code(text)  # what is called lies in it
+                self._run = caller(self.__name__, self._code, types, result, stored)
             return self._run
+
+    def kept(self) -> bool:
+        """Whether its machine code is there, in memory or from another run."""
+        return self._run is not None or codes.kept(self.text(machine.host()))
 
     def text(self, target: machine.Target = machine.ANY) -> str:
         """What is compiled, in LLVM's language."""
