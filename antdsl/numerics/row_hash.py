@@ -14,7 +14,8 @@ the keys and looks for one that is missed: this finds faults, not forgeries.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -26,7 +27,8 @@ from antdsl.numerics import compiled
 BLOCK = 1 << 14  # rows at once: their lanes stay near the processor
 _HALF = 0xFFFFFFFF
 _WHOLE = 0xFFFFFFFFFFFFFFFF
-Keys = tuple[int, int, int, int]  # of the first and the second half in one lane, then in the other; 32 bits each
+Longs = NDArray[np.int64]
+Words = list[tuple[int, tuple[NDArray[Any], ...]]]
 
 
 def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> bytes:
@@ -34,17 +36,15 @@ def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> 
     other; None: the numbers of the rows, for a table whose rows have an order."""
     count = len(columns[0]) if ids is None else len(ids)
     fold, finish = _kernels() if compiled.wanted(count) else (_fold, _finish)
-    words = list(_words(columns))
-    keys = [_keys(number) for number in range(len(words) + 1)]
+    words = _words(columns)
     sums = [0, 0]
     for begin in range(0, count, BLOCK):
-        rows = slice(begin, min(begin + BLOCK, count))
-        lanes = np.zeros((2, rows.stop - begin), np.int64)
-        block = np.arange(begin, rows.stop, dtype=np.int64) if ids is None else np.ascontiguousarray(ids[rows])
-        fold((block,), keys[0], lanes[0], lanes[1])
-        for word, each in zip(words, keys[1:], strict=True):
-            fold(tuple(half[rows] for half in word), each, lanes[0], lanes[1])
-        for lane, found in enumerate(finish(lanes[0], lanes[1])):
+        size = min(BLOCK, count - begin)
+        first, second = np.zeros((2, size), np.int64)
+        block = np.arange(begin, begin + size, dtype=np.int64) if ids is None else np.ascontiguousarray(ids[begin : begin + size])
+        fold([(0, (block,))], first, second, 0)
+        fold(words, first, second, begin)
+        for lane, found in enumerate(finish(first, second)):
             sums[lane] = (sums[lane] + int(found)) & _WHOLE
     return b"".join(each.to_bytes(8, "little") for each in sums)
 
@@ -57,51 +57,52 @@ def hashed_rows(ids: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> 
     return names.encode() + row_hash(ids, parts)
 
 
-def _words(columns: Sequence[NDArray[Any]]) -> Iterator[tuple[NDArray[Any], ...]]:
-    """The columns as 64-bit words: one of int64[n], or two halves of int32[n] each. An odd one is its own second half."""
+def _words(columns: Sequence[NDArray[Any]]) -> Words:
+    """The columns as 64-bit words: int64[n], or two halves of int32[n] each, numbered from 1 on as they become whole. An odd half
+    is its own second one."""
+    found: Words = []
     held: NDArray[np.int32] | None = None
     for column in columns:
         column = np.ascontiguousarray(column)
         size = column.dtype.itemsize
         if size == 8:
-            yield (column.view(np.int64),)
+            found.append((len(found) + 1, (column.view(np.int64),)))
             continue
         half = column.view(np.int32) if size == 4 else column.view((np.int8, np.int16)[size - 1]).astype(np.int32)
-        if held is None:
-            held = half
-        else:
-            yield held, half
-            held = None
-    if held is not None:
-        yield held, held
+        if held is not None:
+            found.append((len(found) + 1, (held, half)))
+        held = half if held is None else None
+    return found if held is None else [*found, (len(found) + 1, (held, held))]
 
 
 @cache
-def _keys(number: int) -> Keys:
-    """The keys of a pair, by its number in the row: two numbers of SplitMix64 that begins at 0."""
+def _keys(*numbers: int) -> Longs:
+    """The keys of words by their numbers in the row: for each, of its first and its second half in one lane, then in the other,
+    32 bits each. Two numbers of SplitMix64 that begins at 0."""
     found: list[int] = []
-    for each in (2 * number, 2 * number + 1):
-        z = (each + 1) * 0x9E3779B97F4A7C15 & _WHOLE
+    for each in (2 * number + k for number in numbers for k in (1, 2)):
+        z = each * 0x9E3779B97F4A7C15 & _WHOLE
         z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & _WHOLE
         z = (z ^ z >> 27) * 0x94D049BB133111EB & _WHOLE
         z ^= z >> 31
         found += [z & _HALF, z >> 32]
-    return found[0], found[1], found[2], found[3]
+    return np.array(found, np.int64)
 
 
-def _fold(word: tuple[NDArray[Any], ...], keys: Keys, first: NDArray[np.int64], second: NDArray[np.int64]) -> None:
-    """Add the products of a word to both lanes."""
-    if len(word) == 1:
-        halves = word[0].view(np.uint32).reshape(-1, 2)
-        a, b = (halves[:, 0], halves[:, 1]) if np.little_endian else (halves[:, 1], halves[:, 0])
-    else:
-        a, b = (half.view(np.uint32) for half in word)
-    for lane, (of_a, of_b) in ((first, keys[:2]), (second, keys[2:])):
-        product = np.multiply(a + np.uint32(of_a), b + np.uint32(of_b), dtype=np.uint64)
-        lane += product.view(np.int64)
+def _fold(words: Words, first: Longs, second: Longs, begin: int) -> None:
+    """Add the products of words, from their row `begin` on, to both lanes."""
+    for number, word in words:
+        parts = [half[begin : begin + len(first)].view(np.uint32) for half in word]
+        if len(parts) == 1:
+            pairs = parts[0].reshape(-1, 2)
+            parts = [pairs[:, 0], pairs[:, 1]] if sys.byteorder == "little" else [pairs[:, 1], pairs[:, 0]]
+        keys = _keys(number).astype(np.uint32)
+        for lane, of_a, of_b in ((first, *keys[:2]), (second, *keys[2:])):
+            product = np.multiply(parts[0] + of_a, parts[1] + of_b, dtype=np.uint64)
+            lane += product.view(np.int64)
 
 
-def _finish(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[int, int]:
+def _finish(first: Longs, second: Longs) -> tuple[int, int]:
     """The sums of all rows of both lanes, each row mixed, modulo 2^64."""
     found = []
     for lane in (first, second):
@@ -116,10 +117,18 @@ def _finish(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[int, i
 def _kernels() -> tuple[Any, Any]:
     from antdsl.numerics import row_hash_compiled as kernels
 
-    def fold(word: tuple[NDArray[Any], ...], keys: Keys, first: NDArray[np.int64], second: NDArray[np.int64]) -> None:
-        if len(word) == 1:
-            kernels.fold_whole(word[0], *keys, first, second)
-        else:
-            kernels.fold_halves(*word, *keys, first, second)
+    def fold(words: Words, first: Longs, second: Longs, begin: int) -> None:
+        halves = []
+        for number, word in words:
+            if len(word) == 1:
+                kernels.fold_whole(word[0], _keys(number), first, second, begin)
+            else:
+                halves.append((number, word))
+        fours = len(halves) // 4 * 4
+        for k in range(0, fours, 4):
+            numbers, some = zip(*halves[k : k + 4], strict=True)
+            kernels.fold_halves(*zip(*some, strict=True), _keys(*numbers), first, second, begin)
+        for number, (low, high) in halves[fours:]:
+            kernels.fold_half(low, high, _keys(number), first, second, begin)
 
     return fold, kernels.finish
