@@ -28,7 +28,9 @@ def fold_whole(word: Array1[I64], keys: Array1[I64], first: Array1[I64], second:
 
 
 @kernel
-def fold_half(low: Array1[I32], high: Array1[I32], keys: Array1[I64], first: Array1[I64], second: Array1[I64], begin: I64) -> None:
+def fold_half(
+    low: Array1[I32], high: Array1[I32], keys: Array1[I64], first: Array1[I64], second: Array1[I64], begin: I64
+) -> None:
     """The same of words whose halves lie in two arrays."""
     k, m, p, q = keys[0], keys[1], keys[2], keys[3]
     for i in independent(0, first.size):

@@ -37,6 +37,7 @@ from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import open_scene
 from antdsl.runtime import CheckpointError, Options, bind, checkpoint, restore
 from antdsl.runtime.checkpoints import Arrays
+from antdsl.runtime.hashing import STATE_HASH
 
 ROOT = Path(__file__).resolve().parents[2]
 ARRAYS = {
@@ -550,6 +551,19 @@ def test_other_inputs_are_named_and_not_continued(tmp_path: Path) -> None:
     program.write_text(program.read_text().replace("40 deg", "41 deg"))
     code, words = ran(scene, "--frames", "1..20", "--resume")
     assert code == 1 and "`walker.ant`" in words and "`scene`" not in words, words
+
+
+def test_states_hashed_in_another_way_are_told_and_not_compared(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+    """A cache from before has no word of how; its frames are read and verified as ever."""
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    scene, manifest = tmp_path / "p" / "scene.yaml", tmp_path / "p" / "out" / "scene" / "manifest.json"
+    said = json.loads(manifest.read_text())
+    assert said.pop("state_hash") == STATE_HASH
+    manifest.write_text(json.dumps(said))
+    for words in (["run", str(scene), "--resume"], ["explain", str(manifest.parent), "1", "30"]):
+        stopped = CliRunner().invoke(app, words).exception
+        assert isinstance(stopped, Stop) and "hashes states in another way" in stopped.message, words
+    assert CliRunner().invoke(app, ["info", str(manifest.parent), "--verify"]).exit_code == 0
 
 
 def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, str]]) -> None:

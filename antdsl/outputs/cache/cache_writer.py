@@ -34,6 +34,7 @@ from antdsl.outputs.surface_error import surface_error
 from antdsl.outputs.writer.background import Behind
 from antdsl.outputs.writer.frame_writer import Scribe
 from antdsl.runtime import World, checkpoint, feet_hash, state_hash
+from antdsl.runtime.hashing import STATE_HASH
 from antdsl.whole import PART
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -108,6 +109,13 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
     write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()), sync=True)
 
 
+class OtherHashes(Exception):
+    """The cache's states are hashed in another way than states are now, so that none can be held against them."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(f"`{folder}` was written by an antdsl that hashes states in another way")
+
+
 @dataclass(frozen=True, slots=True)
 class Whole:
     """What can be kept of a cache: `points` are the checkpoints one may go on from, the latest first. `there`: the last frame
@@ -123,7 +131,7 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
     """What can be kept of the cache to continue; None where there is nothing to continue.
 
     A checkpoint counts only when the file of every frame up to it has the bytes that were written. DifferentInputs when the cache
-    is of other inputs."""
+    is of other inputs, OtherHashes when its states cannot be compared."""
     try:
         cache = open_cache(folder)
     except ManifestError:
@@ -132,6 +140,8 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
     different = [name for name in {**then, **inputs} if then.get(name) != inputs.get(name)]
     if different:
         raise DifferentInputs(sorted(different))
+    if cache.manifest.state_hash != STATE_HASH:
+        raise OtherHashes(folder)
     lines, there = cache.lines(), max(cache.frames(), default=None)
     unbroken, broken = first - 1, None
     while unbroken < last and (broken := cache.damage(unbroken + 1, lines.get(unbroken + 1))) is None:

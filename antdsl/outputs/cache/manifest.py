@@ -133,7 +133,7 @@ class CameraEntry(Part):
 
 class Manifest(Part):
     """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
-    asked for; `events` the names that frames count. `static` is the hash of `static.npz`, None where none was kept. `scene_path`
+    asked for; `events` the names that frames count; `state_hash` the way in which states are hashed (`STATE_HASH`). `static` is the hash of `static.npz`, None where none was kept. `scene_path`
     leads from the cache's folder to the scene's file, where `way_to` knows one."""
 
     format: Literal[1] = 1
@@ -142,6 +142,7 @@ class Manifest(Part):
     scene_path: Way | None = None
     inputs: dict[Word, Word]
     static: Word | None = None
+    state_hash: int = 1
     units: Literal["mm", "cm", "m"]
     up: Literal["y", "z"]
     fps: Annotated[str, Field(pattern=r"^[0-9]{1,9}/[0-9]{1,9}$")]
