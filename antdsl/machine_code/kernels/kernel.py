@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from threading import Lock
 from types import FunctionType, GenericAlias
 from typing import Any
-
-import numpy as np
+from weakref import ref
 
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.kernels.statements import written
+from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit, result_type
-from antdsl.machine_code.kernels.values import Array, Item, Number, leaves, type_name
+from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
 from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.memory import address
 
@@ -91,7 +90,7 @@ class Kernel:
         numbers = iter(range(100_000))
         inputs = [_argument(each, words, body, numbers) for each in types]
         name, result = written(unit, self.part, inputs)
-        arguments = ", ".join(f"{type_name(each)} {each.name}" for item in inputs for each in leaves(item))
+        arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
         found = list(leaves(result))
         if len(found) > _RESULTS:
             raise TypeError(f"{self.__name__} gives back more than {_RESULTS} numbers")
@@ -112,7 +111,7 @@ class Kernel:
             body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
         module = Module(target)
         text = entry(module, self.__name__, "\n".join(body))
-        lines += [*unit.declared.values(), module.text(), *unit.functions, text, *unit.metadata]
+        lines += [*unit.declared.values(), module.text(), *unit.functions, text]
         return "\n".join(lines) + "\n", types, result, unit.written
 
 
@@ -165,7 +164,8 @@ def _format(type: Any) -> str:
     if isinstance(type, tuple):
         return "".join(_format(each) for each in type)
     if isinstance(type, Scalar):
-        return str(_FORMATS[type.kind])
+        return _FORMATS[type.kind]
+    assert isinstance(type, ArrayType)
     return "q" + "q" * type.axes * (2 if type.strided else 1)
 
 
@@ -178,7 +178,7 @@ def _caller(name: str, code: machine.Code, types: list[Any], result: Item, store
     numbers = iter(range(100_000))
     lay = [_layer(each, numbers, stored, name) for each in types]
     count = len(types)
-    buffer = ctypes.c_char * layout.size
+    free: list[tuple[Any, int]] = []  # tables that no call is using
 
     def run(*arguments: Any) -> Any:
         if len(arguments) != count:
@@ -186,12 +186,17 @@ def _caller(name: str, code: machine.Code, types: list[Any], result: Item, store
         words: list[Any] = []
         for put, argument in zip(lay, arguments, strict=True):
             put(words, argument)
-        table = bytearray(layout.size)
+        try:
+            table, place = free.pop()
+        except IndexError:
+            table = ctypes.create_string_buffer(layout.size)
+            place = ctypes.addressof(table)
         layout.pack_into(table, 0, *words)
-        function(ctypes.addressof(buffer.from_buffer(table)), 0, 0)
+        function(place, 0, 0)
+        found = given.unpack_from(table)
+        free.append((table, place))
         if not truths:
             return None
-        found = given.unpack_from(table)
         values = tuple(bool(value) if truth else value for value, truth in zip(found, truths, strict=True))
         return values if isinstance(result, tuple) else values[0]
 
@@ -211,35 +216,27 @@ def _layer(type: Any, numbers: Iterator[int], stored: set[int], name: str) -> Ca
     if isinstance(type, Scalar):
         cast: Callable[[Any], Any] = float if type.kind in ("double", "float") else int
         return lambda words, argument: words.append(cast(argument))
-    dtype, axes, written_to = type.of.dtype, type.axes, next(numbers) in stored
+    dtype, axes, written_to, is_strided = type.of.dtype, type.axes, next(numbers) in stored, type.strided
+    size = dtype.itemsize
+    last: tuple[Any, tuple[int, ...]] = (lambda: None, ())  # the array of the call before, most often that of this one too
 
-    def fits(array: Any) -> None:
-        if type.of.dtype != array.dtype or array.ndim != axes:
+    def described(array: Any) -> tuple[int, ...]:
+        if dtype != array.dtype or array.ndim != axes:
             raise ValueError(f"{name} wants an array of {dtype} with {axes} axes, not of {array.dtype} with {array.ndim}")
         if written_to and not array.flags.writeable:
             raise ValueError(f"{name} writes to an array that is read-only")
-
-    if not type.strided:
-
-        def plain(words: list[Any], array: Any) -> None:
-            fits(array)
-            words.append(address(array))
-            words.extend(array.shape)
-
-        return plain
-    size = dtype.itemsize
-
-    def strided(words: list[Any], array: Any) -> None:
-        fits(array)
-        if array.size and (any(step % size for step in array.strides)):
+        if not is_strided:
+            return (address(array), *array.shape)
+        if array.size and any(step % size for step in array.strides):
             raise ValueError(f"{name} wants whole elements from one index to the next")
-        words.append(array.__array_interface__["data"][0])
-        words.extend(array.shape)
-        words.extend(step // size for step in array.strides)
+        return (array.__array_interface__["data"][0], *array.shape, *(step // size for step in array.strides))
 
-    return strided
+    def put(words: list[Any], array: Any) -> None:
+        nonlocal last
+        known, found = last
+        if known() is not array:
+            found = described(array)
+            last = (ref(array), found)
+        words.extend(found)
 
-
-def arrays_of(*arrays: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], ...]:
-    """The same arrays in one piece and writable, as most kernels want them."""
-    return tuple(a if a.flags.writeable and a.flags.c_contiguous else a.copy() for a in arrays)
+    return put

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -33,7 +33,16 @@ LLVM = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i64", TRUTH: "i
 
 if TYPE_CHECKING:
     T = TypeVar("T")
-    F64 = F32 = I64 = I32 = I16 = I8 = U64 = U32 = U8 = BOOL = Any
+    F64: TypeAlias = Any
+    F32: TypeAlias = Any
+    I64: TypeAlias = Any
+    I32: TypeAlias = Any
+    I16: TypeAlias = Any
+    I8: TypeAlias = Any
+    U64: TypeAlias = Any
+    U32: TypeAlias = Any
+    U8: TypeAlias = Any
+    BOOL: TypeAlias = Any
 
     class Array1(Generic[T]):
         """An array with one axis."""
