@@ -51,7 +51,7 @@ def orientations(heading: Three, up: Three, rows: Array1[I64], out: Array2[F32])
         still = length < 1e-12
         inverse = 1.0 / (1.0 if still else length)
         hx, hy, hz = hx * inverse, hy * inverse, hz * inverse
-        hx = 1.0 if still else hx
+        hx = np.float64(1.0) if still else hx
         back = hx < -1 + 1e-12
         half = 1.0 / np.sqrt(1.0 if back else 2 * (1 + hx))
         aw, ay, az = (1 + hx) * half, -hz * half, hy * half
