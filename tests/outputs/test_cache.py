@@ -560,9 +560,8 @@ def test_states_hashed_in_another_way_are_told_and_not_compared(unbroken: tuple[
     said = json.loads(manifest.read_text())
     assert said.pop("state_hash") == STATE_HASH
     manifest.write_text(json.dumps(said))
-    for words in (["run", str(scene), "--resume"], ["explain", str(manifest.parent), "1", "30"]):
-        stopped = CliRunner().invoke(app, words).exception
-        assert isinstance(stopped, Stop) and "hashes states in another way" in stopped.message, words
+    stopped = CliRunner().invoke(app, ["run", str(scene), "--resume"]).exception
+    assert isinstance(stopped, Stop) and "hashes states in another way" in stopped.message
     assert CliRunner().invoke(app, ["info", str(manifest.parent), "--verify"]).exit_code == 0
 
 
