@@ -102,17 +102,57 @@ class Elements(Arithmetic):
     def _place(self, array: Array, at: str) -> str:
         return self.op(f"getelementptr {array.of.stored}, ptr {array.address}, i64 {at}", "ptr").name
 
+    def _places(self, array: Array, at: Number) -> Number:
+        """The addresses of elements; somewhere else for turns that do not count."""
+        places = self.op(f"getelementptr {array.of.stored}, ptr {array.address}, {at.typed}", "ptr", True)
+        if self.mask is None or self.mask.known is not None:
+            return places
+        if not self._elsewhere:
+            self._elsewhere = self.name("z")
+            self.allocas.append(f"  {self._elsewhere} = alloca <4 x i64>")
+            self.allocas.append(f"  store <4 x i64> zeroinitializer, ptr {self._elsewhere}")
+        other = self.widened(Number("ptr", self._elsewhere))
+        return self.op(f"select {self.mask.typed}, {places.typed}, {other.typed}", "ptr", True)
+
     def _one(self, value: Number, lane: int) -> Number:
         return self.op(f"extractelement {value.typed}, i64 {lane}", value.kind)
 
+    def four(self, array: Array, at: Number) -> tuple[Number, ...]:
+        """Four elements that follow each other, of an array of numbers as they are worked with."""
+        kind = array.of.kind
+        if not at.wide:
+            offsets = [self.arithmetic(ast.Pass(), ast.Add(), at, constant(k)) for k in range(4)]
+            return tuple(self.fetch(array, each) for each in offsets)
+        places, type = self._places(array, at), f"<4 x {array.of.stored}>"
+        rows = [self.op(f"load {type}, ptr {self._one(places, lane).name}, align 8", kind).name for lane in range(WIDTH)]
+
+        def mixed(a: str, b: str, order: tuple[int, ...], width: int = 4) -> str:
+            text = ", ".join(f"i32 {each}" for each in order)
+            one = f"<{width} x {array.of.stored}>"
+            return self.op(f"shufflevector {one} {a}, {one} {b}, <{len(order)} x i32> <{text}>", kind).name
+
+        parts = []
+        for first in range(0, WIDTH, 4):
+            a, b, c, d = rows[first : first + 4]
+            even, odd = (0, 4, 2, 6), (1, 5, 3, 7)
+            pairs = (mixed(a, b, even), mixed(c, d, even)), (mixed(a, b, odd), mixed(c, d, odd))
+            low, high = (0, 1, 4, 5), (2, 3, 6, 7)
+            parts.append([mixed(*pair, half) for half in (low, high) for pair in pairs])
+        if WIDTH == 4:
+            return tuple(Number(kind, each, wide=True) for each in parts[0])
+        order = tuple(range(8))
+        return tuple(Number(kind, mixed(a, b, order), wide=True) for a, b in zip(*parts, strict=True))
+
+    def fetch_ahead(self, array: Array, at: Number) -> tuple[()]:
+        """Have memory brought near."""
+        self.declared["llvm.prefetch.p0"] = "declare void @llvm.prefetch.p0(ptr, i32, i32, i32)"
+        for lane in range(WIDTH if at.wide else 1):
+            place = self._place(array, self._one(at, lane).name if at.wide else at.name)
+            self.do(f"call void @llvm.prefetch.p0(ptr {place}, i32 0, i32 3, i32 1)")
+        return ()
+
     def _gathered(self, array: Array, at: Number) -> Number:
-        places = self.op(f"getelementptr {array.of.stored}, ptr {array.address}, {at.typed}", "ptr", True)
-        if self.mask is not None and self.mask.known is None:
-            if not self._elsewhere:
-                self._elsewhere = self.name("z")
-                self.allocas += [f"  {self._elsewhere} = alloca i64", f"  store i64 0, ptr {self._elsewhere}"]
-            other = self.widened(Number("ptr", self._elsewhere))
-            places = self.op(f"select {self.mask.typed}, {places.typed}, {other.typed}", "ptr", True)
+        places = self._places(array, at)
         type = text_type(array.of.stored, True)
         found = "poison"
         for lane in range(WIDTH):

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from antdsl.machine_code.kernels.elements import Elements
-from antdsl.machine_code.kernels.functions import WRITTEN, scratch
+from antdsl.machine_code.kernels.functions import WRITTEN, fetch_ahead, four, scratch
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, Scalar
 from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves
 
@@ -255,6 +255,10 @@ class Expressions(Elements):
             self.allocas.append(f"  {name} = alloca [{count.known} x {dtype.stored}], align 32")
             return Array(dtype, name, (count,))
         inputs = [self.value(each) for each in arguments]
+        if known in (four, fetch_ahead):
+            if len(inputs) != 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
+                self.fail(node, "an array and an index are wanted")
+            return self.four(*inputs) if known is four else self.fetch_ahead(*inputs)
         try:
             written = WRITTEN.get(known)
         except TypeError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from antdsl.machine_code.kernels.statements import Writer
 
 
+_TIED = 1.5 * 2.0**52  # added to a number, it leaves a whole one in the last bits of the sum
+
+
 def independent(begin: int, end: int) -> Iterator[int]:
     """Numbers from `begin` to before `end`, of a loop of which no turn reads what another one writes."""
     return iter(range(begin, end))
@@ -23,6 +27,20 @@ def independent(begin: int, end: int) -> Iterator[int]:
 def scratch(count: int, dtype: Any) -> Any:
     """Room for so many numbers, which a kernel has for itself; the count stands in the text."""
     return np.empty(count, dtype)
+
+
+def four(array: Any, at: int) -> tuple[Any, Any, Any, Any]:
+    """Four elements of an array with one axis that follow each other, read at once."""
+    return array[at], array[at + 1], array[at + 2], array[at + 3]
+
+
+def fetch_ahead(array: Any, at: int) -> None:
+    """Say that the line of memory with an element will be read soon; any index may be given."""
+
+
+def whole(value: float) -> int:
+    """A float64 as the whole number that is nearest, of which it has less than 51 bits; of any other some number."""
+    return round(value) if abs(value) < 2.0**51 else 0
 
 
 def as_bits(value: Any) -> Any:
@@ -87,6 +105,11 @@ def _bits(w: Writer, a: Number) -> Number:
     return w.op(f"bitcast {w.convert(a, DOUBLE).typed} to {text_type(INT, a.wide)}", INT, a.wide)
 
 
+def _whole(w: Writer, a: Number) -> Number:
+    bits = _bits(w, w.arithmetic(ast.Pass(), ast.Add(), a, constant(_TIED)))
+    return w.arithmetic(ast.Pass(), ast.Sub(), bits, constant(as_bits(_TIED)))
+
+
 def _float(w: Writer, a: Number) -> Number:
     return w.op(f"bitcast {a.typed} to {text_type(DOUBLE, a.wide)}", DOUBLE, a.wide)
 
@@ -108,5 +131,5 @@ WRITTEN: Mapping[Any, Callable[..., Number]] = {
     np.isfinite: _finite, math.isfinite: _finite, np.isnan: _nan, math.isnan: _nan, int: _to(INT), np.int64: _to(INT),
     np.intp: _to(INT), np.uint64: _to(UNSIGNED), float: _to(DOUBLE), np.float64: _to(DOUBLE), np.float32: _to(FLOAT),
     bool: _to(TRUTH), np.bool_: _to(TRUTH), np.int32: _narrowed(32, True), np.uint32: _narrowed(32, False),
-    as_bits: _bits, as_float: _float,
+    as_bits: _bits, as_float: _float, whole: _whole,
 }  # fmt: skip

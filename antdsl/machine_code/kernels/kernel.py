@@ -123,14 +123,18 @@ def kernel(function: Function) -> Kernel:
 def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
     """What an annotation names: a Scalar, an ArrayType, or a tuple of these."""
     if isinstance(node, ast.Name):
-        found = world.get(node.id, tuple)
-        return tuple(found.__args__) if isinstance(found, GenericAlias) else found
+        return _spread(world.get(node.id, tuple))
     if isinstance(node, ast.Subscript):
         inner = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         of = [_type(each, world) for each in inner]
         base = _type(node.value, world)
         return tuple(of) if base is tuple else base[of[0]]
     raise TypeError("an argument of a kernel has a type of `kernels`")
+
+
+def _spread(named: Any) -> Any:
+    """What a name stands for, where that may be `tuple[..]` of others."""
+    return tuple(_spread(each) for each in named.__args__) if isinstance(named, GenericAlias) else named
 
 
 def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> Item:

@@ -258,11 +258,12 @@ class SideBySide(Writer):
         self.variables[name] = Number(INT, lanes.name, None, True, at.name)
         self.block(body)
         self.turns.pop()
-        self.mask, self.open, self.variables, self.loops = None, True, known, loops
+        self.mask, self.open, self.variables, self.loops = None, True, dict(known), loops
         self.put(number, self.op(f"add {at.typed}, {WIDTH}", INT))
         self.jump(head)
         self.begin(done)
         super().counted(name, middle, end, 1, body)
+        self.variables = known  # what a turn has named is its own
 
     def called(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
         part = getattr(function, "part", None)

@@ -278,9 +278,6 @@ class Writer(Expressions):
         end = self.label("end")
         for item in items:
             following = self.label("next")
-            before = {name: self.variables.get(name) for name in _names(target)}
-            for name in before:
-                self.variables.pop(name, None)
             self.bind(node, target, item)
             self._body(Loop(following, end), lambda: self.block(body))
             self.begin(following)
@@ -308,6 +305,8 @@ class Writer(Expressions):
         at = self.op(f"load i64, ptr {number}", INT)
         self.branch(self.op(f"icmp {'slt' if step > 0 else 'sgt'} {at.typed}, {end.name}", TRUTH), inner, done)
         self.begin(inner)
+        if isinstance(self.variables.get(name), Number):  # left behind by a loop that was written out
+            del self.variables[name]
         self.assign(self.definition, name, at)
         self._body(Loop(following, done), write)
         self.begin(following)
@@ -359,9 +358,3 @@ def stored_names(definition: ast.FunctionDef) -> Iterator[str]:
 def target_of(node: ast.AugAssign) -> ast.expr:
     """What such a statement changes."""
     return node.target
-
-
-def _names(target: ast.expr) -> Iterator[str]:
-    for each in ast.walk(target):
-        if isinstance(each, ast.Name):
-            yield each.id
