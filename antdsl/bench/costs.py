@@ -79,10 +79,10 @@ class SetUp:
 @dataclass(frozen=True, slots=True)
 class Measured:
     """What a process found out. Of the first backend: `set_up`, `memory` (bytes that the process grew by at most, from before the
-    binding), `cached` (CPU and wall seconds of a step whose frame goes to a cache) and `counts` of one step (`counting`).
-    `state`: bytes of all that is kept of the agents; `nodes`: those of the plan; `neighbours`: how many others stand within the
-    case's sight, in the mean, after the last step; `told`: what is otherwise than asked, such as that NumPy has run where
-    machine code was to be measured, each sentence after the name of its backend."""
+    binding), `cached` (CPU and wall seconds of a step whose frame goes to a cache, CPU seconds of it without) and `counts` of
+    one step (`counting`). `state`: bytes of all that is kept of the agents; `nodes`: those of the plan; `neighbours`: how many
+    others stand within the case's sight, in the mean, after the last step; `told`: what is otherwise than asked, such as that
+    NumPy has run where machine code was to be measured, each sentence after the name of its backend."""
 
     job: Job
     agents: int
@@ -94,7 +94,7 @@ class Measured:
     nodes: int
     counts: dict[str, int]
     neighbours: float | None = None
-    cached: tuple[float, float] | None = None
+    cached: tuple[float, float, float] | None = None
     told: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
@@ -111,7 +111,7 @@ class Measured:
                 "job": Job.from_json(data["job"]),
                 "costs": {name: Cost(**cost) for name, cost in data["costs"].items()},
                 "set_up": SetUp(**data["set_up"]),
-                "cached": None if cached is None else (cached[0], cached[1]),
+                "cached": None if cached is None else (cached[0], cached[1], cached[2]),
                 "told": tuple(data.get("told", ())),
             }
         )

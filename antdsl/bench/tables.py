@@ -33,7 +33,7 @@ def backend_of(measured: Measured) -> str:
 
 SET_UP = ("start", "compile", "bind", "first step", "code", "code kept", "second step")
 HEADS = (
-    "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "cache, CPU ms",
+    "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "cache, CPU ms", "feet, CPU ms",
     "bytes per agent", "grew by, MiB", *(f"{name}, CPU s" for name in SET_UP),
 )  # fmt: skip
 
@@ -59,7 +59,7 @@ def whole_step(result: Result) -> list[list[str]]:
                 f"{1000 / max(cost.wall_ms, 1e-9):.1f}",
                 f"{1000 * cost.cpu_ms / max(found.agents, 1):.2f}",
                 ratio_text(found.ratios(name, BOUND)) if BOUND in found.costs else "",
-                "" if found.cached is None else f"{1000 * found.cached[0]:.2f}",
+                *("" if found.cached is None else f"{1000 * found.cached[k]:.2f}" for k in (0, 2)),
                 f"{found.state / max(found.agents, 1):,.0f}",
                 f"{found.memory / 2**20:,.0f}",
                 *set_up_of(found),

@@ -135,7 +135,7 @@ def _again(scene: Path, out: Path | None) -> str:
 
 def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool) -> Recording:
     from antdsl.cli.printing.reports import demand, show
-    from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, InTheWay
+    from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, InTheWay, OtherHashes
     from antdsl.outputs.recording import NothingToResume, begin
     from antdsl.outputs.starting import StartError
     from antdsl.runtime import BindError
@@ -157,7 +157,7 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
         ) from None
     except InTheWay as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
-    except DifferentInputs as why:
+    except (DifferentInputs, OtherHashes) as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
     except NothingToResume as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run without `--resume` to begin again") from None

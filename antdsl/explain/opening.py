@@ -10,6 +10,7 @@ from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.starting import StartError, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.runtime.hashing import STATE_HASH
 from antdsl.scene.values import FrameRange
 
 _SET = "--set "
@@ -33,6 +34,9 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     if spec:
         words = f"the cache was made by a spec that sets `{spec[0].removeprefix(_SPEC_SET)}`"
         raise ExplainError(words, "only caches of `antdsl run` can be explained")
+    if manifest.state_hash != STATE_HASH:
+        words = f"`{cache.folder}` was written by an antdsl that hashes states in another way"
+        raise ExplainError(words, "run the scene again: then a step that is done again can be held against the cache")
     params = {name.removeprefix(_SET): text for name, text in manifest.inputs.items() if name.startswith(_SET)}
     choices = Choices(grants or {}, FrameRange(manifest.first, manifest.last), manifest.seed, params)
     shot, report = open_scene(path, choices)

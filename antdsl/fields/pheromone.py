@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from functools import cached_property
 from typing import Any, Literal
 
@@ -47,7 +46,6 @@ class PheromoneField:
         self._pending = np.zeros(len(cells), np.int64)
         self._touched = False
         self._left: list[tuple[NDArray[np.integer[Any]], NDArray[np.float64]]] = []  # cells, and what claims have left in them
-        self._added: dict[str, NDArray[Any]] | None = None  # of a snapshot: as it was
         self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
 
     @property
@@ -90,8 +88,6 @@ class PheromoneField:
     @property
     def added(self) -> dict[str, NDArray[Any]]:
         """Cells added since the start, for `grow_again`; no entry where none can be."""
-        if self._added is not None:
-            return self._added
         return self.cells.added if isinstance(self.cells, GrowingCells) else {}
 
     def grow_again(self, keys: NDArray[np.int64], places: NDArray[np.float64]) -> None:
@@ -100,24 +96,6 @@ class PheromoneField:
         known = self.cells.used - self.cells.at_start
         self.cells.add(keys[known:], places[known:])
         self.grow(np.arange(self.cells.at_start, self.cells.used))
-
-    def show(self, values: NDArray[np.float64], added: dict[str, NDArray[Any]]) -> None:
-        """Let a snapshot hold other values, of as many cells as there are by then."""
-        if len(values) != len(self.values):
-            self._padded = np.zeros(len(values) + 1)
-        self._padded[:-1] = values
-        self._added = added
-
-    def snapshot(self) -> PheromoneField:
-        """This field with a copy of what its cells hold; deposits that have not landed are left out."""
-        found = copy(self)
-        found._padded = self._padded.copy()
-        found._pending, found._touched, found._left = np.zeros(0, np.int64), False, []
-        return found
-
-    def state_bytes(self) -> bytes:
-        """What a hash of the state has to cover, the same on every machine."""
-        return self.values.astype("<f8").tobytes()
 
     def deposit(self, cells: Cells, amounts: Floats) -> int:
         """Lay amounts in cells (-1 = nowhere), to be there after `step`. Returns how many were refused or cut.

@@ -112,12 +112,9 @@ class Solved(Flow):
         found: dict[str, NDArray[Any]] = {} if self.crowd is None else {"crowd": self.crowd}
         return found if self.renew is None else {**found, "c": self.c, "s": self.s}
 
-    def show(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
         for name, array in arrays.items():
             setattr(self, name, array)
-
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
-        self.show(arrays)
         if self.renew is None:
             self.solve()
 

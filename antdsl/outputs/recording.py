@@ -45,8 +45,7 @@ class Recording:
     surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None where those before are not known of
     steps: int = 0  # after the first
     seconds: dict[str, float] = field(default_factory=dict)
-    behind: dict[str, float] = field(default_factory=dict)  # of who writes, while the next frames are simulated
-    writer_memory: int = 0  # the most that the process that writes has used besides what it shares, in bytes; 0 for a thread
+    behind: dict[str, float] = field(default_factory=dict)  # of frames: made (part of `hand_over`), and written meanwhile
     started: float = field(default_factory=time.perf_counter)
     meter: Meter | None = None  # measures the steps after the first
 
@@ -202,8 +201,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
             _write(recording, writer)
             yield recording
         if recording.frame is not None and not _is_checkpoint(recording, recording.frame):
-            writer.put(world, "checkpoint")
-    recording.writer_memory = writer.memory
+            writer.put_checkpoint(world)
 
 
 def _advance(recording: Recording, what: str) -> None:
@@ -232,7 +230,9 @@ def _is_checkpoint(recording: Recording, frame: int) -> bool:
 def _write(recording: Recording, writer: CacheWriter) -> None:
     world = recording.world
     began = time.perf_counter()
-    writer.put(world, "frame", *(["checkpoint"] if _is_checkpoint(recording, world.frame) else []))
+    writer.put_frame(world)
+    if _is_checkpoint(recording, world.frame):
+        writer.put_checkpoint(world)
     recording.frame = world.frame
     recording.spend("hand_over", began)
 

@@ -31,7 +31,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "motion": world.motion.summary(),
         **({} if world.detail is None else {"lod": world.detail.summary(world)}),
         "state_hash": recording.hash,
-        "peak_memory": peak_memory() + recording.writer_memory,
+        "peak_memory": peak_memory(),
     }
 
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing
 from antdsl.runtime.feet import walking
-from antdsl.runtime.feet.state import KEPT, Feet, from_arrays
+from antdsl.runtime.feet.state import from_arrays
 from antdsl.runtime.motion_measures import Motion
-from antdsl.runtime.moving.moving_geometry import pose, pose_ground
+from antdsl.runtime.moving.moving_geometry import pose
 from antdsl.runtime.world import Population, World
 
 Arrays = dict[str, NDArray[Any]]
@@ -24,18 +24,6 @@ class CheckpointError(ValueError):
 
 def checkpoint(world: World) -> Arrays:
     """The state between two steps, by name; the arrays are copies."""
-    return {name: array.copy() for name, array in (state(world, history=True) | solid_state(world)).items()}
-
-
-def solid_state(world: World) -> Arrays:
-    """What was dug out of all solids so far, by name."""
-    return {f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.state().items()}
-
-
-def state(world: World, *, history: bool) -> Arrays:
-    """The state between two steps, by name, without the solids. The arrays are the world's own: to be copied before it goes on.
-
-    `history` adds what has no part in a frame but belongs to a checkpoint: what was counted and measured so far."""
     found: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
     for name, value in world.params.items():
         found[f"param.{name}"] = np.array(value)
@@ -53,38 +41,14 @@ def state(world: World, *, history: bool) -> Arrays:
         found |= {f"flow.{name}.{key}": array for key, array in flow.state().items()}
     for name, feet in world.feet.items():
         found |= {f"feet.{name}.{key}": array for key, array in feet.arrays().items()}
-    if history:
-        names = sorted(world.transitions)
-        found["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
-        found["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
-        if world.detail is not None:
-            found["lod.counts"] = world.detail.counts
-        found |= {f"motion.{name}": array for name, array in world.motion.arrays().items()}
-    return found
-
-
-def show(still: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Let a snapshot show another state of its world, given as by `state`. It shows these arrays for as long as they last: only
-    who lives and what is in fields is copied. Values of one step only stay as they were."""
-    still.frame = int(arrays["frame"])
-    for name, population in still.populations.items():
-        shown = {key: arrays[f"species.{name}.{key}"] for key in _arrays(population)}
-        if not np.array_equal(population.ids, shown["ids"]):
-            population.ids = shown["ids"].copy()
-            population.version += 1
-        population.born, population.quarantined, population.position = shown["born"], shown["quarantined"], shown["position"]
-        population.normal, population.footing = shown["normal"], _footing(population, shown)
-        population.events = {event: shown[f"event.{event}"] for event in population.events}
-        population.now |= {key.removeprefix("register."): shown[key] for key in shown if key.startswith("register.")}
-        population.next_id = int(arrays[f"species.{name}.next_id"])
-    for name, items in still.items.items():
-        items.amounts = {attribute: arrays[f"items.{name}.{attribute}"] for attribute in items.amounts}
-    for name, field in still.fields.items():
-        field.show(arrays[f"field.{name}"], {key: arrays[f"field.{name}.{key}"] for key in field.added})
-    for name, flow in still.flows.items():
-        flow.show({key: arrays[f"flow.{name}.{key}"] for key in flow.state()})
-    still.feet = {name: Feet(**{key: arrays[f"feet.{name}.{key}"] for key in KEPT}) for name in still.feet}
-    pose_ground(still, still.frame)
+    names = sorted(world.transitions)
+    found["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
+    found["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
+    if world.detail is not None:
+        found["lod.counts"] = world.detail.counts
+    found |= {f"motion.{name}": array for name, array in world.motion.arrays().items()}
+    found |= {f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.state().items()}
+    return {name: array.copy() for name, array in found.items()}
 
 
 def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,20 +52,7 @@ def _give(population: Population, entry: Asked, removed: NDArray[np.float64]) ->
         register[entry.rows] = (register[entry.rows].astype(np.float64) + removed).astype(np.float32)
 
 
-def handed_over(world: World) -> dict[str, NDArray[np.float64]]:
-    """The balls (k, 4: middle and radius) that were dug since this was asked last, by `solid.NAME.carved`."""
-    found: dict[str, NDArray[np.float64]] = {}
-    for name in world.solids:
-        balls = (world.carved or {}).pop(name, [])
-        found[f"solid.{name}.carved"] = np.concatenate([np.empty((0, 4)), *balls])
-    return found
-
-
-def dig_again(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Dig what `handed_over` tells of in another copy of the solids; twice is as once."""
-    world.carved = {}
-    for name, volume in world.solids.items():
-        balls = arrays.get(f"solid.{name}.carved")
-        if balls is not None and len(balls):
-            world.carved[name] = [balls]
-            volume.carve(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
+def dug_since(world: World) -> dict[str, NDArray[np.float64]]:
+    """The balls float64[k, 4] (middle and radius) that were dug since this was asked last, by solid; no entry where none were."""
+    found, world.carved = world.carved or {}, None if world.carved is None else {}
+    return {name: np.concatenate(balls) for name, balls in found.items() if sum(map(len, balls))}

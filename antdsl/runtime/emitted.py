@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +9,6 @@ from antdsl.plan import ir
 from antdsl.plan.traverse import placed
 from antdsl.runtime.world import Emitted, Population, World
 
-KEPT = ".emitted"  # how the names of these arrays end when they are handed over
 _KINDS = (("species", np.int16, ()), ("id", np.int64, ()), ("event", np.int16, ()), ("place", np.float64, (3,)),
           ("normal", np.float32, (3,)))  # fmt: skip
 
@@ -42,7 +38,7 @@ def note(world: World, population: Population, rows: NDArray[np.intp], event: st
     )  # fmt: skip
 
 
-def emitted_since(world: World) -> dict[str, NDArray[Any]]:
+def emitted_since(world: World) -> Emitted:
     """What was emitted since this was asked last, by species, id and event."""
     found, world.emitted = world.emitted or [], None if world.emitted is None else []
     arrays = {
@@ -50,10 +46,4 @@ def emitted_since(world: World) -> dict[str, NDArray[Any]]:
         for name, kind, wide in _KINDS
     }
     order = np.lexsort((arrays["event"], arrays["id"], arrays["species"]))
-    return {f"{name}{KEPT}": array[order] for name, array in arrays.items()}
-
-
-def emit_again(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Show another copy of the world what `emitted_since` tells of."""
-    if f"id{KEPT}" in arrays:
-        world.emitted = [Emitted(*(np.array(arrays[f"{name}{KEPT}"]) for name, _, _ in _KINDS))]
+    return Emitted(*(array[order] for array in arrays.values()))

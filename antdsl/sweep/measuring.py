@@ -10,7 +10,7 @@ from typing import Any
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.starting import start_from_cache
 from antdsl.outputs.summary import summary
-from antdsl.outputs.writer.frame_writer import surface_error
+from antdsl.outputs.surface_error import surface_error
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Built, Options, World, bind, state_hash, step
 from antdsl.sweep.jobs import Job, matches

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,7 +38,7 @@ def row(ground: str, legs: int, speed: float) -> str:
     slid = off = cycles = 0.0
     stood = hung = far = lifted = 0
     for _ in range(FRAMES):
-        before = world.feet["walker"].snapshot()
+        before = deepcopy(world.feet["walker"])
         step(world)
         feet = world.feet["walker"]
         both, moved = before.down & feet.down, feet.shown - before.shown

@@ -313,6 +313,12 @@ def test_other_texts_are_refused(copy: Cache) -> None:
     assert "--scene" in refused(copy, 1, 10, "bug").help
 
 
+def test_states_hashed_in_another_way_are_refused(copy: Cache) -> None:
+    path = copy.folder / "manifest.json"
+    path.write_text(path.read_text().replace('"state_hash": 2', '"state_hash": 1'))
+    assert "hashes states in another way" in str(refused(open_cache(copy.folder), 1, 10, "bug"))
+
+
 def test_a_damaged_checkpoint_is_passed_over_and_none_is_said(copy: Cache) -> None:
     points = copy.checkpoints()
     assert explain(copy, 1, 50, species="bug").checkpoint == 41

@@ -122,7 +122,6 @@ OWN_FILES = {
     "cli/printing/pages.py": "pages that come with antdsl",
     "diagnostics/sarif.py": "pages that come with antdsl",
     "lsp/features/tokens.py": "the grammar",
-    "outputs/writer/background.py": "the null device",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
     "outputs/writer/process_memory.py": "what the system tells about memory",
     "outputs/cache/npz.py": "files and folders just written, to see them on the disk",

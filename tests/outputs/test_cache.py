@@ -37,6 +37,7 @@ from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import open_scene
 from antdsl.runtime import CheckpointError, Options, bind, checkpoint, restore
 from antdsl.runtime.checkpoints import Arrays
+from antdsl.runtime.hashing import STATE_HASH
 
 ROOT = Path(__file__).resolve().parents[2]
 ARRAYS = {
@@ -222,19 +223,8 @@ def project(folder: Path, hills: bool = False) -> Path:
     return scene
 
 
-# How runs are started that write by a process of its own where that can be, and that never do.
-WAYS = {
-    "process": ["-m", "antdsl"],
-    "thread": [
-        "-c",
-        "from antdsl.outputs.writer import background; background.OWN_PROCESS = False; from antdsl.cli import main; main()",
-    ],
-}
-both_ways = pytest.mark.parametrize("way", sampled(WAYS, ("process",)))
-
-
-def start(scene: Path, *words: str, way: str = "process") -> subprocess.Popen[str]:
-    command = [sys.executable, *WAYS[way], "run", str(scene), "--threads", "1", *words]
+def start(scene: Path, *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "antdsl", "run", str(scene), "--threads", "1", *words]
     env = child_environment(NO_COLOR="1")
     return subprocess.Popen(
         command, env=env, cwd=scene.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
@@ -510,18 +500,14 @@ def test_a_checkpoint_that_somebody_has_made_is_refused_and_reads_no_other_memor
         restore(world, {**arrays, **STRANGE[kind](arrays)})  # type: ignore[dict-item]
 
 
-KILLED = [("process", 0), ("process", 7), ("process", 43), ("thread", 0), ("thread", 22)]
-
-
-@pytest.mark.parametrize("killed", sampled(KILLED, (("process", 7), ("thread", 22))), ids=str)
+@pytest.mark.parametrize("after", sampled([0, 7, 22, 43], [7, 22]))
 def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
-    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, killed: tuple[str, int]
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, after: int
 ) -> None:
     """Killed as soon as some frame is there, in the midst of whatever comes next; a half-written file is left behind as well."""
     scene = project(tmp_path / "p")
     folder = scene.parent / "out" / "scene"
-    way, after = killed
-    run = start(scene, way=way)
+    run = start(scene)
     began = time.monotonic()
     wanted = folder if after == 0 else frame_path(folder, after)
     while not wanted.exists() and run.poll() is None and time.monotonic() - began < 30:
@@ -541,12 +527,11 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
     assert not list((folder / "frames").glob(".*"))
 
 
-@both_ways
-def test_ctrl_c_leaves_a_cache_that_goes_on(unbroken: tuple[Path, dict[int, str]], tmp_path: Path, way: str) -> None:
+def test_ctrl_c_leaves_a_cache_that_goes_on(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
     """Ctrl-C in a terminal, which reaches all processes of the run."""
     scene = project(tmp_path / "p")
     folder = scene.parent / "out" / "scene"
-    run = start(scene, "--frames", "1..4000", way=way)
+    run = start(scene, "--frames", "1..4000")
     while not frame_path(folder, 12).exists() and run.poll() is None:
         time.sleep(0.001)
     os.killpg(run.pid, signal.SIGINT)
@@ -566,6 +551,18 @@ def test_other_inputs_are_named_and_not_continued(tmp_path: Path) -> None:
     program.write_text(program.read_text().replace("40 deg", "41 deg"))
     code, words = ran(scene, "--frames", "1..20", "--resume")
     assert code == 1 and "`walker.ant`" in words and "`scene`" not in words, words
+
+
+def test_states_hashed_in_another_way_are_told_and_not_compared(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+    """A cache from before has no word of how; its frames are read and verified as ever."""
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    scene, manifest = tmp_path / "p" / "scene.yaml", tmp_path / "p" / "out" / "scene" / "manifest.json"
+    said = json.loads(manifest.read_text())
+    assert said.pop("state_hash") == STATE_HASH
+    manifest.write_text(json.dumps(said))
+    stopped = CliRunner().invoke(app, ["run", str(scene), "--resume"]).exception
+    assert isinstance(stopped, Stop) and "hashes states in another way" in stopped.message
+    assert CliRunner().invoke(app, ["info", str(manifest.parent), "--verify"]).exit_code == 0
 
 
 def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, str]]) -> None:
@@ -626,14 +623,11 @@ def test_only_a_full_disk_is_to_be_made_room_on(
     assert isinstance(stopped, Stop) and advice in stopped.hint and f"`{tmp_path / 'out' / 'hashes.jsonl'}`" in stopped.message
 
 
-@both_ways
-def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(
-    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, way: str
-) -> None:
+def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
     """The system refuses to let any file grow beyond what a few frames' hashes need."""
     scene = project(tmp_path / "p")
     scene.write_text(SCENE.replace("count: 40", "count: 400"))
-    command = [sys.executable, *WAYS[way], "run", "scene.yaml", "--threads", "1"]
+    command = [sys.executable, "-m", "antdsl", "run", "scene.yaml", "--threads", "1"]
     env = child_environment()
     limit = f"import resource as r, os; r.setrlimit(r.RLIMIT_FSIZE, (20000, 20000)); os.execv({sys.executable!r}, {command!r})"
     done = subprocess.run([sys.executable, "-c", limit], env=env, cwd=scene.parent, capture_output=True, text=True, timeout=60)

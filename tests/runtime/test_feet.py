@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -67,7 +68,7 @@ def test_planted_feet_stay_where_they_are_on_the_ground(tmp_path: Path, ground: 
     leg = float(world.walkers["walker"].legs.length.min()) * stick_bodies.SIZE
     slid, off, stood, hung, lifted, cycles = 0.0, 0.0, 0, 0, 0, 0.0
     for _ in range(48):
-        before = feet_of(world).snapshot()
+        before = deepcopy(feet_of(world))
         step(world)
         feet = feet_of(world)
         both = before.down & feet.down
@@ -229,7 +230,7 @@ def test_feet_go_along_with_ground_that_moves_and_stand_still_on_it(tmp_path: Pa
     world = begun(stick_bodies.opened(path))
     for _ in range(58):  # until all have come to a stand
         step(world)
-    first = feet_of(world).snapshot()
+    first = deepcopy(feet_of(world))
     for _ in range(20):
         step(world)
     feet = feet_of(world)
@@ -252,7 +253,7 @@ def test_a_foot_whose_ground_is_dug_away_lifts_and_seeks_again(tmp_path: Path) -
     feet = feet_of(world)
     assert feet.down.all()
     dug = feet.place[:, 0, 1].copy()
-    others = feet.snapshot()
+    others = deepcopy(feet)
     world.solids["ground"].carve(dug[None], np.array([0.9]), np.array([0]))
     lifted = False
     for _ in range(30):

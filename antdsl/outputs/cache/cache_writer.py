@@ -4,12 +4,15 @@ simulation, checkpoints only after all frames before them are on the disk, hashe
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import (
@@ -27,9 +30,11 @@ from antdsl.outputs.cache.hashes import HASHES, hash_of_static, read_lines
 from antdsl.outputs.cache.lock import LOCK, FolderLock
 from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, write_manifest
 from antdsl.outputs.cache.npz import to_bytes, write_whole
+from antdsl.outputs.surface_error import surface_error
 from antdsl.outputs.writer.background import Behind
 from antdsl.outputs.writer.frame_writer import Scribe
-from antdsl.runtime import World, emitted_since, handed_over, snapshot, state
+from antdsl.runtime import World, checkpoint, feet_hash, state_hash
+from antdsl.runtime.hashing import STATE_HASH
 from antdsl.whole import PART
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -104,6 +109,13 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
     write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()), sync=True)
 
 
+class OtherHashes(Exception):
+    """The cache's states are hashed in another way than states are now, so that none can be held against them."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(f"`{folder}` was written by an antdsl that hashes states in another way")
+
+
 @dataclass(frozen=True, slots=True)
 class Whole:
     """What can be kept of a cache: `points` are the checkpoints one may go on from, the latest first. `there`: the last frame
@@ -119,7 +131,7 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
     """What can be kept of the cache to continue; None where there is nothing to continue.
 
     A checkpoint counts only when the file of every frame up to it has the bytes that were written. DifferentInputs when the cache
-    is of other inputs."""
+    is of other inputs, OtherHashes when its states cannot be compared."""
     try:
         cache = open_cache(folder)
     except ManifestError:
@@ -128,6 +140,8 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
     different = [name for name in {**then, **inputs} if then.get(name) != inputs.get(name)]
     if different:
         raise DifferentInputs(sorted(different))
+    if cache.manifest.state_hash != STATE_HASH:
+        raise OtherHashes(folder)
     lines, there = cache.lines(), max(cache.frames(), default=None)
     unbroken, broken = first - 1, None
     while unbroken < last and (broken := cache.damage(unbroken + 1, lines.get(unbroken + 1))) is None:
@@ -152,11 +166,11 @@ class CacheWriter:
     """Between `__enter__` and `__exit__` the folder is locked and frames can be put in. After an error nothing more is
     written.
 
-    `told` gets what a `Scribe` found out about each frame, some frames later, all when `__exit__` is through."""
+    `told` gets what was found out about each frame, some frames later, all when `__exit__` is through: `hash` and, of all frames
+    so far, `surface_error` (None where that of the frames before is not known) once it is written; `seconds` by name."""
 
-    def __init__(self, folder: Path, manifest: Manifest, told: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(self, folder: Path, manifest: Manifest, told: Callable[[Mapping[str, Any]], None]) -> None:
         self.folder, self.manifest = folder, manifest
-        self.memory = 0  # the most that a process that writes used besides what it shares, in bytes; known at the end
         self._told = told
         self._lock = FolderLock(folder)
         self._behind: Behind | None = None
@@ -178,10 +192,9 @@ class CacheWriter:
     def _end(self, behind: Behind, *, whole: bool) -> None:
         try:
             if whole:
-                behind.hand_over(["sync"], {})
+                behind.hand_over(self._scribe.sync)
         finally:
             behind.finish()
-            self.memory = behind.memory
         if whole:
             behind.check()
 
@@ -195,19 +208,40 @@ class CacheWriter:
         worst: float | None = 0.0,
     ) -> None:
         """Write what stands for the whole run. Frames above `kept_up_to` (all if None) of an earlier run are removed first, and
-        those checkpoints that are `damaged`. `worst`: the greatest surface error of the frames that are kept, as a `Scribe`
-        takes it."""
+        those checkpoints that are `damaged`. `worst`: the greatest surface error of the frames that are kept, None where it is
+        not known."""
         clear(self.folder, kept_up_to, damaged)
         data = to_bytes(static)
         write_whole(self.folder / STATIC, data, sync=True)
         write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(data)}))
         world.carved = {}
         world.emitted = [] if "emit" in maker.events else None
-        self._behind = Behind(Scribe(self.folder, snapshot(world), maker, worst).work, self._told)
+        self._maker, self._worst = maker, worst
+        self._scribe, self._behind = Scribe(self.folder), Behind(self._told)
 
-    def put(self, world: World, *jobs: str) -> None:
-        """Hand over the state between two steps; behind the caller's back the jobs (of `frame_writer.JOBS`) are done with it.
-
-        An error there or of the disk is raised by what is called next."""
+    def put_frame(self, world: World) -> None:
+        """Measure, hash and hand over the frame that a world stands at. An error of a frame before is raised."""
         assert self._behind is not None, "begin comes first"
-        self._behind.hand_over(jobs, state(world, history="checkpoint" in jobs) | handed_over(world) | emitted_since(world))
+        times = [time.perf_counter()]
+        self._worst = None if self._worst is None else max(self._worst, surface_error(world))
+        times.append(time.perf_counter())
+        state, feet = state_hash(world), feet_hash(world.feet)
+        times.append(time.perf_counter())
+        arrays = self._maker.frame(world)
+        times.append(time.perf_counter())
+        spent = dict(zip(("measure", "hash", "frame"), np.diff(times).tolist(), strict=True))
+        found = {"hash": state, "surface_error": self._worst}
+        scribe, frame = self._scribe, world.frame
+
+        def write() -> Mapping[str, Any]:
+            return {**found, "seconds": {**spent, **scribe.frame(frame, arrays, state, feet)["seconds"]}}
+
+        self._behind.hand_over(write)
+
+    def put_checkpoint(self, world: World) -> None:
+        """Hand over all that is needed to go on from the frame that was put in last."""
+        assert self._behind is not None, "begin comes first"
+        kept = checkpoint(world)
+        arrays = {"frame": kept["frame"], **{f"world.{name}": array for name, array in kept.items()}}
+        arrays |= {} if self._worst is None else {SURFACE_ERROR: np.array(self._worst)}
+        self._behind.hand_over(partial(self._scribe.checkpoint, world.frame, arrays))

@@ -36,7 +36,8 @@ def clips_playing(population: Population, rows: NDArray[np.intp]) -> dict[str, N
     found: dict[str, NDArray[Any]] = {}
     for machine in playing(population):
         now = {
-            field: population.now[f"{machine}.{register}"][rows].astype(kind) for field, (register, kind) in _REGISTERS.items()
+            field: population.now[f"{machine}.{register}"].take(rows).astype(kind, copy=False)
+            for field, (register, kind) in _REGISTERS.items()
         }
         three = bool(((now["earlier_fade"] > 0) & (now["fade"] > 0)).any())
         found |= {f"clips.{population.name}.{machine}.{field}": now[field] for field in FIELDS if three or field not in EARLIER}

@@ -15,25 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics.vectors import dot
+from antdsl.runtime import World, emitted_since
 from antdsl.runtime.moving.capsules import Crowd, Near, find
-from antdsl.runtime.world import World
 
 Arrays = dict[str, NDArray[Any]]
 
 
 def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
-    """The arrays of a frame. `scale`: scene units in a millimetre."""
+    """The arrays of a frame, of what was since the frame before. `scale`: scene units in a millimetre."""
     return {f"events.{kind}.{name}": array for kind in kinds for name, array in EVENTS[kind](world, scale).items()}
 
 
 def _emits(world: World, scale: float) -> Arrays:
-    found = world.emitted[0] if world.emitted else None
-    if found is None:
-        none = np.zeros((0, 3), np.float32)
-        return {"species": np.zeros(0, np.int16), "id": np.zeros(0, np.int64), "P": none, "N": none,
-                "event": np.zeros(0, np.int16)}  # fmt: skip
+    found = emitted_since(world)
     place = ((found.place + world.origin) * scale).astype(np.float32)
-    return {"species": found.species, "id": found.id, "P": place, "N": found.normal.astype(np.float32), "event": found.event}
+    return {"species": found.species, "id": found.id, "P": place, "N": found.normal, "event": found.event}
 
 
 def _contacts(world: World, scale: float) -> Arrays:

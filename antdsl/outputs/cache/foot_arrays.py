@@ -28,7 +28,7 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
     values: dict[str, NDArray[Any]] = {
         "P": place.astype(np.float32),
         "down": feet.down.astype(np.uint8),
-        "phase": feet.phase,
+        "phase": feet.phase.copy(),
         "rise": feet.rise * np.float32(scale),
         "tilt": quaternions(feet.slope),
     }

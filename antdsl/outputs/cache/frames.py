@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
+from antdsl.numerics import compiled
 from antdsl.outputs.cache.clip_arrays import clips_playing, playing
 from antdsl.outputs.cache.event_arrays import events_of
 from antdsl.outputs.cache.foot_arrays import placed_feet
@@ -35,8 +36,9 @@ from antdsl.outputs.flow_arrows import arrows
 from antdsl.plan.pair_registers import pair_values
 from antdsl.program.model import Dim, Kind, Program
 from antdsl.runtime.emitted import event_names
+from antdsl.runtime.hashing import STATE_HASH
 from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
-from antdsl.runtime.world import Population, World
+from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.setting import Setting
 
 Arrays = dict[str, NDArray[Any]]
@@ -76,7 +78,7 @@ class FrameMaker:
         rows = {name: world.populations[name].in_id_order() for name in sorted(world.populations)}
         for attribute in self.attributes:
             parts = [self._attribute(world, attribute, number, name, rows[name]) for number, name in enumerate(rows)]
-            arrays[attribute] = np.concatenate(parts)
+            arrays[attribute] = parts[0] if len(parts) == 1 else np.concatenate(parts)
         for name in rows:
             arrays |= clips_playing(world.populations[name], rows[name])
             arrays |= shown(world.populations[name], rows[name], world.setting)
@@ -84,7 +86,7 @@ class FrameMaker:
             arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
             values = np.asarray(field.values)
-            cells = np.flatnonzero(values)
+            cells = np.flatnonzero(values != 0)
             arrays[f"field.{name}.cells"] = cells.astype(np.int32)
             arrays[f"field.{name}.values"] = values[cells].astype(np.float32)
             if "places" in field.added:
@@ -129,20 +131,15 @@ class FrameMaker:
 
     def _attribute(self, world: World, attribute: str, number: int, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         population = world.populations[name]
-        if attribute == "P":
-            return ((population.position[rows] + world.origin) * self.scale).astype(np.float32)
-        if attribute == "v":
-            return _vector(population, "velocity", rows) * np.float32(self.scale)
-        if attribute == "orient":
-            return orientation(_vector(population, "heading", rows), _vector(population, "up", rows))
+        if attribute in ("P", "v", "orient"):
+            made = _made_compiled if compiled.wanted(len(rows)) else _made
+            return made(population, attribute, rows, world.origin, self.scale)
         if attribute == "id":
-            return population.ids[rows]
+            return population.ids.take(rows)
         if attribute == "pscale":
             return _register(population, "size", rows) * np.float32(self.scale)
         if attribute == "Cd":
-            return (
-                self.colours[name][_states(population, rows)] if population.plan.machines else np.ones((len(rows), 3), np.float32)
-            )
+            return self.colours[name].take(_states(population, rows), axis=0)
         if attribute == "state":
             return _states(population, rows).astype(np.int16)
         if attribute == "species":
@@ -152,6 +149,33 @@ class FrameMaker:
         if attribute not in population.plan.registers or attribute in self.pairs[name]:
             return np.full(len(rows), np.nan, np.float32)
         return _register(population, attribute, rows) * np.float32(self.factors.get((name, attribute), 1.0))
+
+
+def _made(
+    population: Population, attribute: str, rows: NDArray[np.intp], origin: NDArray[np.float64], scale: float
+) -> NDArray[np.float32]:
+    """`P`, `v` or `orient` of the agents at some rows, float32[k, 3 or 4]."""
+    if attribute == "P":
+        return ((population.position[rows] + origin) * scale).astype(np.float32)
+    if attribute == "v":
+        return _vector(population, "velocity", rows) * np.float32(scale)
+    return orientation(_vector(population, "heading", rows), _vector(population, "up", rows))
+
+
+def _made_compiled(
+    population: Population, attribute: str, rows: NDArray[np.intp], origin: NDArray[np.float64], scale: float
+) -> NDArray[np.float32]:
+    """The same by kernels."""
+    from antdsl.outputs.cache import frames_compiled as kernels
+
+    out = np.empty((len(rows), 4 if attribute == "orient" else 3), np.float32)
+    if attribute == "P":
+        kernels.places(population.position, rows, *origin, scale, out)
+    elif attribute == "v":
+        kernels.vectors(_columns(population, "velocity"), rows, scale, out)
+    else:
+        kernels.orientations(_columns(population, "heading"), _columns(population, "up"), rows, out)
+    return out
 
 
 def _plain_numbers(program: Program) -> set[str]:
@@ -180,7 +204,8 @@ def orientation(heading: NDArray[np.float32], up: NDArray[np.float32]) -> NDArra
     size = np.sqrt(above * above + beside * beside)
     cosine = np.where(size > 1e-12, above / np.maximum(size, 1e-30), 1.0)
     bw = np.sqrt(np.maximum(0.5 + 0.5 * cosine, 0.0))
-    bx = np.copysign(np.sqrt(np.maximum(0.5 - 0.5 * cosine, 0.0)), beside)
+    other = np.sqrt(np.maximum(0.5 - 0.5 * cosine, 0.0))
+    bx = np.where(np.signbit(beside) & (beside == beside), -other, other)  # what is no number may have any sign
     return np.stack([aw * bx, ay * bw + az * bx, az * bw - ay * bx, aw * bw], axis=1).astype(np.float32)
 
 
@@ -233,6 +258,7 @@ def describe(
     scale = 1.0 / setting.unit_mm
     return Manifest(
         antdsl=version,
+        state_hash=STATE_HASH,
         scene=scene,
         scene_path=scene_path,
         inputs=dict(inputs),
@@ -323,15 +349,19 @@ def _colours(population: Population) -> NDArray[np.float32]:
 
 def _states(population: Population, rows: NDArray[np.intp]) -> NDArray[np.int32]:
     machines = population.plan.machines
-    return population.now[f"{machines[0].name}.state"][rows] if machines else np.zeros(len(rows), np.int32)
+    return population.now[f"{machines[0].name}.state"].take(rows) if machines else np.zeros(len(rows), np.int32)
 
 
 def _register(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float32]:
-    return population.now[name][rows].astype(np.float32)
+    return population.now[name].take(rows).astype(np.float32, copy=False)
 
 
 def _vector(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float32]:
-    return np.stack([population.now[f"{name}.{axis}"][rows] for axis in "xyz"], axis=1).astype(np.float32)
+    return np.stack([column.take(rows) for column in _columns(population, name)], axis=1)
+
+
+def _columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:
+    return tuple(population.now[f"{name}.{axis}"] for axis in AXES)
 
 
 def _length_power(dim: Dim) -> float:

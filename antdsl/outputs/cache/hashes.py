@@ -11,7 +11,7 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.bounded import blocks, open_regular, read_bounded
-from antdsl.outputs.cache.npz import FILE_BYTES
+from antdsl.outputs.cache.npz import FILE_BYTES, Parts
 
 HASHES = "hashes.jsonl"
 _BYTES = 400 * limits.FRAMES
@@ -35,12 +35,12 @@ class Line:
         return json.dumps(words | {name: text for name, text in more.items() if text}).encode() + b"\n"
 
 
-def line_of(frame: int, state: str, data: bytes, feet: str = "") -> Line:
-    """The line for a frame with the state of a hash, whose file has these bytes, and with a hash of its feet."""
+def line_of(frame: int, state: str, data: bytes | Parts, feet: str = "") -> Line:
+    """The line for a frame with the state of a hash, whose file has these bytes (or parts), and with a hash of its feet."""
     return Line(state, _hashed(_of_frame(frame, state), data), feet=feet)
 
 
-def with_checkpoint(frame: int, line: Line, data: bytes) -> Line:
+def with_checkpoint(frame: int, line: Line, data: bytes | Parts) -> Line:
     """The line for a frame whose checkpoint's file has these bytes. It follows the one that the frame has already, and counts in
     its stead."""
     return replace(line, checkpoint=_hashed(_of_checkpoint(frame, line.hash), data))
@@ -120,7 +120,8 @@ def _of_checkpoint(frame: int, state: str) -> bytes:
     return f"checkpoint {frame} {state} ".encode()
 
 
-def _hashed(begin: bytes, data: bytes) -> str:
+def _hashed(begin: bytes, data: bytes | Parts) -> str:
     hashed = sha256(begin)
-    hashed.update(data)
+    for part in [data] if isinstance(data, bytes) else data:
+        hashed.update(part)
     return hashed.hexdigest()[:32]

@@ -133,8 +133,9 @@ class CameraEntry(Part):
 
 class Manifest(Part):
     """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
-    asked for; `events` the names that frames count. `static` is the hash of `static.npz`, None where none was kept. `scene_path`
-    leads from the cache's folder to the scene's file, where `way_to` knows one."""
+    asked for; `events` the names that frames count. `static` is the hash of `static.npz`, None where none was kept; `state_hash`
+    the way in which states are hashed, a `STATE_HASH`. `scene_path` leads from the cache's folder to the scene's file, where
+    `way_to` knows one."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -142,6 +143,7 @@ class Manifest(Part):
     scene_path: Way | None = None
     inputs: dict[Word, Word]
     static: Word | None = None
+    state_hash: int = 1
     units: Literal["mm", "cm", "m"]
     up: Literal["y", "z"]
     fps: Annotated[str, Field(pattern=r"^[0-9]{1,9}/[0-9]{1,9}$")]

@@ -5,10 +5,9 @@ here."""
 
 from __future__ import annotations
 
-import io
 import os
 import zipfile
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,20 @@ from antdsl.bounded import TooLarge, open_bounded
 from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
 from antdsl.whole import whole
 
-__all__ = ["ArrayFileError", "parse_npy", "read_npz", "sync_file", "sync_folder", "to_bytes", "to_member", "write_whole"]
+__all__ = [
+    "ArrayFileError",
+    "Parts",
+    "npz_parts",
+    "parse_npy",
+    "read_npz",
+    "sync_file",
+    "sync_folder",
+    "to_bytes",
+    "to_member",
+    "write_whole",
+]
+
+Parts = Sequence[bytes | memoryview]
 
 FILE_BYTES = 64 * limits.GIB
 _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written
@@ -28,11 +40,55 @@ _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever 
 
 def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """The bytes of an NPZ file with these arrays, in order."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED, allowZip64=True) as file:
+    return b"".join(npz_parts(arrays))
+
+
+def npz_parts(arrays: Mapping[str, NDArray[Any]]) -> Parts:
+    """The same as parts that are the file end to end. Those of arrays are the arrays' own memory, nothing of which may change
+    until they have been used."""
+    parts = _Parts()
+    with zipfile.ZipFile(parts, "w", zipfile.ZIP_STORED, allowZip64=True) as file:  # type: ignore[call-overload]
         for name, array in arrays.items():
-            file.writestr(zipfile.ZipInfo(f"{name}.npy", _STAMP), _npy(name, array))
-    return buffer.getvalue()
+            array = np.asarray(array, order="C")
+            kind = _kind(name, array.dtype)
+            entry, head = zipfile.ZipInfo(f"{name}.npy", _STAMP), _header(kind, array.shape)
+            entry.file_size = len(head) + array.nbytes
+            with file.open(entry, "w") as member:
+                member.write(head)
+                member.write(array.astype(kind, copy=False).reshape(-1).view(np.uint8).data)
+    return parts.parts
+
+
+class _Parts:
+    """What zipfile needs of a file that is written, kept as the parts that it writes. It goes back to a header alone, once all is
+    known that stands there."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes | memoryview] = []
+        self._at = self._end = 0
+        self._number: dict[int, int] = {}  # of the part that begins at a place
+
+    def write(self, data: bytes | memoryview) -> int:
+        size = len(data)
+        if self._at == self._end:
+            self._number[self._at] = len(self.parts)
+            self.parts.append(data)
+            self._end += size
+        else:
+            assert size == len(self.parts[self._number[self._at]])
+            self.parts[self._number[self._at]] = data
+        self._at += size
+        return size
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, place: int, whence: int = 0) -> int:
+        self._at = place
+        return place
+
+    def flush(self) -> None:
+        """Nothing is held back."""
 
 
 def to_member(
@@ -45,12 +101,6 @@ def to_member(
         member.write(_header(kind, shape))
         for part in parts:
             member.write(np.asarray(part, order="C").astype(kind, copy=False).tobytes())
-
-
-def _npy(name: str, array: NDArray[Any]) -> bytes:
-    array = np.asarray(array, order="C")
-    kind = _kind(name, array.dtype)
-    return b"".join((_header(kind, array.shape), array.astype(kind, copy=False).tobytes()))
 
 
 def _kind(name: str, dtype: np.dtype[Any]) -> str:
@@ -66,10 +116,11 @@ def _header(kind: str, shape: tuple[int, ...]) -> bytes:
     return MAGIC + len(header).to_bytes(2, "little") + header
 
 
-def write_whole(path: Path, data: bytes, *, sync: bool) -> None:
-    """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing."""
+def write_whole(path: Path, data: bytes | Parts, *, sync: bool) -> None:
+    """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing. `data`: its bytes, or
+    parts that are these end to end."""
     with whole(path) as part, open(part, "wb") as file:
-        file.write(data)
+        file.writelines([data] if isinstance(data, bytes) else data)
         if sync:
             file.flush()
             os.fsync(file.fileno())

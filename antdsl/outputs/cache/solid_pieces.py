@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, Bricks
-from antdsl.runtime.world import World
+from antdsl.runtime import World, dug_since
 
 Arrays = dict[str, NDArray[Any]]
 Piece = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -33,10 +33,10 @@ class PieceMaker:
     def frame(self, world: World) -> Arrays:
         """Arrays of the frame that the world stands at."""
         arrays: Arrays = {}
+        dug_now = dug_since(world)
         for name, volume in world.solids.items():
-            for balls in (world.carved or {}).get(name, []):
-                if len(balls):
-                    arrays[f"solid.{name}.balls"] = balls
+            if name in dug_now:
+                arrays[f"solid.{name}.balls"] = dug_now[name]
             if (world.frame - self.first) % self.every:
                 continue
             dug = self._dug.setdefault(name, {})

@@ -1,5 +1,5 @@
-"""Writing in a process of its own beside the simulation.
+"""Writing in a thread beside the simulation.
 
-`background` runs work in order in a process that was forked off, `shared_memory` hands it the arrays of a state,
-`frame_writer` is what it does with each: measure, hash, make a frame, write it. `memory` tells how much memory a process has
-used."""
+`background` does work in order in that thread, `frame_writer` is what it does: frames and checkpoints into files, and what is
+known of them. It is handed arrays that nobody changes any more, so that nothing is copied; checksums and writing leave
+the interpreter to the simulation. `process_memory` tells how much memory a process has used."""

@@ -28,20 +28,6 @@ def memory() -> tuple[int, int]:
         return peak_memory(), peak_memory()
 
 
-def own_peak_memory() -> int:
-    """The most memory that this process, forked from another, has used besides what it shares with that one, in bytes.
-
-    What is its own now, and what it has used at most beyond what it uses now: no less than the most, and next to it for a
-    process that does the same again and again. Without word of what is shared, all."""
-    try:
-        shared = _kilobytes(_ABOUT / "smaps_rollup")
-        whole = _kilobytes(_ABOUT / "status")
-        own = shared["Private_Clean"] + shared["Private_Dirty"]
-        return 1024 * (own + max(0, whole["VmHWM"] - whole["VmRSS"]))
-    except (OSError, KeyError):
-        return peak_memory()
-
-
 def _kilobytes(path: Path) -> dict[str, int]:
     """The amounts in a file with lines such as `VmRSS:  123 kB`."""
     found = {}

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from antdsl.numerics.row_hash import hashed_rows
+
 Array = NDArray[Any]
 
 STANDS = np.float32(-1)  # of `swing`
@@ -92,10 +94,6 @@ class Feet:
         """What is kept, by name: the arrays themselves."""
         return {name: getattr(self, name) for name in KEPT}
 
-    def snapshot(self) -> Feet:
-        """One whose arrays do not change with these."""
-        return Feet(**{name: _copied(name, array) for name, array in self.arrays().items()})
-
     def take(self, before: Feet) -> None:
         """Take over the feet of all who had some before."""
         at = np.minimum(np.searchsorted(before.ids, self.ids), max(len(before.ids) - 1, 0))
@@ -140,8 +138,8 @@ def feet_hash(feet: Mapping[str, Feet]) -> str:
     digest = sha256()
     for name in sorted(feet):
         digest.update(f"\0{name}\0{len(feet[name])}".encode())
-        for array in feet[name].arrays().values():
-            digest.update(np.ascontiguousarray(array).data)
+        columns = {key: np.moveaxis(array, _AXIS.get(key, 0), -1) for key, array in feet[name].arrays().items()}
+        digest.update(hashed_rows(columns.pop("ids"), columns))
     return digest.hexdigest()[:32]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +28,7 @@ from antdsl.specs.golden.fingerprints import columns, digest
 
 STATIONS = 48
 _BYTES = 64 * limits.MIB
+_FIRST = re.compile(rb'\s*\{\s*"golden"\s*:\s*1\b')  # of runs whose states were hashed as SHA-256 of all rows
 Word = Annotated[str, Field(max_length=2000)]
 Sums = tuple[Word, Word, Word]  # sum and weighted sum of the bits, hexadecimal; what is told of the values
 
@@ -54,7 +56,7 @@ class GoldenRun(Part):
 
 
 class Golden(Part):
-    golden: Literal[1]
+    golden: Literal[2]
     made: dict[Word, Word]
     runs: list[GoldenRun]
 
@@ -109,7 +111,10 @@ def here() -> dict[str, str]:
 def read_golden(path: Path) -> Golden | None:
     """The golden runs of a file, None where there is no file; GoldenError says what is wrong with one."""
     try:
-        return Golden.model_validate_json(read_bounded(path, _BYTES))
+        data = read_bounded(path, _BYTES)
+        if _FIRST.match(data):
+            raise GoldenError(f"`{path.name}` is of an antdsl that hashes states in another way, and cannot be compared")
+        return Golden.model_validate_json(data)
     except FileNotFoundError:
         return None
     except TooLarge:
@@ -122,7 +127,7 @@ def read_golden(path: Path) -> Golden | None:
 
 def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
     """Write golden runs, a line for each frame, so that a comparison of texts shows what changed."""
-    lines = [f'{{"golden": 1,\n"made": {json.dumps(here())},\n"runs": [']
+    lines = [f'{{"golden": 2,\n"made": {json.dumps(here())},\n"runs": [']
     ordered = sorted(runs, key=lambda run: (sorted(run.set.items()), run.seed))
     for number, run in enumerate(ordered):
         head = f'{{"set": {json.dumps(run.set, ensure_ascii=False)}, "seed": {run.seed},\n"summary": {{\n'

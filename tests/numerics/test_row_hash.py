@@ -1,0 +1,107 @@
+"""The hash of rows: any order and split of the rows gives it, anything else that differs another; kernels give the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from compilers import need_llvmlite
+from numpy.typing import NDArray
+
+from antdsl.numerics import compiled, row_hash
+from antdsl.numerics.row_hash import hashed_rows
+
+Columns = dict[str, NDArray[np.generic]]
+
+
+def table(count: int) -> tuple[NDArray[np.int64], Columns]:
+    """Columns of all sizes, an odd number of 32-bit halves among them, with values that repeat and many zeros."""
+    rng = np.random.default_rng(count)
+    columns: Columns = {
+        "f8": rng.normal(size=count), "zero": np.zeros(count), "f4": rng.normal(size=count).astype(np.float32),
+        "flag": rng.random(count) < 0.5, "i2": rng.integers(-3, 3, count).astype(np.int16), "i8": rng.integers(0, 3, count),
+        "i4": rng.integers(-2, 2, count).astype(np.int32), "place": rng.normal(size=(3, count)).astype(np.float32),
+        "same": np.ones(count, np.float32), "also": np.ones(count, np.float32),
+    }  # fmt: skip
+    return rng.permutation(count).astype(np.int64) * 7, columns
+
+
+def kernels(monkeypatch: pytest.MonkeyPatch, on: bool) -> None:
+    if on:
+        need_llvmlite()
+    monkeypatch.setattr(compiled, "wanted", lambda count: on)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 5, 1000, row_hash.BLOCK, 2 * row_hash.BLOCK + 3])
+def test_kernels_give_the_bits_of_numpy(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    ids, columns = table(count)
+    found = []
+    for on in (False, True):
+        kernels(monkeypatch, on)
+        found.append((hashed_rows(ids, columns), row_hash.row_hash(None, [columns["f8"], columns["f4"]])))
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("on", [False, True], ids=["numpy", "kernels"])
+def test_the_order_of_rows_and_how_arrays_lie_change_nothing(monkeypatch: pytest.MonkeyPatch, on: bool) -> None:
+    ids, columns = table(row_hash.BLOCK + 100)
+    kernels(monkeypatch, on)
+    whole = hashed_rows(ids, columns)
+    order = np.random.default_rng(1).permutation(len(ids))
+    assert hashed_rows(ids[order], {name: array[..., order] for name, array in columns.items()}) == whole
+    assert hashed_rows(ids, {name: np.asfortranarray(array) for name, array in columns.items()}) == whole
+    monkeypatch.setattr(row_hash, "BLOCK", 37)
+    assert hashed_rows(ids, columns) == whole
+
+
+@pytest.mark.parametrize("on", [False, True], ids=["numpy", "kernels"])
+def test_every_change_is_seen(monkeypatch: pytest.MonkeyPatch, on: bool) -> None:
+    ids, columns = table(9)
+    kernels(monkeypatch, on)
+    seen = {hashed_rows(ids, columns)}
+
+    def differs(ids: NDArray[np.int64], columns: Columns) -> None:
+        found = hashed_rows(ids, columns)
+        assert found not in seen
+        seen.add(found)
+
+    for name, array in columns.items():
+        raw = np.ascontiguousarray(array).view(np.uint8).reshape(-1)
+        for bit in range(8 * raw.size):  # every bit of every value; a flag has one
+            if array.dtype == np.bool_ and bit % 8:
+                continue
+            changed = raw.copy()
+            changed[bit // 8] ^= 1 << bit % 8
+            differs(ids, columns | {name: changed.view(array.dtype).reshape(array.shape)})
+    for one in range(len(ids)):
+        more = ids.copy()
+        more[one] += 1
+        differs(more, columns)
+    swapped = np.arange(9)
+    swapped[[2, 6]] = swapped[[6, 2]]
+    differs(ids[swapped], columns)  # two agents change all that they are
+    for name in ("f8", "f4", "place", "i8"):
+        differs(ids, columns | {name: columns[name][..., swapped]})
+    differs(ids, columns | {"f4": columns["same"], "same": columns["f4"]})
+    differs(ids, columns | {"place": columns["place"][[1, 0, 2]]})
+    differs(ids, {"other" if name == "same" else name: array for name, array in columns.items()})
+    differs(ids[:-1], {name: array[..., :-1] for name, array in columns.items()})
+    differs(np.append(ids, 1000), {name: np.append(array, array[..., :1] * 0, axis=-1) for name, array in columns.items()})
+
+
+def test_tables_that_differ_little_have_numbers_that_differ_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 4,000 tables that count up no two agree, in neither half; each bit is set in about half of them."""
+    kernels(monkeypatch, False)
+    found = [
+        row_hash.row_hash(np.zeros(1, np.int64), [np.array([k % 100]), np.array([k // 100], np.int32)]) for k in range(4_000)
+    ]
+    halves = np.frombuffer(b"".join(found), np.uint64).reshape(-1, 2)
+    assert all(len(np.unique(half)) == 4_000 for half in halves.T)
+    share = np.unpackbits(np.frombuffer(b"".join(found), np.uint8).reshape(-1, 16), axis=1).mean(axis=0)
+    assert np.abs(share - 0.5).max() < 0.04
+
+
+def test_numbers_are_these() -> None:
+    """What is kept by one version is held against by another, on any processor."""
+    ids, columns = np.array([3, 1], np.int64), {"x": np.array([1.5, -0.0]), "n": np.array([7, 9], np.int32)}
+    assert row_hash.row_hash(ids, list(columns.values())).hex() == "6c6528ad5946376db350e10234b09e90"
+    assert row_hash.row_hash(None, [np.array([0.0, 1.0])]).hex() == "0609ad30bccd182a2c957d93e52e48cf"
