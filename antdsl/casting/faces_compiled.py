@@ -17,10 +17,10 @@ def hits(  # type: ignore[no-untyped-def]
     it is hit, and a hair as a part of the way."""
     for i in range(named.size):
         x, y, z = way[i, 0], way[i, 1], way[i, 2]
-        a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
+        a, w = (origin[i, 0], origin[i, 1], origin[i, 2]), (x, y, z)
         h = hair / np.sqrt((x * x + y * y) + z * z)
         face = named[i]
-        t, w0, w1, w2, least = _crossing(planes, face, a, b, c, x, y, z)
+        t, w0, w1, w2, least = _crossing(planes, face, a, w)
         short[i], here[i], hit[i] = h, t, least >= -CLOSED and abs(t) < np.inf and t > h
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         if not abs(least) > rims[face]:
@@ -28,7 +28,7 @@ def hits(  # type: ignore[no-untyped-def]
             place = weld[3 * face + _heaviest(w0, w1, w2)]
             most = at[i] + ahead * h
             for k in range(first[place], first[place + 1]):
-                t, w0, w1, w2, least = _crossing(planes, faces[k], a, b, c, x, y, z)
+                t, w0, w1, w2, least = _crossing(planes, faces[k], a, w)
                 good = least >= -CLOSED and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
                 if good and (not hit[i] or t < here[i]):
                     named[i], here[i], hit[i] = faces[k], t, True
@@ -41,30 +41,34 @@ def nearest(planes, rims, weld, first, faces, corners, points, face, place, squa
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
         f = face[i]
-        q = _nearest(corners, f, p)
-        d = _square(minus(q, p))
+        q = nearest_on(corners, f, p)
+        d = square_of(minus(q, p))
         place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
-        w1, w2 = _along(planes, f, 1, q[0], q[1], q[2]), _along(planes, f, 2, q[0], q[1], q[2])
+        w1, w2 = along(planes, f, 1, q), along(planes, f, 2, q)
         w0 = (1.0 - w1) - w2
         if not _least(w0, w1, w2) > rims[f]:
             at = weld[3 * f + _heaviest(w0, w1, w2)]
             begin = True
             for k in range(first[at], first[at + 1]):
-                q = _nearest(corners, faces[k], p)
-                d = _square(minus(q, p))
+                q = nearest_on(corners, faces[k], p)
+                d = square_of(minus(q, p))
                 if begin or d < square[i]:
                     face[i], begin = faces[k], False
                     place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
 
 
 @njit(inline="always")
-def _along(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
-    return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
+def along(planes, face, row, a):  # type: ignore[no-untyped-def]
+    """One row of a face's `planes`, of which all twelve numbers stand side by side, for a place."""
+    k = 4 * row
+    return ((planes[face, k] * a[0] + planes[face, k + 1] * a[1]) + planes[face, k + 2] * a[2]) + planes[face, k + 3]
 
 
 @njit(inline="always")
-def _towards(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
-    return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
+def towards(planes, face, row, w):  # type: ignore[no-untyped-def]
+    """The same for a way."""
+    k = 4 * row
+    return (planes[face, k] * w[0] + planes[face, k + 1] * w[1]) + planes[face, k + 2] * w[2]
 
 
 @njit(inline="always")
@@ -86,16 +90,16 @@ def _heaviest(a, b, c):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _crossing(planes, face, a, b, c, x, y, z):  # type: ignore[no-untyped-def]
-    t = -_along(planes, face, 0, a, b, c) / _towards(planes, face, 0, x, y, z)
-    w1 = _along(planes, face, 1, a, b, c) + t * _towards(planes, face, 1, x, y, z)
-    w2 = _along(planes, face, 2, a, b, c) + t * _towards(planes, face, 2, x, y, z)
+def _crossing(planes, face, a, w):  # type: ignore[no-untyped-def]
+    t = -along(planes, face, 0, a) / towards(planes, face, 0, w)
+    w1 = along(planes, face, 1, a) + t * towards(planes, face, 1, w)
+    w2 = along(planes, face, 2, a) + t * towards(planes, face, 2, w)
     w0 = (1.0 - w1) - w2
     return t, w0, w1, w2, _least(w0, w1, w2)
 
 
 @njit(inline="always")
-def _square(a):  # type: ignore[no-untyped-def]
+def square_of(a):  # type: ignore[no-untyped-def]
     return dot(a, a)
 
 
@@ -105,11 +109,11 @@ def _on(a, v, s):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nearest(corners, face, p):  # type: ignore[no-untyped-def]
-    """As `nearest_on_triangle`."""
-    a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])
-    b = (corners[face, 1, 0], corners[face, 1, 1], corners[face, 1, 2])
-    c = (corners[face, 2, 0], corners[face, 2, 1], corners[face, 2, 2])
+def nearest_on(corners, face, p):  # type: ignore[no-untyped-def]
+    """As `nearest_on_triangle`, of a row of nine coordinates."""
+    a = (corners[face, 0], corners[face, 1], corners[face, 2])
+    b = (corners[face, 3], corners[face, 4], corners[face, 5])
+    c = (corners[face, 6], corners[face, 7], corners[face, 8])
     u, v, w = minus(b, a), minus(c, a), minus(p, a)
     uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
     size = uu * vv - uv * uv
@@ -124,7 +128,7 @@ def _nearest(corners, face, p):  # type: ignore[no-untyped-def]
         length = dot(side, side)
         s = min(max(dot(minus(p, start), side) / (length if length > 0 else 1.0), 0.0), 1.0)
         place = _on(start, side, s)
-        here = _square(minus(place, p))
+        here = square_of(minus(place, p))
         if here < gap:
             best, gap = place, here
     return best
