@@ -22,7 +22,9 @@ from antdsl.numerics.vector_rows import dot
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
-Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats]
+Singles = NDArray[np.float32]
+Columns = tuple[Singles, Singles, Singles]
+Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Singles, Floats, Floats, Floats]
 
 NOTHING, FURTHER = -1, -2  # instead of a face: there is none, and the grid cannot tell
 LONGEST = 48.0  # cubes that a ray crosses: of more, a tree asks about fewer
@@ -36,10 +38,10 @@ _THIN = 1e-8  # sine of the corner of a face, below which its plane is noise and
 
 
 class TriangleGrid:
-    """A grid of all faces. `tables`: lowest corner and edge (mm, float64[4]), cubes along each axis int64[3], where the faces of
-    each cube begin and their numbers, int32, then planes (m, 12), corners (m, 9) and unit normals (m, 3) of the faces."""
+    """A grid of all faces. `tables`: lowest corner, edge, error of a bound, hair, origin (mm, float64[9]), and the cubes along each axis, int64[3]; where the faces of each cube begin and their numbers, int32; of each of these, side by side, its plane and a
+    ball around it, float32[e,4]; planes (m, 12), corners (m, 9) and unit normals (m, 3) of all faces."""
 
-    def __init__(self, faces: Faces, planes: Floats, width: float) -> None:
+    def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats) -> None:
         corners = faces.corners
         low = corners.min(axis=(0, 1)) - width / 4
         size = np.floor((corners.max(axis=(0, 1)) + width / 4 - low) / width).astype(np.int64) + 1
@@ -51,28 +53,33 @@ class TriangleGrid:
         cells, listed = np.divmod(np.unique(np.concatenate(keys)), count)
         first = np.zeros(int(np.prod(size)) + 1, np.int32)
         np.cumsum(np.bincount(cells, minlength=len(first) - 1), out=first[1:])
-        every = np.arange(count)
+        normals = faces.normal(np.arange(count))
+        plane, ball = _bounds(corners, normals)
+        off = 1e-6 * (float(np.abs(corners).max()) + (LONGEST + RINGS) * width)  # several times what float32 makes of it
         self.hair, self.width = faces.hair, width
         self.tables: Tables = (
-            np.append(low, width),
+            np.array([*low, width, off, faces.hair, *origin]),  # the grid's lowest corner and the world's place of its zero
             size,
             first,
             listed.astype(np.int32),
+            plane[listed],
+            ball[listed],
             np.ascontiguousarray(_sound(corners, planes)),
             np.ascontiguousarray(corners.reshape(-1, 9)),
-            np.ascontiguousarray(faces.normal(every)),
+            normals,
         )
         many = np.diff(first).astype(np.float64)
         self.crowded = float((many * many).sum() / max(many.sum(), 1.0))
 
     @staticmethod
-    def of(faces: Faces) -> TriangleGrid | None:
-        """A grid where one is of use and not too large: its size is reckoned before anything is allocated."""
+    def of(faces: Faces, origin: Floats) -> TriangleGrid | None:
+        """A grid where one is of use and not too large: its size is reckoned before anything is allocated. `origin`: where in the
+        world the faces' zero is."""
         tables = faces.tables()
         width = None if tables is None else _width(faces.corners)
         if tables is None or width is None:
             return None
-        grid = TriangleGrid(faces, tables[0], width)
+        grid = TriangleGrid(faces, tables[0], width, origin)
         return grid if grid.crowded <= _CROWDED else None
 
     # ---- rays
@@ -84,7 +91,7 @@ class TriangleGrid:
             from antdsl.casting import triangle_grid_compiled
 
             t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
-            triangle_grid_compiled.firsts(self.tables, self.hair, *compiled.plain(origin, way), t, face)
+            triangle_grid_compiled.firsts(self.tables, *compiled.plain(origin, way), t, face)
             return t, face
         with np.errstate(all="ignore"):
             return self._first(origin, way)
@@ -101,7 +108,7 @@ class TriangleGrid:
         row, other = self._listed(asked[which], cell)
         part = np.empty(len(row))
         good = np.empty(len(row), np.bool_)
-        planes = self.tables[4].reshape(-1, 3, 4)
+        planes = self.tables[6].reshape(-1, 3, 4)
         for piece in _pieces(len(row)):
             part[piece], good[piece] = _crossing(planes.take(other[piece], axis=0), origin[row[piece]], way[row[piece]])
         good = np.flatnonzero(good & (part > hair[row]) & (part <= 1.0))
@@ -141,7 +148,38 @@ class TriangleGrid:
         step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
         return np.repeat(which, count), faces.take(np.repeat(begin, count) + step).astype(np.int64)
 
+    def feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, Singles, Index]:
+        """What feelers touch that are as long as `reach`, from places along unit directions, float32 columns in the world: its
+        distance (inf = nothing), the unit normal towards the asker, float32[3,n], and who has to ask elsewhere. Compiled."""
+        from antdsl.casting import triangle_grid_compiled
+
+        n = len(reach)
+        t, normal, further = np.empty(n, np.float32), np.empty((3, n), np.float32), np.empty(n, np.int64)
+        count = triangle_grid_compiled.feelers(self.tables, compiled.plain(*place, *direction, reach), t, normal, further)
+        return t, normal, further[:count]
+
+    def felt(
+        self, place: Columns, rows: Index, way: Columns, reach: Singles, clear: Singles, found: tuple[NDArray[np.bool_], Singles, Singles]
+    ) -> Index:
+        """As `feelers`, for some rows of all places [n] and of how far these have no face (`clear`), with ways [k] of any length
+        and reaches [k]; into `found` (whether, distance, normal [3,k]) of those who touch something. Compiled."""
+        from antdsl.casting import triangle_grid_compiled
+
+        further = np.empty(len(rows), np.int64)
+        columns, ways = compiled.plain(*place, clear), compiled.plain(*way, reach)
+        return further[: triangle_grid_compiled.felt(self.tables, columns, rows, ways, *found, further)]
+
     # ---- nearest faces
+
+    def apart(self, place: Columns) -> tuple[Singles, Singles, Index]:
+        """How far (mm) places are out of the faces, below 0 behind the nearest, the unit way out, float32[3,n], and who has to ask
+        elsewhere. Compiled."""
+        from antdsl.casting import triangle_grid_compiled
+
+        n = len(place[0])
+        gap, out, further = np.empty(n, np.float32), np.empty((3, n), np.float32), np.empty(n, np.int64)
+        count = triangle_grid_compiled.apart(self.tables, compiled.plain(*place), gap, out, further)
+        return gap, out, further[:count]
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """The place nearest to each point [n,3], its square distance and its face; FURTHER where none is near enough to tell."""
@@ -158,9 +196,9 @@ class TriangleGrid:
         low, width, size = self.tables[0][:3], self.tables[0][3], self.tables[1]
         place, square, face = points.copy(), np.full(len(points), np.inf), np.full(len(points), FURTHER)
         at = (points - low) * (1.0 / width)
-        rows = np.flatnonzero(np.isfinite(at).all(axis=1))
-        middle = np.minimum(np.maximum(np.floor(np.fmin(np.fmax(at, 0.0), 1e9)), 0), size - 1).astype(np.int64)
-        corners = self.tables[5].reshape(-1, 3, 3)
+        rows = np.flatnonzero(((at >= -RINGS) & (at <= size + RINGS)).all(axis=1))
+        middle = np.minimum(np.floor(np.fmin(np.fmax(at, 0.0), size)), size - 1).astype(np.int64)
+        corners = self.tables[7].reshape(-1, 3, 3)
         for ring in range(RINGS + 1):
             cell, which = _ring(middle[rows], ring, size)
             row, other = self._listed(rows[which], cell)
@@ -228,6 +266,16 @@ def _width(corners: Floats) -> float | None:
             return width
         width *= 1.25
     return None
+
+
+def _bounds(corners: Floats, normals: Floats) -> tuple[Singles, Singles]:
+    """Planes (unit normal and -distance from the origin) and balls (middle, in the plane, and radius) of faces, float32[m,4]."""
+    plane = np.concatenate([normals, -dot(normals, corners[:, 0])[:, None]], axis=1)
+    middle = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+    away = corners - middle[:, None]
+    radius = np.sqrt(((away[:, :, 0] ** 2 + away[:, :, 1] ** 2) + away[:, :, 2] ** 2).max(axis=1))
+    ball = np.concatenate([middle, radius[:, None]], axis=1)
+    return plane.astype(np.float32), ball.astype(np.float32)
 
 
 def _sound(corners: Floats, planes: Floats) -> Floats:

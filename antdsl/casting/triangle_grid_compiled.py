@@ -5,20 +5,101 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.casting.faces_compiled import along, nearest_on, square_of, towards
-from antdsl.casting.tolerances import CLOSED
+from antdsl.casting.tolerances import CLOSED, FAR_OFF, SHORTEST, TOUCHING
 from antdsl.casting.triangle_grid import FURTHER, LONGEST, NOTHING, RINGS
 from antdsl.numerics.kernel_cache import njit
 from antdsl.numerics.vectors_compiled import minus
 
+ONE, SLACK, TINY = np.float32(1), np.float32(FAR_OFF), np.float32(SHORTEST)
 _STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its layer
-_TOUCHING = 1e-6  # mm: nearer than this the face itself says which way is out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def firsts(grid, hair, origin, way, t, face):  # type: ignore[no-untyped-def]
+def firsts(grid, origin, way, t, face):  # type: ignore[no-untyped-def]
     """As `TriangleGrid.first`, into the last two arrays."""
     for i in range(face.size):
-        t[i], face[i] = _first(grid, hair, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
+        t[i], face[i] = _first(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def feelers(grid, rays, t, normal, further):  # type: ignore[no-untyped-def]
+    """As `TriangleGrid.feelers`, into the last three arrays; how many have to ask elsewhere."""
+    x, y, z, dx, dy, dz, reach = rays
+    count = 0
+    for i in range(t.size):
+        t[i] = np.inf
+        normal[0, i], normal[1, i], normal[2, i] = 0.0, 0.0, 0.0
+        n, face = _feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
+        if face >= 0:
+            t[i] = np.float32(n[3])
+            normal[0, i], normal[1, i], normal[2, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+        elif face == FURTHER:
+            further[count] = i
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def felt(grid, places, rows, ways, hit, t, normal, further):  # type: ignore[no-untyped-def]
+    """As `TriangleGrid.felt`, into the last four arrays; how many have to ask elsewhere."""
+    x, y, z, clear = places
+    wx, wy, wz, reach = ways
+    count = 0
+    for i in range(rows.size):
+        row, far = rows[i], reach[i]
+        if not (far > 0 and far < np.inf and clear[row] <= far * (ONE + SLACK) + SLACK):
+            continue
+        size = np.sqrt((wx[i] * wx[i] + wy[i] * wy[i]) + wz[i] * wz[i])
+        if not (size > TINY and size < np.inf):
+            continue
+        n, face = _feel(grid, (x[row], y[row], z[row]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
+        if face >= 0:
+            hit[i], t[i] = True, np.float32(n[3])
+            normal[0, i], normal[1, i], normal[2, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+        elif face == FURTHER:
+            further[count] = i
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
+    """The normal of what a feeler touches, towards the asker, and after how many mm; and the face."""
+    shape, normals = grid[0], grid[8]
+    far = np.float64(reach)
+    a = np.float64(p[0]) - shape[6], np.float64(p[1]) - shape[7], np.float64(p[2]) - shape[8]
+    w = np.float64(d[0]) * far, np.float64(d[1]) * far, np.float64(d[2]) * far
+    t, face = _first(grid, a, w)
+    if face < 0:
+        return (0.0, 0.0, 0.0, np.inf), face
+    x, y, z = normals[face, 0], normals[face, 1], normals[face, 2]
+    if (x * w[0] + y * w[1]) + z * w[2] > 0:
+        x, y, z = -x, -y, -z
+    return (x, y, z, t * far), face
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def apart(grid, places, gap, out, further):  # type: ignore[no-untyped-def]
+    """As `TriangleGrid.apart`, into the last three arrays; how many have to ask elsewhere."""
+    x, y, z = places
+    shape, normals = grid[0], grid[8]
+    count = 0
+    for i in range(gap.size):
+        p = np.float64(x[i]), np.float64(y[i]), np.float64(z[i])
+        square, face, q = _nearest(grid, (p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]))
+        if face < 0:
+            further[count] = i
+            count += 1
+            continue
+        distance = np.sqrt(square)
+        n = normals[face, 0], normals[face, 1], normals[face, 2]
+        away = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
+        side = -1.0 if (away[0] * n[0] + away[1] * n[1]) + away[2] * n[2] < 0 else 1.0
+        gap[i] = np.float32(distance * side)
+        part = side / max(distance, TOUCHING)
+        for k in range(3):
+            out[k, i] = np.float32(n[k] if distance < TOUCHING else away[k] * part)
+    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -31,9 +112,9 @@ def nearests(grid, points, place, square, face):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _first(grid, hair, a, w):  # type: ignore[no-untyped-def]
+def _first(grid, a, w):  # type: ignore[no-untyped-def]
     """After what part of its way a ray meets its first face, and which."""
-    shape, size, first, listed, planes = grid[0], grid[1], grid[2], grid[3], grid[4]
+    shape, size, first, listed, flat, ball, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5], grid[6]
     part = 1.0 / shape[3]
     px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
     dx, dy, dz = w[0] * part, w[1] * part, w[2] * part
@@ -55,12 +136,22 @@ def _first(grid, hair, a, w):  # type: ignore[no-untyped-def]
     y = min(max(np.int64(np.floor(py + dy * begin)), 0), size[1] - 1)
     z = min(max(np.int64(np.floor(pz + dz * begin)), 0), size[2] - 1)
     ux, uy, uz = 1 if dx > 0 else 0, 1 if dy > 0 else 0, 1 if dz > 0 else 0
-    h = hair / np.sqrt((w[0] * w[0] + w[1] * w[1]) + w[2] * w[2])
-    best, face = np.inf, NOTHING
-    most = 1.0
+    square = (w[0] * w[0] + w[1] * w[1]) + w[2] * w[2]
+    h, over, off = shape[5] / np.sqrt(square), 1.0 / square, shape[4]
+    best, face, most = np.inf, NOTHING, 1.0
     while True:
         cell = (x * size[1] + y) * size[2] + z
         for k in range(first[cell], first[cell + 1]):
+            # Most faces lie with their whole plane on one side of the ray, or with their ball beside it.
+            here = ((flat[k, 0] * a[0] + flat[k, 1] * a[1]) + flat[k, 2] * a[2]) + flat[k, 3]
+            there = here + ((flat[k, 0] * w[0] + flat[k, 1] * w[1]) + flat[k, 2] * w[2]) * most
+            if abs(here + there) - abs(here - there) > 2.0 * off:
+                continue
+            cx, cy, cz, away = ball[k, 0] - a[0], ball[k, 1] - a[1], ball[k, 2] - a[2], ball[k, 3] + off
+            there = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * over, 0.0), most)
+            cx, cy, cz = cx - there * w[0], cy - there * w[1], cz - there * w[2]
+            if cx * cx + cy * cy + cz * cz > away * away:
+                continue
             f = np.int64(listed[k])
             t = -along(planes, f, 0, a) / towards(planes, f, 0, w)
             if t > h and t <= most:
@@ -101,12 +192,13 @@ def _between(p, inverse, moves, size):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(grid, p):  # type: ignore[no-untyped-def]
     """The square distance of a place's nearest face, which one, and the place on it."""
-    shape, size, first, listed, corners = grid[0], grid[1], grid[2], grid[3], grid[5]
-    width = shape[3]
+    shape, size, first, listed, flat, ball, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5], grid[7]
+    width, off = shape[3], shape[4]
     part = 1.0 / width
     ax, ay, az = (p[0] - shape[0]) * part, (p[1] - shape[1]) * part, (p[2] - shape[2]) * part
-    best, face, place = np.inf, FURTHER, p
-    if not (abs(ax) + abs(ay) + abs(az) < np.inf):
+    best, face, place, least = np.inf, FURTHER, p, np.inf
+    before, second, third = FURTHER, FURTHER, FURTHER  # faces that were asked about last: neighbouring cubes have them too
+    if not (_around(ax, size[0]) and _around(ay, size[1]) and _around(az, size[2])):
         return best, face, place
     mx, my, mz = _middle(ax, size[0]), _middle(ay, size[1]), _middle(az, size[2])
     for ring in range(RINGS + 1):
@@ -121,11 +213,16 @@ def _nearest(grid, p):  # type: ignore[no-untyped-def]
                         begin, end = first[cell], first[cell + 1]
                         if begin < end and _off(ax, ay, az, x, y, z) * width * width <= best * (1 + 1e-6):
                             for k in range(begin, end):
+                                if _farther(flat, ball, k, p, off, least):
+                                    continue
                                 f = np.int64(listed[k])
+                                if f == face or f == before or f == second or f == third:
+                                    continue
+                                before, second, third = f, before, second
                                 q = nearest_on(corners, f, p)
                                 d = square_of(minus(q, p))
                                 if d < best or (d == best and f < face):
-                                    best, face, place = d, f, q
+                                    best, face, place, least = d, f, q, np.sqrt(d) + off
                     z += step
         known = _known(ax, mx, ring, size[0])
         known = min(known, _known(ay, my, ring, size[1]))
@@ -136,8 +233,27 @@ def _nearest(grid, p):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _farther(flat, ball, k, p, off, least):  # type: ignore[no-untyped-def]
+    """Whether a face is farther away than `least` for certain: its plane is, or its ball, seen along the plane."""
+    above = ((flat[k, 0] * p[0] + flat[k, 1] * p[1]) + flat[k, 2] * p[2]) + flat[k, 3]
+    if abs(above) > least:
+        return True
+    x, y, z = p[0] - ball[k, 0], p[1] - ball[k, 1], p[2] - ball[k, 2]
+    away = ball[k, 3] + off
+    across = (x * x + y * y + z * z) - above * above
+    # How far it is along the plane at most, if it is no farther than `least`.
+    room = least * least - above * above
+    return across > away * away and across > away * away + room + 2.0 * away * np.sqrt(room)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _around(at, size):  # type: ignore[no-untyped-def]
+    return at >= -RINGS and at <= size + RINGS
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _middle(at, size):  # type: ignore[no-untyped-def]
-    return min(max(np.int64(np.floor(min(max(at, 0.0), 1e9))), 0), size - 1)
+    return min(np.int64(np.floor(max(at, 0.0))), size - 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
