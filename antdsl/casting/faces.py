@@ -97,7 +97,7 @@ class Faces:
 
             n = len(named)
             here, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
-            faces_compiled.hits(*tables, self.hair, AHEAD, at.astype(np.float64), origin, way, named, here, weights, hit, hair)
+            faces_compiled.hits(tables, self.hair, AHEAD, at.astype(np.float64), origin, way, named, here, weights, hit, hair)
             return here, weights, hit, hair
         hair = self.hair / np.sqrt((way[:, 0] * way[:, 0] + way[:, 1] * way[:, 1]) + way[:, 2] * way[:, 2])
         here, weights, hit, beside = self.crossing(named, origin, way)
@@ -117,13 +117,12 @@ class Faces:
         return here, weights, hit, hair
 
     def tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
-        """For the compiled kernels, where all is known of all faces: planes (m, 12), rims, and as `_met`; else None."""
+        """For the compiled kernels, where all is known of all faces: planes, rims, and as `_met`; else None."""
         if self._brief:
             return None
         self._known(np.empty(0, np.int64))
         assert self._planes is not None and self._meeting is not None
-        planes, rims = self._planes
-        return planes.reshape(-1, 12), rims, *self._meeting
+        return *self._planes, *self._meeting
 
     def nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
         """Nearest place to each point [k,3], its square distance and its face, where float32 says that it is `face`: that one,
@@ -132,8 +131,8 @@ class Faces:
         if tables is not None:
             from antdsl.casting import faces_compiled
 
-            face, place, square = face.copy(), np.empty_like(points), np.empty(len(points))
-            faces_compiled.nearest(*tables, self.corners.reshape(-1, 9), points, face, place, square)
+            face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
+            faces_compiled.nearest(tables, self.corners, points, face, place, square)
             return place, square, face
         place = nearest_on_triangle(points, self.corners.take(face, axis=0))
         gap = place - points

@@ -5,22 +5,36 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.casting.tolerances import CLOSED
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, inlined, kernel
 from antdsl.numerics.vectors_compiled import dot, minus
 
+# Planes and rims of faces; the place of each corner by number, where the faces at each place begin, and these faces.
+Table = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64]]
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def hits(  # type: ignore[no-untyped-def]
-    planes, rims, weld, first, faces, hair, ahead, at, origin, way, named, here, weights, hit, short
-):  # fmt: skip
+
+@kernel
+def hits(
+    table: Table,
+    hair: F64,
+    ahead: F64,
+    at: Array1[F64],
+    origin: Strided2[F64],
+    way: Strided2[F64],
+    named: Array1[I64],
+    here: Array1[F64],
+    weights: Array2[F64],
+    hit: Array1[BOOL],
+    short: Array1[F64],
+) -> None:
     """As `Faces.judged`, into the last five arrays: the face, after what part of the way, the weights of its corners, whether
     it is hit, and a hair as a part of the way."""
+    planes, rims, weld, first, faces = table
     for i in range(named.size):
         x, y, z = way[i, 0], way[i, 1], way[i, 2]
-        a, w = (origin[i, 0], origin[i, 1], origin[i, 2]), (x, y, z)
+        a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
         h = hair / np.sqrt((x * x + y * y) + z * z)
         face = named[i]
-        t, w0, w1, w2, least = _crossing(planes, face, a, w)
+        t, w0, w1, w2, least = _crossing(planes, face, a, b, c, x, y, z)
         short[i], here[i], hit[i] = h, t, least >= -CLOSED and abs(t) < np.inf and t > h
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         if not abs(least) > rims[face]:
@@ -28,23 +42,31 @@ def hits(  # type: ignore[no-untyped-def]
             place = weld[3 * face + _heaviest(w0, w1, w2)]
             most = at[i] + ahead * h
             for k in range(first[place], first[place + 1]):
-                t, w0, w1, w2, least = _crossing(planes, faces[k], a, w)
+                t, w0, w1, w2, least = _crossing(planes, faces[k], a, b, c, x, y, z)
                 good = least >= -CLOSED and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
                 if good and (not hit[i] or t < here[i]):
                     named[i], here[i], hit[i] = faces[k], t, True
                     weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def nearest(planes, rims, weld, first, faces, corners, points, face, place, square):  # type: ignore[no-untyped-def]
+@kernel
+def nearest(
+    table: Table,
+    corners: Array3[F64],
+    points: Strided2[F64],
+    face: Array1[I64],
+    place: Array2[F64],
+    square: Array1[F64],
+) -> None:
     """As `Faces.nearest`, into the last three arrays; `face` holds what Open3D names."""
+    planes, rims, weld, first, faces = table
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
         f = face[i]
         q = nearest_on(corners, f, p)
         d = square_of(minus(q, p))
         place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
-        w1, w2 = along(planes, f, 1, q), along(planes, f, 2, q)
+        w1, w2 = along(planes, f, 1, q[0], q[1], q[2]), along(planes, f, 2, q[0], q[1], q[2])
         w0 = (1.0 - w1) - w2
         if not _least(w0, w1, w2) > rims[f]:
             at = weld[3 * f + _heaviest(w0, w1, w2)]
@@ -57,21 +79,19 @@ def nearest(planes, rims, weld, first, faces, corners, points, face, place, squa
                     place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
 
 
-@njit(inline="always")
-def along(planes, face, row, a):  # type: ignore[no-untyped-def]
-    """One row of a face's `planes`, of which all twelve numbers stand side by side, for a place."""
-    k = 4 * row
-    return ((planes[face, k] * a[0] + planes[face, k + 1] * a[1]) + planes[face, k + 2] * a[2]) + planes[face, k + 3]
+@inlined
+def along(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
+    """One row of a face's planes, for a place."""
+    return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 
-@njit(inline="always")
-def towards(planes, face, row, w):  # type: ignore[no-untyped-def]
+@inlined
+def towards(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
     """The same for a way."""
-    k = 4 * row
-    return (planes[face, k] * w[0] + planes[face, k + 1] * w[1]) + planes[face, k + 2] * w[2]
+    return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
 
 
-@njit(inline="always")
+@inlined
 def _least(a, b, c):  # type: ignore[no-untyped-def]
     """NaN if any is, as `np.minimum` has it."""
     if a != a or b != b or c != c:
@@ -79,7 +99,7 @@ def _least(a, b, c):  # type: ignore[no-untyped-def]
     return min(min(a, b), c)
 
 
-@njit(inline="always")
+@inlined
 def _heaviest(a, b, c):  # type: ignore[no-untyped-def]
     """As `np.argmax` has it: NaN is the greatest, and the first of equals counts."""
     if a != a or (not (b > a or b != b) and not (c > a or c != c)):
@@ -89,31 +109,32 @@ def _heaviest(a, b, c):  # type: ignore[no-untyped-def]
     return 2
 
 
-@njit(inline="always")
-def _crossing(planes, face, a, w):  # type: ignore[no-untyped-def]
-    t = -along(planes, face, 0, a) / towards(planes, face, 0, w)
-    w1 = along(planes, face, 1, a) + t * towards(planes, face, 1, w)
-    w2 = along(planes, face, 2, a) + t * towards(planes, face, 2, w)
+@inlined
+def _crossing(planes, face, a, b, c, x, y, z):  # type: ignore[no-untyped-def]
+    t = -along(planes, face, 0, a, b, c) / towards(planes, face, 0, x, y, z)
+    w1 = along(planes, face, 1, a, b, c) + t * towards(planes, face, 1, x, y, z)
+    w2 = along(planes, face, 2, a, b, c) + t * towards(planes, face, 2, x, y, z)
     w0 = (1.0 - w1) - w2
     return t, w0, w1, w2, _least(w0, w1, w2)
 
 
-@njit(inline="always")
+@inlined
 def square_of(a):  # type: ignore[no-untyped-def]
+    """The square of a vector's length."""
     return dot(a, a)
 
 
-@njit(inline="always")
+@inlined
 def _on(a, v, s):  # type: ignore[no-untyped-def]
     return a[0] + s * v[0], a[1] + s * v[1], a[2] + s * v[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def nearest_on(corners, face, p):  # type: ignore[no-untyped-def]
-    """As `nearest_on_triangle`, of a row of nine coordinates."""
-    a = (corners[face, 0], corners[face, 1], corners[face, 2])
-    b = (corners[face, 3], corners[face, 4], corners[face, 5])
-    c = (corners[face, 6], corners[face, 7], corners[face, 8])
+    """As `nearest_on_triangle`."""
+    a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])
+    b = (corners[face, 1, 0], corners[face, 1, 1], corners[face, 1, 2])
+    c = (corners[face, 2, 0], corners[face, 2, 1], corners[face, 2, 2])
     u, v, w = minus(b, a), minus(c, a), minus(p, a)
     uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
     size = uu * vv - uv * uv

@@ -75,9 +75,7 @@ def _box_cells(
     return cells, name[which]
 
 
-def _touch(
-    tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64], half: float
-) -> NDArray[np.bool_]:
+def _touch(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64], half: float) -> NDArray[np.bool_]:
     """Whether triangles `which` int64[k] of float64[9,n] meet cells int64[k,3], given that their bounding boxes do: bool[k].
     `half`: half of the cells' edge, as they are asked about."""
     middle = cells.T + 0.5

@@ -8,7 +8,6 @@ faces, the least distance and then the least number, whatever the cubes are: the
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Singles = NDArray[np.float32]
 Columns = tuple[Singles, Singles, Singles]
+Felt = tuple[NDArray[np.bool_], Singles, Singles]
 Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Singles, Floats, Floats, Floats]
 
 NOTHING, FURTHER = -1, -2  # instead of a face: there is none, and the grid cannot tell
@@ -38,8 +38,9 @@ _THIN = 1e-8  # sine of the corner of a face, below which its plane is noise and
 
 
 class TriangleGrid:
-    """A grid of all faces. `tables`: lowest corner, edge, error of a bound, hair, origin (mm, float64[9]), and the cubes along each axis, int64[3]; where the faces of each cube begin and their numbers, int32; of each of these, side by side, its plane and a
-    ball around it, float32[e,4]; planes (m, 12), corners (m, 9) and unit normals (m, 3) of all faces."""
+    """A grid of all faces. `tables`: lowest corner, edge, error of a bound, hair and origin (mm, float64[9]); cubes along each
+    axis, int64[3]; where the faces of each cube begin and their numbers, int32; of each of these, side by side, its plane and a
+    ball around it, float32[e,4]; planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces."""
 
     def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats) -> None:
         corners = faces.corners
@@ -56,7 +57,7 @@ class TriangleGrid:
         normals = faces.normal(np.arange(count))
         plane, ball = _bounds(corners, normals)
         off = 1e-6 * (float(np.abs(corners).max()) + (LONGEST + RINGS) * width)  # several times what float32 makes of it
-        self.hair, self.width = faces.hair, width
+        self._hair = faces.hair
         self.tables: Tables = (
             np.array([*low, width, off, faces.hair, *origin]),  # the grid's lowest corner and the world's place of its zero
             size,
@@ -65,7 +66,7 @@ class TriangleGrid:
             plane[listed],
             ball[listed],
             np.ascontiguousarray(_sound(corners, planes)),
-            np.ascontiguousarray(corners.reshape(-1, 9)),
+            np.ascontiguousarray(corners),
             normals,
         )
         many = np.diff(first).astype(np.float64)
@@ -85,20 +86,20 @@ class TriangleGrid:
     # ---- rays
 
     def first(self, origin: Floats, way: Floats) -> tuple[Floats, Index]:
-        """The first face that rays from `origin` [n,3] meet within their `way` [n,3], after what part of it, but not within a hair
-        of their start. NOTHING where there is none, FURTHER for rays that are too long."""
+        """The first face that rays from `origin` [n,3] meet within their `way` [n,3], after what part of it, but not within a
+        hair of their start. NOTHING where there is none, FURTHER for rays that are too long."""
         if compiled.wanted(len(origin)):
             from antdsl.casting import triangle_grid_compiled
 
             t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
-            triangle_grid_compiled.firsts(self.tables, *compiled.plain(origin, way), t, face)
+            triangle_grid_compiled.firsts(self.tables, origin, way, t, face)
             return t, face
         with np.errstate(all="ignore"):
             return self._first(origin, way)
 
     def _first(self, origin: Floats, way: Floats) -> tuple[Floats, Index]:
         low, width = self.tables[0][:3], self.tables[0][3]
-        hair = self.hair / np.sqrt(dot(way, way))
+        hair = self._hair / np.sqrt(dot(way, way))
         t, face = np.full(len(origin), np.inf), np.full(len(origin), NOTHING)
         start, step = (origin - low) * (1.0 / width), way * (1.0 / width)
         long = (np.abs(step[:, 0]) + np.abs(step[:, 1])) + np.abs(step[:, 2])
@@ -107,11 +108,11 @@ class TriangleGrid:
         which, cell = self._along(start[asked], step[asked])
         row, other = self._listed(asked[which], cell)
         part = np.empty(len(row))
-        good = np.empty(len(row), np.bool_)
-        planes = self.tables[6].reshape(-1, 3, 4)
+        inside = np.empty(len(row), np.bool_)
+        planes = self.tables[6]
         for piece in _pieces(len(row)):
-            part[piece], good[piece] = _crossing(planes.take(other[piece], axis=0), origin[row[piece]], way[row[piece]])
-        good = np.flatnonzero(good & (part > hair[row]) & (part <= 1.0))
+            part[piece], inside[piece] = _crossing(planes.take(other[piece], axis=0), origin[row[piece]], way[row[piece]])
+        good = np.flatnonzero(inside & (part > hair[row]) & (part <= 1.0))
         order = good[np.lexsort((other[good], part[good], row[good]))]
         best = order[np.append(True, row[order[1:]] != row[order[:-1]])] if order.size else order
         t[row[best]], face[row[best]] = part[best], other[best]
@@ -155,30 +156,28 @@ class TriangleGrid:
 
         n = len(reach)
         t, normal, further = np.empty(n, np.float32), np.empty((3, n), np.float32), np.empty(n, np.int64)
-        count = triangle_grid_compiled.feelers(self.tables, compiled.plain(*place, *direction, reach), t, normal, further)
+        count = triangle_grid_compiled.feelers(self.tables, _plain(*place, *direction, reach), t, normal, further)
         return t, normal, further[:count]
 
-    def felt(
-        self, place: Columns, rows: Index, way: Columns, reach: Singles, clear: Singles, found: tuple[NDArray[np.bool_], Singles, Singles]
-    ) -> Index:
+    def felt(self, place: Columns, rows: Index, way: Columns, reach: Singles, clear: Singles, found: Felt) -> Index:
         """As `feelers`, for some rows of all places [n] and of how far these have no face (`clear`), with ways [k] of any length
         and reaches [k]; into `found` (whether, distance, normal [3,k]) of those who touch something. Compiled."""
         from antdsl.casting import triangle_grid_compiled
 
         further = np.empty(len(rows), np.int64)
-        columns, ways = compiled.plain(*place, clear), compiled.plain(*way, reach)
+        columns, ways = _plain(*place, clear), _plain(*way, reach)
         return further[: triangle_grid_compiled.felt(self.tables, columns, rows, ways, *found, further)]
 
     # ---- nearest faces
 
     def apart(self, place: Columns) -> tuple[Singles, Singles, Index]:
-        """How far (mm) places are out of the faces, below 0 behind the nearest, the unit way out, float32[3,n], and who has to ask
-        elsewhere. Compiled."""
+        """How far (mm) places are out of the faces, below 0 behind the nearest, the unit way out, float32[3,n], and who has to
+        ask elsewhere. Compiled."""
         from antdsl.casting import triangle_grid_compiled
 
         n = len(place[0])
         gap, out, further = np.empty(n, np.float32), np.empty((3, n), np.float32), np.empty(n, np.int64)
-        count = triangle_grid_compiled.apart(self.tables, compiled.plain(*place), gap, out, further)
+        count = triangle_grid_compiled.apart(self.tables, _plain(*place), gap, out, further)
         return gap, out, further[:count]
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
@@ -187,7 +186,7 @@ class TriangleGrid:
             from antdsl.casting import triangle_grid_compiled
 
             place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
-            triangle_grid_compiled.nearests(self.tables, *compiled.plain(points), place, square, face)
+            triangle_grid_compiled.nearests(self.tables, points, place, square, face)
             return place, square, face
         with np.errstate(all="ignore"):
             return self._nearest(points)
@@ -198,7 +197,7 @@ class TriangleGrid:
         at = (points - low) * (1.0 / width)
         rows = np.flatnonzero(((at >= -RINGS) & (at <= size + RINGS)).all(axis=1))
         middle = np.minimum(np.floor(np.fmin(np.fmax(at, 0.0), size)), size - 1).astype(np.int64)
-        corners = self.tables[7].reshape(-1, 3, 3)
+        corners = self.tables[7]
         for ring in range(RINGS + 1):
             cell, which = _ring(middle[rows], ring, size)
             row, other = self._listed(rows[which], cell)
@@ -232,7 +231,8 @@ def _known(at: Floats, middle: Index, ring: int, size: Index) -> Floats:
     below, above = middle - ring, middle + (ring + 1)
     low = np.where(below <= 0, np.inf, at - below)
     high = np.where(above >= size, np.inf, above - at)
-    return np.minimum(low, high).min(axis=1)
+    known: Floats = np.minimum(low, high).min(axis=1)
+    return known
 
 
 def _crossing(rows: Floats, origin: Floats, way: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -242,6 +242,11 @@ def _crossing(rows: Floats, origin: Floats, way: Floats) -> tuple[Floats, NDArra
     t = -at[:, 0] / to[:, 0]
     one, two = at[:, 1] + t * to[:, 1], at[:, 2] + t * to[:, 2]
     return t, np.minimum(np.minimum((1.0 - one) - two, one), two) >= -CLOSED
+
+
+def _plain(*columns: Singles) -> tuple[Singles, ...]:
+    """The same in one piece."""
+    return tuple(np.ascontiguousarray(each) for each in columns)
 
 
 def _pieces(count: int, most: int = 1 << 16) -> Iterator[slice]:
@@ -279,12 +284,12 @@ def _bounds(corners: Floats, normals: Floats) -> tuple[Singles, Singles]:
 
 
 def _sound(corners: Floats, planes: Floats) -> Floats:
-    """Planes [m,12], all zero of faces that are too thin to have one."""
+    """Planes [m,3,4], all zero of faces that are too thin to have one."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    size = dot(planes[:, :3], planes[:, :3])
+    size = dot(planes[:, 0, :3], planes[:, 0, :3])
     thin = ~(size > _THIN * _THIN * (dot(one, one) * dot(two, two)))
     if not thin.any():
         return planes
-    sound: Any = planes.copy()
+    sound: Floats = planes.copy()
     sound[thin] = 0.0
     return sound

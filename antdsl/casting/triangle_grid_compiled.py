@@ -7,22 +7,27 @@ import numpy as np
 from antdsl.casting.faces_compiled import along, nearest_on, square_of, towards
 from antdsl.casting.tolerances import CLOSED, FAR_OFF, SHORTEST, TOUCHING
 from antdsl.casting.triangle_grid import FURTHER, LONGEST, NOTHING, RINGS
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, Strided2, called, inlined, kernel
 from antdsl.numerics.vectors_compiled import minus
 
+# As `TriangleGrid.tables`.
+Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+Seven = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 ONE, SLACK, TINY = np.float32(1), np.float32(FAR_OFF), np.float32(SHORTEST)
 _STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its layer
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def firsts(grid, origin, way, t, face):  # type: ignore[no-untyped-def]
+@kernel
+def firsts(grid: Grid, origin: Strided2[F64], way: Strided2[F64], t: Array1[F64], face: Array1[I64]) -> None:
     """As `TriangleGrid.first`, into the last two arrays."""
     for i in range(face.size):
         t[i], face[i] = _first(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def feelers(grid, rays, t, normal, further):  # type: ignore[no-untyped-def]
+@kernel
+def feelers(grid: Grid, rays: Seven, t: Array1[F32], normal: Array2[F32], further: Array1[I64]) -> I64:
     """As `TriangleGrid.feelers`, into the last three arrays; how many have to ask elsewhere."""
     x, y, z, dx, dy, dz, reach = rays
     count = 0
@@ -39,8 +44,17 @@ def feelers(grid, rays, t, normal, further):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def felt(grid, places, rows, ways, hit, t, normal, further):  # type: ignore[no-untyped-def]
+@kernel
+def felt(
+    grid: Grid,
+    places: Four,
+    rows: Array1[I64],
+    ways: Four,
+    hit: Array1[BOOL],
+    t: Array1[F32],
+    normal: Array2[F32],
+    further: Array1[I64],
+) -> I64:
     """As `TriangleGrid.felt`, into the last four arrays; how many have to ask elsewhere."""
     x, y, z, clear = places
     wx, wy, wz, reach = ways
@@ -62,7 +76,7 @@ def felt(grid, places, rows, ways, hit, t, normal, further):  # type: ignore[no-
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
     """The normal of what a feeler touches, towards the asker, and after how many mm; and the face."""
     shape, normals = grid[0], grid[8]
@@ -78,8 +92,8 @@ def _feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
     return (x, y, z, t * far), face
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def apart(grid, places, gap, out, further):  # type: ignore[no-untyped-def]
+@kernel
+def apart(grid: Grid, places: Three, gap: Array1[F32], out: Array2[F32], further: Array1[I64]) -> I64:
     """As `TriangleGrid.apart`, into the last three arrays; how many have to ask elsewhere."""
     x, y, z = places
     shape, normals = grid[0], grid[8]
@@ -102,8 +116,8 @@ def apart(grid, places, gap, out, further):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def nearests(grid, points, place, square, face):  # type: ignore[no-untyped-def]
+@kernel
+def nearests(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
     """As `TriangleGrid.nearest`, into the last three arrays."""
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
@@ -111,7 +125,7 @@ def nearests(grid, points, place, square, face):  # type: ignore[no-untyped-def]
         place[i, 0], place[i, 1], place[i, 2] = q[0], q[1], q[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _first(grid, a, w):  # type: ignore[no-untyped-def]
     """After what part of its way a ray meets its first face, and which."""
     shape, size, first, listed, flat, ball, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5], grid[6]
@@ -139,7 +153,7 @@ def _first(grid, a, w):  # type: ignore[no-untyped-def]
     square = (w[0] * w[0] + w[1] * w[1]) + w[2] * w[2]
     h, over, off = shape[5] / np.sqrt(square), 1.0 / square, shape[4]
     best, face, most = np.inf, NOTHING, 1.0
-    while True:
+    while x >= 0 and x < size[0] and y >= 0 and y < size[1] and z >= 0 and z < size[2]:
         cell = (x * size[1] + y) * size[2] + z
         for k in range(first[cell], first[cell + 1]):
             # Most faces lie with their whole plane on one side of the ray, or with their ball beside it.
@@ -152,11 +166,11 @@ def _first(grid, a, w):  # type: ignore[no-untyped-def]
             cx, cy, cz = cx - there * w[0], cy - there * w[1], cz - there * w[2]
             if cx * cx + cy * cy + cz * cz > away * away:
                 continue
-            f = np.int64(listed[k])
-            t = -along(planes, f, 0, a) / towards(planes, f, 0, w)
+            f = listed[k]
+            t = -along(planes, f, 0, a[0], a[1], a[2]) / towards(planes, f, 0, w[0], w[1], w[2])
             if t > h and t <= most:
-                w1 = along(planes, f, 1, a) + t * towards(planes, f, 1, w)
-                w2 = along(planes, f, 2, a) + t * towards(planes, f, 2, w)
+                w1 = along(planes, f, 1, a[0], a[1], a[2]) + t * towards(planes, f, 1, w[0], w[1], w[2])
+                w2 = along(planes, f, 2, a[0], a[1], a[2]) + t * towards(planes, f, 2, w[0], w[1], w[2])
                 if (1.0 - w1) - w2 >= -CLOSED and w1 >= -CLOSED and w2 >= -CLOSED and (t < best or f < face):
                     best, face, most = t, f, t
         # Where the ray leaves the cube: what it meets before is listed in it.
@@ -165,22 +179,17 @@ def _first(grid, a, w):  # type: ignore[no-untyped-def]
         tz = (np.float64(z + uz) - pz) * iz if mz else np.inf
         out = min(min(tx, ty), tz)
         if best <= out or out > end:
-            return best, face
+            break
         if tx == out:
             x += 2 * ux - 1
-            if x < 0 or x >= size[0]:
-                return best, face
         elif ty == out:
             y += 2 * uy - 1
-            if y < 0 or y >= size[1]:
-                return best, face
         else:
             z += 2 * uz - 1
-            if z < 0 or z >= size[2]:
-                return best, face
+    return best, face
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _between(p, inverse, moves, size):  # type: ignore[no-untyped-def]
     """After which parts of its way a ray enters and leaves the grid along one axis."""
     if not moves:
@@ -189,7 +198,7 @@ def _between(p, inverse, moves, size):  # type: ignore[no-untyped-def]
     return (one, two) if one < two else (two, one)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _nearest(grid, p):  # type: ignore[no-untyped-def]
     """The square distance of a place's nearest face, which one, and the place on it."""
     shape, size, first, listed, flat, ball, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5], grid[7]
@@ -215,8 +224,8 @@ def _nearest(grid, p):  # type: ignore[no-untyped-def]
                             for k in range(begin, end):
                                 if _farther(flat, ball, k, p, off, least):
                                     continue
-                                f = np.int64(listed[k])
-                                if f == face or f == before or f == second or f == third:
+                                f = listed[k]
+                                if f == face or before == f or second == f or third == f:
                                     continue
                                 before, second, third = f, before, second
                                 q = nearest_on(corners, f, p)
@@ -232,7 +241,7 @@ def _nearest(grid, p):  # type: ignore[no-untyped-def]
     return np.inf, FURTHER, p
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _farther(flat, ball, k, p, off, least):  # type: ignore[no-untyped-def]
     """Whether a face is farther away than `least` for certain: its plane is, or its ball, seen along the plane."""
     above = ((flat[k, 0] * p[0] + flat[k, 1] * p[1]) + flat[k, 2] * p[2]) + flat[k, 3]
@@ -246,17 +255,17 @@ def _farther(flat, ball, k, p, off, least):  # type: ignore[no-untyped-def]
     return across > away * away and across > away * away + room + 2.0 * away * np.sqrt(room)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _around(at, size):  # type: ignore[no-untyped-def]
     return at >= -RINGS and at <= size + RINGS
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _middle(at, size):  # type: ignore[no-untyped-def]
     return min(np.int64(np.floor(max(at, 0.0))), size - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _known(at, middle, ring, size):  # type: ignore[no-untyped-def]
     below, above = middle - ring, middle + ring + 1
     low = np.inf if below <= 0 else at - np.float64(below)
@@ -264,7 +273,7 @@ def _known(at, middle, ring, size):  # type: ignore[no-untyped-def]
     return min(low, high)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _off(ax, ay, az, x, y, z):  # type: ignore[no-untyped-def]
     """The square distance (cubes) of a place from a cube, less what its faces may stand out."""
     ox = max(max(np.float64(x) - ax, ax - np.float64(x + 1)) - 1e-5, 0.0)
