@@ -212,7 +212,7 @@ class TriangleGrid:
             place[row], square[row], face[row] = there[nearer], apart[nearer], other[nearer]
             known = _known(at[rows], middle[rows], ring, size) * width
             rows = rows[~(square[rows] <= known * known)]
-        face[rows] = FURTHER
+        place[rows], square[rows], face[rows] = points[rows], np.inf, FURTHER
         return place, square, face
 
 
