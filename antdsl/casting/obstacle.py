@@ -39,9 +39,9 @@ class Obstacle(Protocol):
         clear: NDArray[np.float32],
         found: tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]],
     ) -> NDArray[np.intp]:
-        """What feelers touch of `rows` of all places [n], who have no surface within `clear` [n], along ways [k] of any length, as
-        far as `reach` [k]: whether, the distance and the normal [3,k], into `found`, which says that nothing is touched. Gives
-        back who of the k has still to ask by `feelers`."""
+        """What feelers touch of `rows` of all places [n], who have no surface within `clear` [n], along ways [k] of any length,
+        as far as `reach` [k]: whether, the distance and the normal [3,k], into `found`, which says that nothing is touched.
+        Gives back who of the k has still to ask by `feelers`."""
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1

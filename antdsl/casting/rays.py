@@ -22,6 +22,7 @@ Mesh = tuple[Vectors, NDArray[np.int32]]
 Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 Met = tuple[Index, Vectors, Index, Vectors]
 
+_NOBODY = np.empty(0, np.intp)
 _CROWD = 2_000  # places asked about at once, from which on finer distances pay
 _CHUNK = 1 << 16  # rays at once
 _AGAIN = 16  # faces that a ray may pass by at less than a hair
@@ -373,14 +374,17 @@ class RayScene:
         Whoever is too far from everything to touch it is not asked (performance: most agents), and gets the same answer.
         """
         n = len(x)
-        reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
+        if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
+            reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
+        assert isinstance(reach, np.ndarray)
         grid = self._compiled((x, y, z, dx, dy, dz))
         if grid is not None:
-            t, normal, asked = grid.feelers((x, y, z), (dx, dy, dz), reach)
-            if not asked.size:
-                return FeelerHits(t < np.inf, t, *normal)
-            place, direction = ((each.take(asked) for each in three) for three in ((x, y, z), (dx, dy, dz)))
-            t[asked], normal[:, asked] = self._touched((*place, *direction), reach.take(asked), threads)
+            found, left = grid.feelers((x, y, z), (dx, dy, dz), reach)
+            if left:
+                asked = np.flatnonzero(np.isnan(found[0]))
+                rays = tuple(each.take(asked) for each in (x, y, z, dx, dy, dz))
+                found[0, asked], found[1:, asked] = self._touched(rays, reach.take(asked), threads)
+            t, normal = found[0], found[1:]
         else:
             t, normal = self._touched((x, y, z, dx, dy, dz), reach, threads)
         return FeelerHits(t < np.inf, t, *normal)
@@ -392,7 +396,13 @@ class RayScene:
         length, as far as `reach` [k]: into `found` (whether, distance, normal [3,k]), which says until then that nothing is
         touched. Gives back who of the k has still to ask by `feelers`: all where the grid's kernels do not run."""
         grid = self._compiled((*place, *way, reach, clear))
-        return np.arange(len(rows)) if grid is None else grid.felt(place, rows, way, reach, clear, found)
+        if grid is None:
+            return np.arange(len(rows))
+        if not grid.felt(place, rows, way, reach, clear, found):
+            return _NOBODY
+        asked = np.flatnonzero(np.isnan(found[1]))
+        found[1][asked] = np.inf
+        return asked
 
     def _compiled(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
         """The grid, where its kernels run and take these columns."""
@@ -450,12 +460,13 @@ class RayScene:
         grid = self._compiled((x, y, z))
         if grid is None:
             return self._apart(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
-        gap, out, asked = grid.apart((x, y, z))
-        if asked.size:
+        found, left = grid.apart((x, y, z))
+        if left:
+            asked = np.flatnonzero(np.isnan(found[0]))
             points = np.stack([each.take(asked) for each in (x, y, z)], axis=1).astype(np.float64)
             most = np.broadcast_to(np.asarray(within), (len(x),)).take(asked)
-            gap[asked], out[:, asked] = self._apart(points, most, threads)
-        return gap, out
+            found[0, asked], found[1:, asked] = self._apart(points, most, threads)
+        return found[0], found[1:]
 
     def _apart(
         self, points: Vectors, within: NDArray[Any] | float, threads: int

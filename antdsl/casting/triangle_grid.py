@@ -24,7 +24,7 @@ Index = NDArray[np.int64]
 Singles = NDArray[np.float32]
 Columns = tuple[Singles, Singles, Singles]
 Felt = tuple[NDArray[np.bool_], Singles, Singles]
-Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Singles, Floats, Floats, Floats]
+Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Floats, Floats, Floats]
 
 NOTHING, FURTHER = -1, -2  # instead of a face: there is none, and the grid cannot tell
 LONGEST = 48.0  # cubes that a ray crosses: of more, a tree asks about fewer
@@ -40,7 +40,7 @@ _THIN = 1e-8  # sine of the corner of a face, below which its plane is noise and
 class TriangleGrid:
     """A grid of all faces. `tables`: lowest corner, edge, error of a bound, hair and origin (mm, float64[9]); cubes along each
     axis, int64[3]; where the faces of each cube begin and their numbers, int32; of each of these, side by side, its plane and a
-    ball around it, float32[e,4]; planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces."""
+    ball around it, float32[e,8]; planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces."""
 
     def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats) -> None:
         corners = faces.corners
@@ -55,7 +55,6 @@ class TriangleGrid:
         first = np.zeros(int(np.prod(size)) + 1, np.int32)
         np.cumsum(np.bincount(cells, minlength=len(first) - 1), out=first[1:])
         normals = faces.normal(np.arange(count))
-        plane, ball = _bounds(corners, normals)
         off = 1e-6 * (float(np.abs(corners).max()) + (LONGEST + RINGS) * width)  # several times what float32 makes of it
         self._hair = faces.hair
         self.tables: Tables = (
@@ -63,8 +62,7 @@ class TriangleGrid:
             size,
             first,
             listed.astype(np.int32),
-            plane[listed],
-            ball[listed],
+            _bounds(corners, normals)[listed],
             np.ascontiguousarray(_sound(corners, planes)),
             np.ascontiguousarray(corners),
             normals,
@@ -109,7 +107,7 @@ class TriangleGrid:
         row, other = self._listed(asked[which], cell)
         part = np.empty(len(row))
         inside = np.empty(len(row), np.bool_)
-        planes = self.tables[6]
+        planes = self.tables[5]
         for piece in _pieces(len(row)):
             part[piece], inside[piece] = _crossing(planes.take(other[piece], axis=0), origin[row[piece]], way[row[piece]])
         good = np.flatnonzero(inside & (part > hair[row]) & (part <= 1.0))
@@ -149,36 +147,34 @@ class TriangleGrid:
         step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
         return np.repeat(which, count), faces.take(np.repeat(begin, count) + step).astype(np.int64)
 
-    def feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, Singles, Index]:
-        """What feelers touch that are as long as `reach`, from places along unit directions, float32 columns in the world: its
-        distance (inf = nothing), the unit normal towards the asker, float32[3,n], and who has to ask elsewhere. Compiled."""
+    def feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, int]:
+        """What feelers touch that are as long as `reach`, from places along unit directions, float32 columns in the world:
+        distance (inf = nothing, NaN for who has to ask elsewhere) and unit normal towards the asker, float32[4,n]; and how many
+        have to. Compiled."""
         from antdsl.casting import triangle_grid_compiled
 
-        n = len(reach)
-        t, normal, further = np.empty(n, np.float32), np.empty((3, n), np.float32), np.empty(n, np.int64)
-        count = triangle_grid_compiled.feelers(self.tables, _plain(*place, *direction, reach), t, normal, further)
-        return t, normal, further[:count]
+        found = np.empty((4, len(reach)), np.float32)
+        return found, triangle_grid_compiled.feelers(self.tables, _plain(*place, *direction, reach), found)
 
-    def felt(self, place: Columns, rows: Index, way: Columns, reach: Singles, clear: Singles, found: Felt) -> Index:
+    def felt(self, place: Columns, rows: Index, way: Columns, reach: Singles, clear: Singles, found: Felt) -> int:
         """As `feelers`, for some rows of all places [n] and of how far these have no face (`clear`), with ways [k] of any length
-        and reaches [k]; into `found` (whether, distance, normal [3,k]) of those who touch something. Compiled."""
+        and reaches [k]; into `found` (whether, distance, normal [3,k]) of those who touch something or have to ask elsewhere.
+        Compiled."""
         from antdsl.casting import triangle_grid_compiled
 
-        further = np.empty(len(rows), np.int64)
         columns, ways = _plain(*place, clear), _plain(*way, reach)
-        return further[: triangle_grid_compiled.felt(self.tables, columns, rows, ways, *found, further)]
+        count: int = triangle_grid_compiled.felt(self.tables, columns, rows, ways, *found)
+        return count
 
     # ---- nearest faces
 
-    def apart(self, place: Columns) -> tuple[Singles, Singles, Index]:
-        """How far (mm) places are out of the faces, below 0 behind the nearest, the unit way out, float32[3,n], and who has to
-        ask elsewhere. Compiled."""
+    def apart(self, place: Columns) -> tuple[Singles, int]:
+        """How far (mm) places are out of the faces, below 0 behind the nearest, NaN for who has to ask elsewhere, and the unit
+        way out, float32[4,n]; and how many have to. Compiled."""
         from antdsl.casting import triangle_grid_compiled
 
-        n = len(place[0])
-        gap, out, further = np.empty(n, np.float32), np.empty((3, n), np.float32), np.empty(n, np.int64)
-        count = triangle_grid_compiled.apart(self.tables, _plain(*place), gap, out, further)
-        return gap, out, further[:count]
+        found = np.empty((4, len(place[0])), np.float32)
+        return found, triangle_grid_compiled.apart(self.tables, _plain(*place), found)
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """The place nearest to each point [n,3], its square distance and its face; FURTHER where none is near enough to tell."""
@@ -197,7 +193,7 @@ class TriangleGrid:
         at = (points - low) * (1.0 / width)
         rows = np.flatnonzero(((at >= -RINGS) & (at <= size + RINGS)).all(axis=1))
         middle = np.minimum(np.floor(np.fmin(np.fmax(at, 0.0), size)), size - 1).astype(np.int64)
-        corners = self.tables[7]
+        corners = self.tables[6]
         for ring in range(RINGS + 1):
             cell, which = _ring(middle[rows], ring, size)
             row, other = self._listed(rows[which], cell)
@@ -273,14 +269,13 @@ def _width(corners: Floats) -> float | None:
     return None
 
 
-def _bounds(corners: Floats, normals: Floats) -> tuple[Singles, Singles]:
-    """Planes (unit normal and -distance from the origin) and balls (middle, in the plane, and radius) of faces, float32[m,4]."""
+def _bounds(corners: Floats, normals: Floats) -> Singles:
+    """Planes (unit normal and -distance from the origin) and balls (middle, in the plane, and radius) of faces, float32[m,8]."""
     plane = np.concatenate([normals, -dot(normals, corners[:, 0])[:, None]], axis=1)
     middle = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
     away = corners - middle[:, None]
     radius = np.sqrt(((away[:, :, 0] ** 2 + away[:, :, 1] ** 2) + away[:, :, 2] ** 2).max(axis=1))
-    ball = np.concatenate([middle, radius[:, None]], axis=1)
-    return plane.astype(np.float32), ball.astype(np.float32)
+    return np.concatenate([plane, middle, radius[:, None]], axis=1).astype(np.float32)
 
 
 def _sound(corners: Floats, planes: Floats) -> Floats:

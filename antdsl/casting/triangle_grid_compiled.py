@@ -11,7 +11,7 @@ from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2
 from antdsl.numerics.vectors_compiled import minus
 
 # As `TriangleGrid.tables`.
-Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
+Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 Seven = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
@@ -27,35 +27,22 @@ def firsts(grid: Grid, origin: Strided2[F64], way: Strided2[F64], t: Array1[F64]
 
 
 @kernel
-def feelers(grid: Grid, rays: Seven, t: Array1[F32], normal: Array2[F32], further: Array1[I64]) -> I64:
-    """As `TriangleGrid.feelers`, into the last three arrays; how many have to ask elsewhere."""
+def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
+    """As `TriangleGrid.feelers`, into the last array: distance, NaN for who has to ask elsewhere, and normal; how many have."""
     x, y, z, dx, dy, dz, reach = rays
     count = 0
-    for i in range(t.size):
-        t[i] = np.inf
-        normal[0, i], normal[1, i], normal[2, i] = 0.0, 0.0, 0.0
+    for i in range(reach.size):
         n, face = _feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
-        if face >= 0:
-            t[i] = np.float32(n[3])
-            normal[0, i], normal[1, i], normal[2, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
-        elif face == FURTHER:
-            further[count] = i
+        if face == FURTHER:
             count += 1
+        found[0, i] = np.float32(n[3])
+        found[1, i], found[2, i], found[3, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
     return count
 
 
 @kernel
-def felt(
-    grid: Grid,
-    places: Four,
-    rows: Array1[I64],
-    ways: Four,
-    hit: Array1[BOOL],
-    t: Array1[F32],
-    normal: Array2[F32],
-    further: Array1[I64],
-) -> I64:
-    """As `TriangleGrid.felt`, into the last four arrays; how many have to ask elsewhere."""
+def felt(grid: Grid, places: Four, rows: Array1[I64], ways: Four, hit: Array1[BOOL], t: Array1[F32], normal: Array2[F32]) -> I64:
+    """As `TriangleGrid.felt`, into the last three arrays; the distance is NaN for who has to ask elsewhere; how many have."""
     x, y, z, clear = places
     wx, wy, wz, reach = ways
     count = 0
@@ -67,25 +54,26 @@ def felt(
         if not (size > TINY and size < np.inf):
             continue
         n, face = _feel(grid, (x[row], y[row], z[row]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
-        if face >= 0:
+        if face == FURTHER:
+            count += 1
+            t[i] = np.float32(n[3])
+        elif face >= 0:
             hit[i], t[i] = True, np.float32(n[3])
             normal[0, i], normal[1, i], normal[2, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
-        elif face == FURTHER:
-            further[count] = i
-            count += 1
     return count
 
 
 @called
 def _feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
-    """The normal of what a feeler touches, towards the asker, and after how many mm; and the face."""
-    shape, normals = grid[0], grid[8]
+    """The normal of what a feeler touches, towards the asker, and after how many mm (inf = nothing, NaN = the grid cannot tell);
+    and the face."""
+    shape, normals = grid[0], grid[7]
     far = np.float64(reach)
     a = np.float64(p[0]) - shape[6], np.float64(p[1]) - shape[7], np.float64(p[2]) - shape[8]
     w = np.float64(d[0]) * far, np.float64(d[1]) * far, np.float64(d[2]) * far
     t, face = _first(grid, a, w)
     if face < 0:
-        return (0.0, 0.0, 0.0, np.inf), face
+        return (0.0, 0.0, 0.0, np.nan if face == FURTHER else np.inf), face
     x, y, z = normals[face, 0], normals[face, 1], normals[face, 2]
     if (x * w[0] + y * w[1]) + z * w[2] > 0:
         x, y, z = -x, -y, -z
@@ -93,26 +81,26 @@ def _feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def apart(grid: Grid, places: Three, gap: Array1[F32], out: Array2[F32], further: Array1[I64]) -> I64:
-    """As `TriangleGrid.apart`, into the last three arrays; how many have to ask elsewhere."""
+def apart(grid: Grid, places: Three, found: Array2[F32]) -> I64:
+    """As `TriangleGrid.apart`, into the last array: gap, NaN for who has to ask elsewhere, and way out; how many have."""
     x, y, z = places
-    shape, normals = grid[0], grid[8]
+    shape, normals = grid[0], grid[7]
     count = 0
-    for i in range(gap.size):
+    for i in range(x.size):
         p = np.float64(x[i]), np.float64(y[i]), np.float64(z[i])
         square, face, q = _nearest(grid, (p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]))
         if face < 0:
-            further[count] = i
+            found[0, i] = np.float32(np.nan)
             count += 1
             continue
         distance = np.sqrt(square)
         n = normals[face, 0], normals[face, 1], normals[face, 2]
         away = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
         side = -1.0 if (away[0] * n[0] + away[1] * n[1]) + away[2] * n[2] < 0 else 1.0
-        gap[i] = np.float32(distance * side)
+        found[0, i] = np.float32(distance * side)
         part = side / max(distance, TOUCHING)
         for k in range(3):
-            out[k, i] = np.float32(n[k] if distance < TOUCHING else away[k] * part)
+            found[k + 1, i] = np.float32(n[k] if distance < TOUCHING else away[k] * part)
     return count
 
 
@@ -128,7 +116,7 @@ def nearests(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Arra
 @called
 def _first(grid, a, w):  # type: ignore[no-untyped-def]
     """After what part of its way a ray meets its first face, and which."""
-    shape, size, first, listed, flat, ball, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5], grid[6]
+    shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
     dx, dy, dz = w[0] * part, w[1] * part, w[2] * part
@@ -157,11 +145,11 @@ def _first(grid, a, w):  # type: ignore[no-untyped-def]
         cell = (x * size[1] + y) * size[2] + z
         for k in range(first[cell], first[cell + 1]):
             # Most faces lie with their whole plane on one side of the ray, or with their ball beside it.
-            here = ((flat[k, 0] * a[0] + flat[k, 1] * a[1]) + flat[k, 2] * a[2]) + flat[k, 3]
-            there = here + ((flat[k, 0] * w[0] + flat[k, 1] * w[1]) + flat[k, 2] * w[2]) * most
+            here = ((bound[k, 0] * a[0] + bound[k, 1] * a[1]) + bound[k, 2] * a[2]) + bound[k, 3]
+            there = here + ((bound[k, 0] * w[0] + bound[k, 1] * w[1]) + bound[k, 2] * w[2]) * most
             if abs(here + there) - abs(here - there) > 2.0 * off:
                 continue
-            cx, cy, cz, away = ball[k, 0] - a[0], ball[k, 1] - a[1], ball[k, 2] - a[2], ball[k, 3] + off
+            cx, cy, cz, away = bound[k, 4] - a[0], bound[k, 5] - a[1], bound[k, 6] - a[2], bound[k, 7] + off
             there = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * over, 0.0), most)
             cx, cy, cz = cx - there * w[0], cy - there * w[1], cz - there * w[2]
             if cx * cx + cy * cy + cz * cz > away * away:
@@ -201,7 +189,7 @@ def _between(p, inverse, moves, size):  # type: ignore[no-untyped-def]
 @called
 def _nearest(grid, p):  # type: ignore[no-untyped-def]
     """The square distance of a place's nearest face, which one, and the place on it."""
-    shape, size, first, listed, flat, ball, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5], grid[7]
+    shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, off = shape[3], shape[4]
     part = 1.0 / width
     ax, ay, az = (p[0] - shape[0]) * part, (p[1] - shape[1]) * part, (p[2] - shape[2]) * part
@@ -210,45 +198,50 @@ def _nearest(grid, p):  # type: ignore[no-untyped-def]
     if not (_around(ax, size[0]) and _around(ay, size[1]) and _around(az, size[2])):
         return best, face, place
     mx, my, mz = _middle(ax, size[0]), _middle(ay, size[1]), _middle(az, size[2])
-    for ring in range(RINGS + 1):
+    ring, looking = 0, True
+    while looking and ring <= RINGS:
+        low, high = max(mz - ring, 0), min(mz + ring, size[2] - 1)
         for x in range(max(mx - ring, 0), min(mx + ring, size[0] - 1) + 1):
             for y in range(max(my - ring, 0), min(my + ring, size[1] - 1) + 1):
-                # On the sides of the ring all cubes of a row are new, elsewhere its two ends.
+                if _off(ax, x) + _off(ay, y) > best * part * part * (1 + 1e-6):
+                    continue
+                # On the sides of the ring all cubes of a row are new, and lie side by side; elsewhere its two ends.
                 side = abs(x - mx) == ring or abs(y - my) == ring
-                z, step = max(mz - ring, 0) if side else mz - ring, 1 if side or ring == 0 else 2 * ring
-                while z <= min(mz + ring, size[2] - 1):
-                    if z >= 0:
-                        cell = (x * size[1] + y) * size[2] + z
-                        begin, end = first[cell], first[cell + 1]
-                        if begin < end and _off(ax, ay, az, x, y, z) * width * width <= best * (1 + 1e-6):
-                            for k in range(begin, end):
-                                if _farther(flat, ball, k, p, off, least):
-                                    continue
-                                f = listed[k]
-                                if f == face or before == f or second == f or third == f:
-                                    continue
-                                before, second, third = f, before, second
-                                q = nearest_on(corners, f, p)
-                                d = square_of(minus(q, p))
-                                if d < best or (d == best and f < face):
-                                    best, face, place, least = d, f, q, np.sqrt(d) + off
-                    z += step
+                row = (x * size[1] + y) * size[2]
+                z = low
+                while z <= high:
+                    last = high if side else z
+                    if side or abs(z - mz) == ring:
+                        for k in range(first[row + z], first[row + last + 1]):
+                            if _farther(bound, k, p, off, least):
+                                continue
+                            f = listed[k]
+                            if f == face or before == f or second == f or third == f:
+                                continue
+                            before, second, third = f, before, second
+                            q = nearest_on(corners, f, p)
+                            d = square_of(minus(q, p))
+                            if d < best or (d == best and f < face):
+                                best, face, place, least = d, f, q, np.sqrt(d) + off
+                    z = last + 1 if side or z == high else high
         known = _known(ax, mx, ring, size[0])
         known = min(known, _known(ay, my, ring, size[1]))
         known = min(known, _known(az, mz, ring, size[2])) * width
-        if best <= known * known:
-            return best, face, place
-    return np.inf, FURTHER, p
+        looking = not best <= known * known
+        ring += 1
+    if looking:
+        best, face, place = np.inf, FURTHER, p
+    return best, face, place
 
 
 @inlined
-def _farther(flat, ball, k, p, off, least):  # type: ignore[no-untyped-def]
+def _farther(bound, k, p, off, least):  # type: ignore[no-untyped-def]
     """Whether a face is farther away than `least` for certain: its plane is, or its ball, seen along the plane."""
-    above = ((flat[k, 0] * p[0] + flat[k, 1] * p[1]) + flat[k, 2] * p[2]) + flat[k, 3]
+    above = ((bound[k, 0] * p[0] + bound[k, 1] * p[1]) + bound[k, 2] * p[2]) + bound[k, 3]
     if abs(above) > least:
         return True
-    x, y, z = p[0] - ball[k, 0], p[1] - ball[k, 1], p[2] - ball[k, 2]
-    away = ball[k, 3] + off
+    x, y, z = p[0] - bound[k, 4], p[1] - bound[k, 5], p[2] - bound[k, 6]
+    away = bound[k, 7] + off
     across = (x * x + y * y + z * z) - above * above
     # How far it is along the plane at most, if it is no farther than `least`.
     room = least * least - above * above
@@ -274,9 +267,7 @@ def _known(at, middle, ring, size):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _off(ax, ay, az, x, y, z):  # type: ignore[no-untyped-def]
-    """The square distance (cubes) of a place from a cube, less what its faces may stand out."""
-    ox = max(max(np.float64(x) - ax, ax - np.float64(x + 1)) - 1e-5, 0.0)
-    oy = max(max(np.float64(y) - ay, ay - np.float64(y + 1)) - 1e-5, 0.0)
-    oz = max(max(np.float64(z) - az, az - np.float64(z + 1)) - 1e-5, 0.0)
-    return ox * ox + oy * oy + oz * oz
+def _off(at, cell):  # type: ignore[no-untyped-def]
+    """The square distance (cubes) of a place from a layer of cubes along one axis, less what their faces may stand out."""
+    off = max(max(np.float64(cell) - at, at - np.float64(cell + 1)) - 1e-5, 0.0)
+    return off * off

@@ -173,10 +173,10 @@ def _feel(
     found: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
 ) -> None:
     """What of a scene those `rows` touch, into `found`, who have no face of it within `clear`, float32 of all agents."""
-    *way, reach = ways
-    place = tuple(population.start[f"position.{axis}"] for axis in AXES)
+    dx, dy, dz, reach = ways
+    x, y, z = (population.start[f"position.{axis}"] for axis in AXES)
     which = _numbered(rows)
-    asked = scene.felt(place, which, tuple(way), reach, clear, found)
+    asked = scene.felt((x, y, z), which, (dx, dy, dz), reach, clear, found)
     if not len(asked):
         return
     wx, wy, wz, far = (v.take(asked) for v in ways)
@@ -185,7 +185,7 @@ def _feel(
     sound = np.flatnonzero(near & (size > TINY) & (size < np.inf))
     good = asked.take(sound)
     if len(good):
-        x, y, z = (v.take(which.take(good)) for v in place)
+        x, y, z = (v.take(which.take(good)) for v in (x, y, z))
         wx, wy, wz, size, far = (v.take(sound) for v in (wx, wy, wz, size, far))
         met = scene.feelers(x, y, z, wx / size, wy / size, wz / size, far, threads=world.options.threads)
         hit, distance, normal = found

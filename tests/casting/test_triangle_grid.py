@@ -88,12 +88,12 @@ def by_open3d(scene: RayScene, origin: np.ndarray, way: np.ndarray) -> tuple[np.
     return t, face
 
 
-def of_all(faces: Faces, origin: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For one ray, after what part it meets each face (inf = it does not), and what part a hair is."""
+def of_all(faces: Faces, origin: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """For one ray, after what part it meets each face (inf = it does not)."""
     every = np.arange(len(faces.corners))
-    t, weights, inside, _ = faces.crossing(every, np.tile(origin, (len(every), 1)), np.tile(way, (len(every), 1)))
+    t, _, inside, _ = faces.crossing(every, np.tile(origin, (len(every), 1)), np.tile(way, (len(every), 1)))
     hair = faces.hair / np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
-    return np.where(inside & (t > hair) & (t <= 1.0), t, np.inf), hair, weights
+    return np.where(inside & (t > hair) & (t <= 1.0), t, np.inf)
 
 
 def same_rays(scene: RayScene, grid: TriangleGrid, origin: np.ndarray, way: np.ndarray) -> int:
@@ -104,7 +104,7 @@ def same_rays(scene: RayScene, grid: TriangleGrid, origin: np.ndarray, way: np.n
     other_t, other = by_open3d(scene, origin, way)
     differing = np.flatnonzero(near & ((face != other) | (t != other_t)))
     for k in differing[:200]:
-        parts, hair, _ = of_all(scene._faces, origin[k], way[k])
+        parts = of_all(scene._faces, origin[k], way[k])
         first = int(np.argmin(parts))
         assert t[k] == parts[first] and face[k] == (first if np.isfinite(parts[first]) else NOTHING)
         # Open3D names nothing or a later face, or one beside it that is as near but for rounding.
