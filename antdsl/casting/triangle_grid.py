@@ -27,7 +27,7 @@ Felt = tuple[NDArray[np.bool_], Singles, Singles]
 Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Floats, Floats, Floats]
 
 NOTHING, FURTHER = -1, -2  # instead of a face: there is none, and the grid cannot tell
-LONGEST = 48.0  # cubes that a ray crosses: of more, a tree asks about fewer
+LONGEST = 16.0  # cubes along the three axes that a ray passes: of longer ones, thousands at once are faster in a tree
 RINGS = 3  # of cubes around a place in which its nearest face is looked for
 _FACE_EDGES = 1.0  # cube's edge, in mean edges of faces
 _CELLS = 400_000
