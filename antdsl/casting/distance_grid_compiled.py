@@ -6,24 +6,19 @@ import numpy as np
 
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, inlined, kernel
 
+Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin and end, how many along each axis, and how wide
+
 
 @kernel
-def at_least(
-    x: Array1[F32],
-    y: Array1[F32],
-    z: Array1[F32],
-    low: Array1[F64],
-    high: Array1[F64],
-    size: Array1[I64],
-    width: F64,
-    least: Array1[F32],
-    found: Array1[F32],
-) -> None:
+def at_least(places: Columns, cells: Cells, least: Array1[F32], found: Array1[F32]) -> None:
     """Writes the distances."""
+    x, y, z = places
+    low, high, size, width = cells
     part = 1.0 / width
     lx, ly, lz, hx, hy, hz = low[0], low[1], low[2], high[0], high[1], high[2]
     nx, ny, nz = size[0], size[1], size[2]
-    for n in range(x.size):
+    for n in range(found.size):
         px, py, pz = np.float64(x[n]), np.float64(y[n]), np.float64(z[n])
         ix, iy, iz = _inside(px, lx, hx), _inside(py, ly, hy), _inside(pz, lz, hz)
         gx, gy, gz = px - ix, py - iy, pz - iz

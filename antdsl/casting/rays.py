@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces, nearest_on_triangle
-from antdsl.casting.tolerances import TOUCHING
-from antdsl.casting.triangle_grid import FURTHER, NOTHING, Felt, TriangleGrid
+from antdsl.casting.tolerances import FURTHER, NOTHING, TOUCHING
+from antdsl.casting.triangle_grid import Felt, TriangleGrid
 from antdsl.numerics import compiled
 
 Vectors = NDArray[np.float64]

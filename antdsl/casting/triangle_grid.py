@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from antdsl.casting.distance_grid import cell_width
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.casting.tolerances import CLOSED
+from antdsl.casting.tolerances import CLOSED, FURTHER, LONGEST, NOTHING, RINGS
 from antdsl.numerics import compiled
 from antdsl.numerics.vector_rows import dot
 
@@ -26,9 +26,6 @@ Columns = tuple[Singles, Singles, Singles]
 Felt = tuple[NDArray[np.bool_], Singles, Singles]
 Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Floats, Floats, Floats]
 
-NOTHING, FURTHER = -1, -2  # instead of a face: there is none, and the grid cannot tell
-LONGEST = 16.0  # cubes along the three axes that a ray passes: of longer ones, thousands at once are faster in a tree
-RINGS = 3  # of cubes around a place in which its nearest face is looked for
 _FACE_EDGES = 1.0  # cube's edge, in mean edges of faces
 _CELLS = 400_000
 _LISTED = 4_000_000  # faces in cubes, one in several counted as often

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.casting.faces_compiled import along, nearest_on, square_of, towards
-from antdsl.casting.tolerances import CLOSED, FAR_OFF, SHORTEST, TOUCHING
-from antdsl.casting.triangle_grid import FURTHER, LONGEST, NOTHING, RINGS
+from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, RINGS, SHORTEST, TOUCHING
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, Strided2, called, inlined, kernel
 from antdsl.numerics.vectors_compiled import minus
 

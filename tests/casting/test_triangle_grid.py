@@ -19,7 +19,8 @@ from compilers import need_llvmlite
 from antdsl.casting import triangle_grid
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.rays import RayScene
-from antdsl.casting.triangle_grid import FURTHER, NOTHING, TriangleGrid
+from antdsl.casting.tolerances import FURTHER, NOTHING
+from antdsl.casting.triangle_grid import TriangleGrid
 from antdsl.numerics import compiled
 from antdsl.numerics.vector_rows import dot
 from tests.meshes import Mesh, ball, box, terrain
