@@ -1,30 +1,38 @@
-"""`DistanceGrid.at_least` for one place at a time, in a compiled loop: the same operations in the same order, and so bits."""
+"""`DistanceGrid.at_least` for one place at a time, as a kernel: the same operations in the same order, and so bits."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, kernel
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, inlined, kernel
 
 Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin and end, how many along each axis, and how wide
 
 
 @kernel
-def at_least(places: Columns, cells: Cells, least: Array1[F32], found: Array1[F32]) -> BOOL:
-    """Writes the distances; False where a place is no place."""
+def at_least(places: Columns, cells: Cells, least: Array1[F32], found: Array1[F32]) -> None:
+    """Writes the distances."""
+    x, y, z = places
     low, high, size, width = cells
     part = 1.0 / width
+    lx, ly, lz, hx, hy, hz = low[0], low[1], low[2], high[0], high[1], high[2]
+    nx, ny, nz = size[0], size[1], size[2]
     for n in range(found.size):
-        flat, outside = 0, 0.0
-        for axis in range(3):
-            place = np.float64(places[axis][n])
-            if not abs(place) < np.inf:
-                return False
-            inside = min(max(place, low[axis]), high[axis])
-            gap = place - inside
-            outside = outside + gap * gap
-            flat = flat * size[axis] + min(np.int64((inside - low[axis]) * part), size[axis] - 1)
-        away = least[flat]
-        found[n] = np.float32(np.sqrt(away * away + outside) * (1 - 1e-5)) if outside > 0 else away
-    return True
+        px, py, pz = np.float64(x[n]), np.float64(y[n]), np.float64(z[n])
+        ix, iy, iz = _inside(px, lx, hx), _inside(py, ly, hy), _inside(pz, lz, hz)
+        gx, gy, gz = px - ix, py - iy, pz - iz
+        outside = (gx * gx + gy * gy) + gz * gz
+        cell = min(np.int64((ix - lx) * part), nx - 1) * ny + min(np.int64((iy - ly) * part), ny - 1)
+        cell = cell * nz + min(np.int64((iz - lz) * part), nz - 1)
+        away = least[cell]
+        found[n] = away
+        if outside > 0:
+            found[n] = np.float32(np.sqrt(np.float64(away * away) + outside) * (1 - 1e-5))
+
+
+@inlined
+def _inside(place, low, high):  # type: ignore[no-untyped-def]
+    """As fmin and fmax have it: what is no place lies at the lowest."""
+    inside = place if place > low else low
+    return inside if inside < high else high

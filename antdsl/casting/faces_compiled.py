@@ -63,29 +63,31 @@ def nearest(
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
         f = face[i]
-        q = _nearest(corners, f, p)
-        d = _square(minus(q, p))
+        q = nearest_on(corners, f, p)
+        d = square_of(minus(q, p))
         place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
-        w1, w2 = _along(planes, f, 1, q[0], q[1], q[2]), _along(planes, f, 2, q[0], q[1], q[2])
+        w1, w2 = along(planes, f, 1, q[0], q[1], q[2]), along(planes, f, 2, q[0], q[1], q[2])
         w0 = (1.0 - w1) - w2
         if not _least(w0, w1, w2) > rims[f]:
             at = weld[3 * f + _heaviest(w0, w1, w2)]
             begin = True
             for k in range(first[at], first[at + 1]):
-                q = _nearest(corners, faces[k], p)
-                d = _square(minus(q, p))
+                q = nearest_on(corners, faces[k], p)
+                d = square_of(minus(q, p))
                 if begin or d < square[i]:
                     face[i], begin = faces[k], False
                     place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
 
 
 @inlined
-def _along(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
+def along(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
+    """One row of a face's planes, for a place."""
     return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 
 @inlined
-def _towards(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
+def towards(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
+    """The same for a way."""
     return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
 
 
@@ -109,15 +111,16 @@ def _heaviest(a, b, c):  # type: ignore[no-untyped-def]
 
 @inlined
 def _crossing(planes, face, a, b, c, x, y, z):  # type: ignore[no-untyped-def]
-    t = -_along(planes, face, 0, a, b, c) / _towards(planes, face, 0, x, y, z)
-    w1 = _along(planes, face, 1, a, b, c) + t * _towards(planes, face, 1, x, y, z)
-    w2 = _along(planes, face, 2, a, b, c) + t * _towards(planes, face, 2, x, y, z)
+    t = -along(planes, face, 0, a, b, c) / towards(planes, face, 0, x, y, z)
+    w1 = along(planes, face, 1, a, b, c) + t * towards(planes, face, 1, x, y, z)
+    w2 = along(planes, face, 2, a, b, c) + t * towards(planes, face, 2, x, y, z)
     w0 = (1.0 - w1) - w2
     return t, w0, w1, w2, _least(w0, w1, w2)
 
 
 @inlined
-def _square(a):  # type: ignore[no-untyped-def]
+def square_of(a):  # type: ignore[no-untyped-def]
+    """The square of a vector's length."""
     return dot(a, a)
 
 
@@ -127,7 +130,7 @@ def _on(a, v, s):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _nearest(corners, face, p):  # type: ignore[no-untyped-def]
+def nearest_on(corners, face, p):  # type: ignore[no-untyped-def]
     """As `nearest_on_triangle`."""
     a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])
     b = (corners[face, 1, 0], corners[face, 1, 1], corners[face, 1, 2])
@@ -146,7 +149,7 @@ def _nearest(corners, face, p):  # type: ignore[no-untyped-def]
         length = dot(side, side)
         s = min(max(dot(minus(p, start), side) / (length if length > 0 else 1.0), 0.0), 1.0)
         place = _on(start, side, s)
-        here = _square(minus(place, p))
+        here = square_of(minus(place, p))
         if here < gap:
             best, gap = place, here
     return best

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.rays import FeelerHits
+from antdsl.casting.rays import Columns, FeelerHits
 
 
 class Obstacle(Protocol):
@@ -29,6 +29,19 @@ class Obstacle(Protocol):
         threads: int = 1,
     ) -> FeelerHits:
         """What lies within `reach` (one or float[n]) of places along unit directions."""
+
+    def felt(
+        self,
+        place: Columns,
+        rows: NDArray[np.intp],
+        way: Columns,
+        reach: NDArray[Any],
+        clear: NDArray[np.float32],
+        found: tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]],
+    ) -> NDArray[np.intp]:
+        """What feelers touch of `rows` of all places [n], who have no surface within `clear` [n], along ways [k] of any length,
+        as far as `reach` [k]: whether, the distance and the normal [3,k], into `found`, which says that nothing is touched.
+        Gives back who of the k has still to ask by `feelers`."""
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1

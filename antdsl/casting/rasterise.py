@@ -14,11 +14,14 @@ _OTHER_AXES = ((1, 2), (2, 0), (0, 1))
 _LARGEST = 2.0  # extent in cells above which a triangle is cut in four
 
 
-def triangle_cells(corners: NDArray[np.float64], exact: bool = True) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def triangle_cells(
+    corners: NDArray[np.float64], exact: bool = True, margin: float = 0.0
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Yield (cells int64[k,3], triangle int64[k]) until all touched cells of all triangles are named.
 
     `corners` is float64[n,3,3] (triangle, corner, axis) in units of cells: cell (i,j,k) is [i,i+1)×[j,j+1)×[k,k+1). A cell
-    may come more than once for a large triangle. With `exact` false, all cells of a small box around each part come.
+    may come more than once for a large triangle. With `exact` false, all cells of a small box around each part come. With a
+    `margin` (cells), those too that are as near to a triangle.
     Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap Testing, 2001, p. 2-4.
     """
     todo = [(corners[a : a + _PIECE], np.arange(a, min(a + _PIECE, len(corners)))) for a in range(0, len(corners), _PIECE)]
@@ -29,7 +32,7 @@ def triangle_cells(corners: NDArray[np.float64], exact: bool = True) -> Iterator
         large = (high - low).max(axis=1) > _LARGEST
         small = ~large
         if small.any():
-            yield _box_cells(tri[small], name[small], exact)
+            yield _box_cells(tri[small], name[small], exact, margin)
         if large.any():
             quarters, names = _quarter(tri[large]), np.tile(name[large], 4)
             for a in range(0, len(quarters), _PIECE):
@@ -49,8 +52,11 @@ def _bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.f
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
-def _box_cells(tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    low, high = (np.floor(bound).astype(np.int64) for bound in _bounds(tri))
+def _box_cells(
+    tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool, margin: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    least, most = _bounds(tri)
+    low, high = np.floor(least - margin).astype(np.int64), np.floor(most + margin).astype(np.int64)
     size = high - low + 1
     count = size[:, 0] * size[:, 1] * size[:, 2]
     which = np.repeat(np.arange(len(tri)), count)
@@ -64,23 +70,24 @@ def _box_cells(tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool) -
     if exact:
         flat = np.ascontiguousarray(tri.reshape(-1, 9).T)
         parts = [slice(at, at + _TESTED) for at in range(0, len(which), _TESTED)]
-        touched = np.concatenate([_touch(flat, which[part], cells[part]) for part in parts])
+        touched = np.concatenate([_touch(flat, which[part], cells[part], 0.5 + margin) for part in parts])
         cells, which = cells[touched], which[touched]
     return cells, name[which]
 
 
-def _touch(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether triangles `which` int64[k] of float64[9,n] meet cells int64[k,3], given that their bounding boxes do: bool[k]."""
+def _touch(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64], half: float) -> NDArray[np.bool_]:
+    """Whether triangles `which` int64[k] of float64[9,n] meet cells int64[k,3], given that their bounding boxes do: bool[k].
+    `half`: half of the cells' edge, as they are asked about."""
     middle = cells.T + 0.5
     v = [[tri[3 * corner + axis].take(which) - middle[axis] for axis in range(3)] for corner in range(3)]
     e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]
     normal = [e[0][p] * e[1][q] - e[0][q] * e[1][p] for p, q in _OTHER_AXES]
     away = np.abs(normal[0] * v[0][0] + normal[1] * v[0][1] + normal[2] * v[0][2])
-    touch: NDArray[np.bool_] = away <= 0.5 * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2])) + _SLACK
+    touch: NDArray[np.bool_] = away <= half * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2])) + _SLACK
     for edge in e:
         length = [np.abs(part) for part in edge]
         for p, q in _OTHER_AXES:
-            reach = 0.5 * (length[p] + length[q]) + _SLACK
+            reach = half * (length[p] + length[q]) + _SLACK
             at = [edge[p] * w[q] - edge[q] * w[p] for w in v]
             touch &= np.minimum(np.minimum(at[0], at[1]), at[2]) <= reach
             touch &= np.maximum(np.maximum(at[0], at[1]), at[2]) >= -reach

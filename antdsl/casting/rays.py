@@ -12,12 +12,17 @@ from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces, nearest_on_triangle
+from antdsl.casting.tolerances import FURTHER, NOTHING, TOUCHING
+from antdsl.casting.triangle_grid import Felt, TriangleGrid
+from antdsl.numerics import compiled
 
 Vectors = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mesh = tuple[Vectors, NDArray[np.int32]]
+Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 Met = tuple[Index, Vectors, Index, Vectors]
 
+_NOBODY = np.empty(0, np.intp)
 _CROWD = 2_000  # places asked about at once, from which on finer distances pay
 _CHUNK = 1 << 16  # rays at once
 _AGAIN = 16  # faces that a ray may pass by at less than a hair
@@ -81,6 +86,11 @@ class RayScene:
     place is nearest, is worked out in float64 from the face named and those that meet it there. Of equally near ones the first
     mesh counts, then the first face. A scene that is `brief`, asked for a single step, knows less well who is far from it, and
     is made faster. A hair goes by the largest coordinate, or by `largest` (mm) where what lies beyond it is a backdrop.
+
+    Rays with an end, and nearest faces that are asked for within a distance, go to a `TriangleGrid` where one is of use: it asks
+    all faces nearby in float64, and passes on to Open3D whose ray or face is too far away for it. What decides is the scene and
+    the ray, so no answer depends on who else asks. Where two faces that do not meet are nearer to each other than float32 tells,
+    it names the nearer and Open3D either.
     """
 
     _brief = False
@@ -111,6 +121,8 @@ class RayScene:
         self._grid: DistanceGrid | None = None
         self._refined = False
         self._exact: Any = None
+        self._short: TriangleGrid | None = None
+        self._sought = False
         if len(corners):
             self._scene = self._built(self._faces.widened())
 
@@ -144,8 +156,29 @@ class RayScene:
         self, origin: Vectors, step: Vectors, threads: int = 1, most_hit: bool = False
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
         """Which rays hit from `origin` [n,3] to `origin + step`, ascending; t, mesh, face. `most_hit`: it is not asked first."""
-        which, t, face, _ = self._first(origin - self.origin, step, 1.0, threads, most_hit)
+        which, t, face = self._within(origin - self.origin, step, threads, most_hit)
         return which, t, *self._counted(face)
+
+    def _triangles(self) -> TriangleGrid | None:
+        """The grid for short rays and near faces, made when it is first asked for: none for a scene of a single step."""
+        if not self._sought:
+            self._sought = True
+            self._short = TriangleGrid.of(self._faces, self.origin)
+        return self._short
+
+    def _within(self, origin: Vectors, way: Vectors, threads: int, most_hit: bool = False) -> tuple[Index, Vectors, Index]:
+        """As `_first` within one length of the way, without weights; short rays by the grid."""
+        grid = self._triangles()
+        if grid is None:
+            return self._first(origin, way, 1.0, threads, most_hit)[:3]
+        t, face = grid.first(origin, way)
+        further = np.flatnonzero(face == FURTHER)
+        if further.size:
+            face[further] = NOTHING
+            rows, part, named, _ = self._first(origin[further], way[further], 1.0, threads, most_hit)
+            t[further[rows]], face[further[rows]] = part, named
+        met = np.flatnonzero(face >= 0)
+        return met, t.take(met), face.take(met)
 
     def _first(self, origin: Vectors, way: Vectors, most: float, threads: int, most_hit: bool = False) -> Met:
         """Which rays from places [n,3], as the scene counts them, hit something within `most` lengths of their way [n,3]: their
@@ -257,6 +290,21 @@ class RayScene:
             nothing = np.full(n, -1, np.int32)
             return nothing, nothing.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
         local = np.asarray(points, np.float64) - self.origin
+        endless = isinstance(within, float) and within == np.inf
+        grid = None if endless else self._triangles()
+        if grid is None:
+            place, distance, face = self._closest(local, threads, within)
+        else:
+            place, square, face = grid.nearest(local)
+            distance = np.sqrt(square)
+            rows = np.flatnonzero(face == FURTHER)
+            if rows.size:
+                most = np.broadcast_to(np.asarray(within), (n,))[rows]
+                place[rows], distance[rows], face[rows] = self._closest(local[rows], threads, most)
+        return *self._counted(face), place + self.origin, distance
+
+    def _closest(self, local: Vectors, threads: int, within: NDArray[Any] | float) -> tuple[Vectors, Vectors, Index]:
+        """Place, distance and face nearest to places as the scene counts them, by Open3D."""
         place, square, face = self._faces.nearest(local, self._nearest(local, threads))
         # A little further away from it what is as near on another side is nearer: so it is known too, whichever was named.
         distance = np.sqrt(square)
@@ -268,7 +316,7 @@ class RayScene:
             nearer = np.flatnonzero((apart < square) | ((apart == square) & (other < one)))
             rows = asked[nearer]
             place[rows], face[rows], distance[rows] = there[nearer], other[nearer], np.sqrt(apart[nearer])
-        return *self._counted(face), place + self.origin, distance
+        return place, distance, face
 
     def _about(self, points: Vectors) -> Vectors:
         """Distances [n] to the nearest face or to one that is no further but for float32: for bounds."""
@@ -326,9 +374,49 @@ class RayScene:
         Whoever is too far from everything to touch it is not asked (performance: most agents), and gets the same answer.
         """
         n = len(x)
-        reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
-        t = np.full(n, np.inf, np.float32)
-        normal = np.zeros((3, n), np.float32)
+        if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
+            reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
+        assert isinstance(reach, np.ndarray)
+        grid = self._compiled((x, y, z, dx, dy, dz))
+        if grid is not None:
+            found, left = grid.feelers((x, y, z), (dx, dy, dz), reach)
+            if left:
+                asked = np.flatnonzero(np.isnan(found[0]))
+                rays = tuple(each.take(asked) for each in (x, y, z, dx, dy, dz))
+                found[0, asked], found[1:, asked] = self._touched(rays, reach.take(asked), threads)
+            t, normal = found[0], found[1:]
+        else:
+            t, normal = self._touched((x, y, z, dx, dy, dz), reach, threads)
+        return FeelerHits(t < np.inf, t, *normal)
+
+    def felt(
+        self, place: Columns, rows: NDArray[np.intp], way: Columns, reach: NDArray[Any], clear: NDArray[np.float32], found: Felt
+    ) -> NDArray[np.intp]:
+        """As `feelers`, in one call for `rows` of all places [n], who have no face within `clear` [n], along ways [k] of any
+        length, as far as `reach` [k]: into `found` (whether, distance, normal [3,k]), which says until then that nothing is
+        touched. Gives back who of the k has still to ask by `feelers`: all where the grid's kernels do not run."""
+        grid = self._compiled((*place, *way, reach, clear))
+        if grid is None:
+            return np.arange(len(rows))
+        if not grid.felt(place, rows, way, reach, clear, found):
+            return _NOBODY
+        asked = np.flatnonzero(np.isnan(found[1]))
+        found[1][asked] = np.inf
+        return asked
+
+    def _compiled(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
+        """The grid, where its kernels run and take these columns."""
+        if not compiled.wanted(len(columns[0])) or any(each.dtype != np.float32 for each in columns):
+            return None
+        return self._triangles()
+
+    def _touched(
+        self, rays: tuple[NDArray[Any], ...], reach: NDArray[np.float32], threads: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Distance and normal of what feelers touch: six columns, by arrays."""
+        x, y, z, dx, dy, dz = rays
+        t = np.full(len(x), np.inf, np.float32)
+        normal = np.zeros((3, len(x)), np.float32)
         near = self._reachable(x, y, z, dx, dy, dz, reach)
         if near.size:
             length = reach.take(near)
@@ -336,12 +424,12 @@ class RayScene:
             for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
                 np.subtract(place.take(near), self.origin[axis], out=origin[axis])
                 np.multiply(step.take(near), length, out=way[axis], dtype=np.float64)
-            met, part, face, _ = self._first(origin.T, way.T, 1.0, threads)
+            met, part, face = self._within(origin.T, way.T, threads)
             if met.size:
                 near = near.take(met)
                 t[near] = part * length.take(met)
                 normal[:, near] = self._towards(face, way.T[met]).T
-        return FeelerHits(np.isfinite(t), t, *normal)
+        return t, normal
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
@@ -369,15 +457,28 @@ class RayScene:
         """How far (mm, float32[n]) places are out of the meshes, below 0 inside, and the unit way out, float32[3,n].
 
         Inside is behind the nearest face; slow far from the surface."""
-        points = np.stack([x, y, z], axis=1).astype(np.float64)
+        grid = self._compiled((x, y, z))
+        if grid is None:
+            return self._apart(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
+        found, left = grid.apart((x, y, z))
+        if left:
+            asked = np.flatnonzero(np.isnan(found[0]))
+            points = np.stack([each.take(asked) for each in (x, y, z)], axis=1).astype(np.float64)
+            most = np.broadcast_to(np.asarray(within), (len(x),)).take(asked)
+            found[0, asked], found[1:, asked] = self._apart(points, most, threads)
+        return found[0], found[1:]
+
+    def _apart(
+        self, points: Vectors, within: NDArray[Any] | float, threads: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         mesh, face, place, distance = self.closest(points, threads, within)
         if self._scene is None or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
         normal = self._faces.normal(face + self._first_face[mesh])
         away = points - place
         side = np.where((away[:, 0] * normal[:, 0] + away[:, 1] * normal[:, 1]) + away[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
-        touching = distance < 1e-6
-        out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, 1e-6))[:, None])
+        touching = distance < TOUCHING
+        out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, TOUCHING))[:, None])
         return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
 
     def _reachable(

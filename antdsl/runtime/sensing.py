@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.obstacle import Obstacle
+from antdsl.casting.tolerances import SHORTEST
 from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
@@ -25,7 +27,7 @@ from antdsl.runtime.world import AXES, Population, World
 
 Value = Any
 Rows = slice | NDArray[np.intp]
-TINY = np.float32(1e-30)
+TINY = np.float32(SHORTEST)
 _HAIR = 1e-6  # of the way to the middle of a face
 
 
@@ -146,28 +148,49 @@ def _item_alive(world: World, population: Population, node: ir.Node, rows: Rows,
 
 def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Value, dy: Value, dz: Value, reach: Value) -> Value:
     n, name = _size(rows), node.attrs[0]
-    hit, distance = np.zeros(n, np.bool_), np.full(n, np.inf, np.float32)
-    normal = np.zeros((3, n), np.float32)
-    asked = (reach > 0) & (reach < np.inf)
-    near = asked & may_touch(clearance(world, population, name)[rows], reach)
+    found = np.zeros(n, np.bool_), np.full(n, np.inf, np.float32), np.zeros((3, n), np.float32)
+    clear = clearance(world, population, name)
     levels = None if world.detail is None else world.detail.felt(world, population, name)
-    which = [(world.obstacles[name], near)]
+    which = [(world.obstacles[name], clear)]
     if levels is not None and world.detail is not None:
-        boxes = asked & (levels[rows] == 1) & may_touch(world.detail.clearance(world, population, name)[rows], reach)
-        which = [(world.obstacles[name], near & (levels[rows] == 0)), (world.detail.boxes(name), boxes)]
-    for scene, those in which:
-        chosen = np.flatnonzero(those)
-        ways = [_spread(v, rows).take(chosen) for v in (dx, dy, dz, reach)]
-        size = np.sqrt((ways[0] * ways[0] + ways[1] * ways[1]) + ways[2] * ways[2])
-        sound = np.flatnonzero((size > TINY) & (size < np.inf))
-        good = chosen.take(sound)
-        if len(good):
-            x, y, z = (v.take(good) for v in _place(world, population, rows))
-            wx, wy, wz, size, far = (v.take(sound) for v in (*ways[:3], size, ways[3]))
-            met = scene.feelers(x, y, z, wx / size, wy / size, wz / size, far, threads=world.options.threads)
-            hit[good], distance[good] = met.hit, met.t
-            normal[:, good] = met.nx, met.ny, met.nz
+        far = np.float32(np.inf)
+        boxes = np.where(levels == 1, world.detail.clearance(world, population, name), far)
+        which = [(world.obstacles[name], np.where(levels == 0, clear, far)), (world.detail.boxes(name), boxes)]
+    ways = tuple(_spread(v, rows) for v in (dx, dy, dz, reach))
+    for scene, clear in which:
+        _feel(world, population, scene, clear, rows, ways, found)
+    hit, distance, normal = found
     return hit, distance, *normal
+
+
+def _feel(
+    world: World,
+    population: Population,
+    scene: Obstacle,
+    clear: NDArray[np.float32],
+    rows: Rows,
+    ways: tuple[NDArray[Any], ...],
+    found: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
+) -> None:
+    """What of a scene those `rows` touch, into `found`, who have no face of it within `clear`, float32 of all agents."""
+    dx, dy, dz, reach = ways
+    x, y, z = (population.start[f"position.{axis}"] for axis in AXES)
+    which = _numbered(rows)
+    asked = scene.felt((x, y, z), which, (dx, dy, dz), reach, clear, found)
+    if not len(asked):
+        return
+    wx, wy, wz, far = (v.take(asked) for v in ways)
+    size = np.sqrt((wx * wx + wy * wy) + wz * wz)
+    near = (far > 0) & (far < np.inf) & may_touch(clear.take(which.take(asked)), far)
+    sound = np.flatnonzero(near & (size > TINY) & (size < np.inf))
+    good = asked.take(sound)
+    if len(good):
+        x, y, z = (v.take(which.take(good)) for v in (x, y, z))
+        wx, wy, wz, size, far = (v.take(sound) for v in (wx, wy, wz, size, far))
+        met = scene.feelers(x, y, z, wx / size, wy / size, wz / size, far, threads=world.options.threads)
+        hit, distance, normal = found
+        hit[good], distance[good] = met.hit, met.t
+        normal[:, good] = met.nx, met.ny, met.nz
 
 
 def _obstacle_near(world: World, population: Population, node: ir.Node, rows: Rows, reach: Value) -> Value:

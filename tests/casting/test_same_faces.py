@@ -165,7 +165,7 @@ def test_the_kernels_and_the_arrays_say_the_same(monkeypatch: pytest.MonkeyPatch
     corners[::7, 2] = corners[::7, 0]
     place = nearest_on_triangle(points, corners)
     for k in range(0, 3000, 3):
-        assert faces_compiled._nearest(corners, k, tuple(points[k])) == tuple(place[k])
+        assert faces_compiled.nearest_on(corners, k, tuple(points[k])) == tuple(place[k])
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.tolerances import FAR_OFF
 from antdsl.runtime.world import AXES, Population, World
 
-_SLACK = np.float32(1e-4)  # relative, and in mm: more than any rounding of a place or a direction
+_SLACK = np.float32(FAR_OFF)
 
 
 def clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:

@@ -1,0 +1,287 @@
+"""Triangles in the cubes of a regular grid: the first that a short ray meets, and the nearest within some cells, in float64.
+
+A ray visits the cubes along it (J. Amanatides, A. Woo, A Fast Voxel Traversal Algorithm for Ray Tracing, Eurographics 1987), a
+place those around it, ring by ring; every face listed there is measured as `Faces` measures one. So the answer is that of all
+faces, the least distance and then the least number, whatever the cubes are: they only say which faces need not be asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.distance_grid import cell_width
+from antdsl.casting.faces import Faces, nearest_on_triangle
+from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.tolerances import CLOSED, FURTHER, LONGEST, NOTHING, RINGS
+from antdsl.numerics import compiled
+from antdsl.numerics.vector_rows import dot
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+Singles = NDArray[np.float32]
+Columns = tuple[Singles, Singles, Singles]
+Felt = tuple[NDArray[np.bool_], Singles, Singles]
+Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Floats, Floats, Floats]
+
+_FACE_EDGES = 1.0  # cube's edge, in mean edges of faces
+_CELLS = 400_000
+_LISTED = 4_000_000  # faces in cubes, one in several counted as often
+_CROWDED = 48.0  # faces in the cube of a face, on average: from there on a tree asks about fewer
+_MARGIN = 1e-6  # cubes: further than rounding and `CLOSED` move a place off a face
+_THIN = 1e-8  # sine of the corner of a face, below which its plane is noise and rays go through it
+
+
+class TriangleGrid:
+    """A grid of all faces. `tables`: lowest corner, edge, error of a bound, hair and origin (mm, float64[9]); cubes along each
+    axis, int64[3]; where the faces of each cube begin and their numbers, int32; of each of these, side by side, its plane and a
+    ball around it, float32[e,8]; planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces."""
+
+    def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats) -> None:
+        corners = faces.corners
+        low = corners.min(axis=(0, 1)) - width / 4
+        size = np.floor((corners.max(axis=(0, 1)) + width / 4 - low) / width).astype(np.int64) + 1
+        count = len(corners)
+        keys = [np.empty(0, np.int64)]
+        for cell, face in triangle_cells((corners - low) / width, margin=_MARGIN):
+            cell = np.minimum(np.maximum(cell, 0), size - 1)
+            keys.append(((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]) * count + face)
+        cells, listed = np.divmod(np.unique(np.concatenate(keys)), count)
+        first = np.zeros(int(np.prod(size)) + 1, np.int32)
+        np.cumsum(np.bincount(cells, minlength=len(first) - 1), out=first[1:])
+        normals = faces.normal(np.arange(count))
+        off = 1e-6 * (float(np.abs(corners).max()) + (LONGEST + RINGS) * width)  # several times what float32 makes of it
+        self._hair = faces.hair
+        self.tables: Tables = (
+            np.array([*low, width, off, faces.hair, *origin]),  # the grid's lowest corner and the world's place of its zero
+            size,
+            first,
+            listed.astype(np.int32),
+            _bounds(corners, normals)[listed],
+            np.ascontiguousarray(_sound(corners, planes)),
+            np.ascontiguousarray(corners),
+            normals,
+        )
+        many = np.diff(first).astype(np.float64)
+        self.crowded = float((many * many).sum() / max(many.sum(), 1.0))
+
+    @staticmethod
+    def of(faces: Faces, origin: Floats) -> TriangleGrid | None:
+        """A grid where one is of use and not too large: its size is reckoned before anything is allocated. `origin`: where in the
+        world the faces' zero is."""
+        tables = faces.tables()
+        width = None if tables is None else _width(faces.corners)
+        if tables is None or width is None:
+            return None
+        grid = TriangleGrid(faces, tables[0], width, origin)
+        return grid if grid.crowded <= _CROWDED else None
+
+    # ---- rays
+
+    def first(self, origin: Floats, way: Floats) -> tuple[Floats, Index]:
+        """The first face that rays from `origin` [n,3] meet within their `way` [n,3], after what part of it, but not within a
+        hair of their start. NOTHING where there is none, FURTHER for rays that are too long."""
+        if compiled.wanted(len(origin)):
+            from antdsl.casting import triangle_grid_compiled
+
+            t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
+            triangle_grid_compiled.firsts(self.tables, origin, way, t, face)
+            return t, face
+        with np.errstate(all="ignore"):
+            return self._first(origin, way)
+
+    def _first(self, origin: Floats, way: Floats) -> tuple[Floats, Index]:
+        low, width = self.tables[0][:3], self.tables[0][3]
+        hair = self._hair / np.sqrt(dot(way, way))
+        t, face = np.full(len(origin), np.inf), np.full(len(origin), NOTHING)
+        start, step = (origin - low) * (1.0 / width), way * (1.0 / width)
+        long = (np.abs(step[:, 0]) + np.abs(step[:, 1])) + np.abs(step[:, 2])
+        face[long > LONGEST] = FURTHER
+        asked = np.flatnonzero((long <= LONGEST) & np.isfinite(start).all(axis=1))
+        which, cell = self._along(start[asked], step[asked])
+        row, other = self._listed(asked[which], cell)
+        part = np.empty(len(row))
+        inside = np.empty(len(row), np.bool_)
+        planes = self.tables[5]
+        for piece in _pieces(len(row)):
+            part[piece], inside[piece] = _crossing(planes.take(other[piece], axis=0), origin[row[piece]], way[row[piece]])
+        good = np.flatnonzero(inside & (part > hair[row]) & (part <= 1.0))
+        order = good[np.lexsort((other[good], part[good], row[good]))]
+        best = order[np.append(True, row[order[1:]] != row[order[:-1]])] if order.size else order
+        t[row[best]], face[row[best]] = part[best], other[best]
+        return t, face
+
+    def _along(self, start: Floats, step: Floats) -> tuple[Index, Index]:
+        """The cubes that rays pass, by where they cross from one to the next: which ray, and the cube's number."""
+        size = self.tables[1]
+        cuts, rays = [np.zeros(len(start)), np.ones(len(start))], [np.arange(len(start))] * 2
+        for axis in range(3):
+            one, two = start[:, axis], start[:, axis] + step[:, axis]
+            lowest = np.maximum(np.floor(np.minimum(one, two)), -1.0)
+            count = np.maximum(np.minimum(np.floor(np.maximum(one, two)), size[axis] + 1.0) - lowest, 0.0).astype(np.int64)
+            ray = np.repeat(np.arange(len(start)), count)
+            border = lowest[ray] + (1 + np.arange(len(ray)) - np.repeat(np.cumsum(count) - count, count))
+            cuts.append(np.fmin(np.fmax((border - one[ray]) / step[ray, axis], 0.0), 1.0))
+            rays.append(ray)
+        cut, ray = np.concatenate(cuts), np.concatenate(rays)
+        order = np.lexsort((cut, ray))
+        cut, ray = cut[order], ray[order]
+        same = np.flatnonzero(ray[1:] == ray[:-1])
+        ray = ray[same]
+        middle = (cut[same] + cut[same + 1]) / 2
+        cell = np.floor(start[ray] + step[ray] * middle[:, None]).astype(np.int64)
+        inside = np.flatnonzero(((cell >= 0) & (cell < size)).all(axis=1))
+        ray, cell = ray[inside], cell[inside]
+        return ray, (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
+
+    def _listed(self, which: Index, cell: Index) -> tuple[Index, Index]:
+        """The faces of cubes, for whom they are asked about."""
+        first, faces = self.tables[2], self.tables[3]
+        begin = first.take(cell).astype(np.int64)
+        count = first.take(cell + 1) - begin
+        step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+        return np.repeat(which, count), faces.take(np.repeat(begin, count) + step).astype(np.int64)
+
+    def feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, int]:
+        """What feelers touch that are as long as `reach`, from places along unit directions, float32 columns in the world:
+        distance (inf = nothing, NaN for who has to ask elsewhere) and unit normal towards the asker, float32[4,n]; and how many
+        have to. Compiled."""
+        from antdsl.casting import triangle_grid_compiled
+
+        found = np.empty((4, len(reach)), np.float32)
+        return found, triangle_grid_compiled.feelers(self.tables, _plain(*place, *direction, reach), found)
+
+    def felt(self, place: Columns, rows: Index, way: Columns, reach: Singles, clear: Singles, found: Felt) -> int:
+        """As `feelers`, for some rows of all places [n] and of how far these have no face (`clear`), with ways [k] of any length
+        and reaches [k]; into `found` (whether, distance, normal [3,k]) of those who touch something or have to ask elsewhere.
+        Compiled."""
+        from antdsl.casting import triangle_grid_compiled
+
+        columns, ways = _plain(*place, clear), _plain(*way, reach)
+        count: int = triangle_grid_compiled.felt(self.tables, columns, rows, ways, *found)
+        return count
+
+    # ---- nearest faces
+
+    def apart(self, place: Columns) -> tuple[Singles, int]:
+        """How far (mm) places are out of the faces, below 0 behind the nearest, NaN for who has to ask elsewhere, and the unit
+        way out, float32[4,n]; and how many have to. Compiled."""
+        from antdsl.casting import triangle_grid_compiled
+
+        found = np.empty((4, len(place[0])), np.float32)
+        return found, triangle_grid_compiled.apart(self.tables, _plain(*place), found)
+
+    def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
+        """The place nearest to each point [n,3], its square distance and its face; FURTHER where none is near enough to tell."""
+        if compiled.wanted(len(points)):
+            from antdsl.casting import triangle_grid_compiled
+
+            place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
+            triangle_grid_compiled.nearests(self.tables, points, place, square, face)
+            return place, square, face
+        with np.errstate(all="ignore"):
+            return self._nearest(points)
+
+    def _nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
+        low, width, size = self.tables[0][:3], self.tables[0][3], self.tables[1]
+        place, square, face = points.copy(), np.full(len(points), np.inf), np.full(len(points), FURTHER)
+        at = (points - low) * (1.0 / width)
+        rows = np.flatnonzero(((at >= -RINGS) & (at <= size + RINGS)).all(axis=1))
+        middle = np.minimum(np.floor(np.fmin(np.fmax(at, 0.0), size)), size - 1).astype(np.int64)
+        corners = self.tables[6]
+        for ring in range(RINGS + 1):
+            cell, which = _ring(middle[rows], ring, size)
+            row, other = self._listed(rows[which], cell)
+            there = nearest_on_triangle(points[row], corners.take(other, axis=0))
+            gap = there - points[row]
+            apart = dot(gap, gap)
+            order = np.lexsort((other, apart, row))
+            best = order[np.append(True, row[order[1:]] != row[order[:-1]])] if order.size else order
+            row, other, apart, there = row[best], other[best], apart[best], there[best]
+            nearer = (apart < square[row]) | ((apart == square[row]) & (other < face[row]))
+            row = row[nearer]
+            place[row], square[row], face[row] = there[nearer], apart[nearer], other[nearer]
+            known = _known(at[rows], middle[rows], ring, size) * width
+            rows = rows[~(square[rows] <= known * known)]
+        place[rows], square[rows], face[rows] = points[rows], np.inf, FURTHER
+        return place, square, face
+
+
+def _ring(middle: Index, ring: int, size: Index) -> tuple[Index, Index]:
+    """The cubes of the grid that are so many away from others [n,3], and from which."""
+    steps = np.indices((2 * ring + 1,) * 3).reshape(3, -1).T - ring
+    steps = steps[np.abs(steps).max(axis=1) == ring]
+    cell = middle[:, None] + steps
+    which, step = np.nonzero(((cell >= 0) & (cell < size)).all(axis=2))
+    cell = cell[which, step]
+    return (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], which
+
+
+def _known(at: Floats, middle: Index, ring: int, size: Index) -> Floats:
+    """How far (cubes) from places all faces are in the cubes up to a ring; beyond the grid there are none."""
+    below, above = middle - ring, middle + (ring + 1)
+    low = np.where(below <= 0, np.inf, at - below)
+    high = np.where(above >= size, np.inf, above - at)
+    known: Floats = np.minimum(low, high).min(axis=1)
+    return known
+
+
+def _crossing(rows: Floats, origin: Floats, way: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """As `Faces.crossing`, for planes [k,3,4]: after what part of the way, and whether within the face."""
+    at = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
+    to = (rows[:, :, 0] * way[:, 0:1] + rows[:, :, 1] * way[:, 1:2]) + rows[:, :, 2] * way[:, 2:]
+    t = -at[:, 0] / to[:, 0]
+    one, two = at[:, 1] + t * to[:, 1], at[:, 2] + t * to[:, 2]
+    return t, np.minimum(np.minimum((1.0 - one) - two, one), two) >= -CLOSED
+
+
+def _plain(*columns: Singles) -> tuple[Singles, ...]:
+    """The same in one piece."""
+    return tuple(np.ascontiguousarray(each) for each in columns)
+
+
+def _pieces(count: int, most: int = 1 << 16) -> Iterator[slice]:
+    return (slice(k, k + most) for k in range(0, count, most))
+
+
+def _width(corners: Floats) -> float | None:
+    """The edge of cubes (mm): about that of the faces, larger where there would be too many cubes or faces in them."""
+    if not len(corners):
+        return None
+    sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]
+    lengths = np.sqrt(np.stack([dot(side, side) for side in sides]))
+    normal = np.cross(sides[0], sides[1])
+    area, around = np.sqrt(dot(normal, normal)).sum() / 2, lengths.sum()
+    extent = corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))
+    width = max(float(lengths.mean()) * _FACE_EDGES, cell_width(extent, _CELLS))
+    if not 0 < width < np.inf:
+        return None
+    # A face touches cubes by its area, its sides and its corners.
+    for _ in range(40):
+        if 3 * area / width**2 + 2 * around / width + 8.0 * len(corners) <= _LISTED:
+            return width
+        width *= 1.25
+    return None
+
+
+def _bounds(corners: Floats, normals: Floats) -> Singles:
+    """Planes (unit normal and -distance from the origin) and balls (middle, in the plane, and radius) of faces, float32[m,8]."""
+    plane = np.concatenate([normals, -dot(normals, corners[:, 0])[:, None]], axis=1)
+    middle = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+    away = corners - middle[:, None]
+    radius = np.sqrt(((away[:, :, 0] ** 2 + away[:, :, 1] ** 2) + away[:, :, 2] ** 2).max(axis=1))
+    return np.concatenate([plane, middle, radius[:, None]], axis=1).astype(np.float32)
+
+
+def _sound(corners: Floats, planes: Floats) -> Floats:
+    """Planes [m,3,4], all zero of faces that are too thin to have one."""
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    size = dot(planes[:, 0, :3], planes[:, 0, :3])
+    thin = ~(size > _THIN * _THIN * (dot(one, one) * dot(two, two)))
+    if not thin.any():
+        return planes
+    sound: Floats = planes.copy()
+    sound[thin] = 0.0
+    return sound

@@ -1,0 +1,272 @@
+"""What `triangle_grid` does, for one ray or place at a time: the same float64 operations in the same order for each face."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.casting.faces_compiled import along, nearest_on, square_of, towards
+from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, RINGS, SHORTEST, TOUCHING
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, Strided2, called, inlined, kernel
+from antdsl.numerics.vectors_compiled import minus
+
+# As `TriangleGrid.tables`.
+Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+Seven = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+ONE, SLACK, TINY = np.float32(1), np.float32(FAR_OFF), np.float32(SHORTEST)
+_STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its layer
+
+
+@kernel
+def firsts(grid: Grid, origin: Strided2[F64], way: Strided2[F64], t: Array1[F64], face: Array1[I64]) -> None:
+    """As `TriangleGrid.first`, into the last two arrays."""
+    for i in range(face.size):
+        t[i], face[i] = _first(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
+
+
+@kernel
+def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
+    """As `TriangleGrid.feelers`, into the last array: distance, NaN for who has to ask elsewhere, and normal; how many have."""
+    x, y, z, dx, dy, dz, reach = rays
+    count = 0
+    for i in range(reach.size):
+        n, face = _feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
+        if face == FURTHER:
+            count += 1
+        found[0, i] = np.float32(n[3])
+        found[1, i], found[2, i], found[3, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+    return count
+
+
+@kernel
+def felt(grid: Grid, places: Four, rows: Array1[I64], ways: Four, hit: Array1[BOOL], t: Array1[F32], normal: Array2[F32]) -> I64:
+    """As `TriangleGrid.felt`, into the last three arrays; the distance is NaN for who has to ask elsewhere; how many have."""
+    x, y, z, clear = places
+    wx, wy, wz, reach = ways
+    count = 0
+    for i in range(rows.size):
+        row, far = rows[i], reach[i]
+        if not (far > 0 and far < np.inf and clear[row] <= far * (ONE + SLACK) + SLACK):
+            continue
+        size = np.sqrt((wx[i] * wx[i] + wy[i] * wy[i]) + wz[i] * wz[i])
+        if not (size > TINY and size < np.inf):
+            continue
+        n, face = _feel(grid, (x[row], y[row], z[row]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
+        if face == FURTHER:
+            count += 1
+            t[i] = np.float32(n[3])
+        elif face >= 0:
+            hit[i], t[i] = True, np.float32(n[3])
+            normal[0, i], normal[1, i], normal[2, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+    return count
+
+
+@called
+def _feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
+    """The normal of what a feeler touches, towards the asker, and after how many mm (inf = nothing, NaN = the grid cannot tell);
+    and the face."""
+    shape, normals = grid[0], grid[7]
+    far = np.float64(reach)
+    a = np.float64(p[0]) - shape[6], np.float64(p[1]) - shape[7], np.float64(p[2]) - shape[8]
+    w = np.float64(d[0]) * far, np.float64(d[1]) * far, np.float64(d[2]) * far
+    t, face = _first(grid, a, w)
+    if face < 0:
+        return (0.0, 0.0, 0.0, np.nan if face == FURTHER else np.inf), face
+    x, y, z = normals[face, 0], normals[face, 1], normals[face, 2]
+    if (x * w[0] + y * w[1]) + z * w[2] > 0:
+        x, y, z = -x, -y, -z
+    return (x, y, z, t * far), face
+
+
+@kernel
+def apart(grid: Grid, places: Three, found: Array2[F32]) -> I64:
+    """As `TriangleGrid.apart`, into the last array: gap, NaN for who has to ask elsewhere, and way out; how many have."""
+    x, y, z = places
+    shape, normals = grid[0], grid[7]
+    count = 0
+    for i in range(x.size):
+        p = np.float64(x[i]), np.float64(y[i]), np.float64(z[i])
+        square, face, q = _nearest(grid, (p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]))
+        if face < 0:
+            found[0, i] = np.float32(np.nan)
+            count += 1
+            continue
+        distance = np.sqrt(square)
+        n = normals[face, 0], normals[face, 1], normals[face, 2]
+        away = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
+        side = -1.0 if (away[0] * n[0] + away[1] * n[1]) + away[2] * n[2] < 0 else 1.0
+        found[0, i] = np.float32(distance * side)
+        part = side / max(distance, TOUCHING)
+        for k in range(3):
+            found[k + 1, i] = np.float32(n[k] if distance < TOUCHING else away[k] * part)
+    return count
+
+
+@kernel
+def nearests(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
+    """As `TriangleGrid.nearest`, into the last three arrays."""
+    for i in range(face.size):
+        p = (points[i, 0], points[i, 1], points[i, 2])
+        square[i], face[i], q = _nearest(grid, p)
+        place[i, 0], place[i, 1], place[i, 2] = q[0], q[1], q[2]
+
+
+@called
+def _first(grid, a, w):  # type: ignore[no-untyped-def]
+    """After what part of its way a ray meets its first face, and which."""
+    shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
+    part = 1.0 / shape[3]
+    px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
+    dx, dy, dz = w[0] * part, w[1] * part, w[2] * part
+    long = (abs(dx) + abs(dy)) + abs(dz)
+    if long > LONGEST:
+        return np.inf, FURTHER
+    if not (abs(px) + abs(py) + abs(pz) < np.inf and long <= LONGEST):
+        return np.inf, NOTHING
+    # A ray that stays in a layer has its borders infinitely far away, and none that is outside enters it.
+    mx, my, mz = abs(dx) > _STILL, abs(dy) > _STILL, abs(dz) > _STILL
+    ix, iy, iz = 1.0 / dx if mx else np.inf, 1.0 / dy if my else np.inf, 1.0 / dz if mz else np.inf
+    bx, ex = _between(px, ix, mx, np.float64(size[0]))
+    by, ey = _between(py, iy, my, np.float64(size[1]))
+    bz, ez = _between(pz, iz, mz, np.float64(size[2]))
+    begin, end = max(max(max(bx, by), bz), 0.0), min(min(min(ex, ey), ez), 1.0)
+    if begin > end:
+        return np.inf, NOTHING
+    x = min(max(np.int64(np.floor(px + dx * begin)), 0), size[0] - 1)
+    y = min(max(np.int64(np.floor(py + dy * begin)), 0), size[1] - 1)
+    z = min(max(np.int64(np.floor(pz + dz * begin)), 0), size[2] - 1)
+    ux, uy, uz = 1 if dx > 0 else 0, 1 if dy > 0 else 0, 1 if dz > 0 else 0
+    square = (w[0] * w[0] + w[1] * w[1]) + w[2] * w[2]
+    h, over, off = shape[5] / np.sqrt(square), 1.0 / square, shape[4]
+    best, face, most = np.inf, NOTHING, 1.0
+    while x >= 0 and x < size[0] and y >= 0 and y < size[1] and z >= 0 and z < size[2]:
+        cell = (x * size[1] + y) * size[2] + z
+        for k in range(first[cell], first[cell + 1]):
+            # Most faces lie with their whole plane on one side of the ray, or with their ball beside it.
+            here = ((bound[k, 0] * a[0] + bound[k, 1] * a[1]) + bound[k, 2] * a[2]) + bound[k, 3]
+            there = here + ((bound[k, 0] * w[0] + bound[k, 1] * w[1]) + bound[k, 2] * w[2]) * most
+            if abs(here + there) - abs(here - there) > 2.0 * off:
+                continue
+            cx, cy, cz, away = bound[k, 4] - a[0], bound[k, 5] - a[1], bound[k, 6] - a[2], bound[k, 7] + off
+            there = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * over, 0.0), most)
+            cx, cy, cz = cx - there * w[0], cy - there * w[1], cz - there * w[2]
+            if cx * cx + cy * cy + cz * cz > away * away:
+                continue
+            f = listed[k]
+            t = -along(planes, f, 0, a[0], a[1], a[2]) / towards(planes, f, 0, w[0], w[1], w[2])
+            if t > h and t <= most:
+                w1 = along(planes, f, 1, a[0], a[1], a[2]) + t * towards(planes, f, 1, w[0], w[1], w[2])
+                w2 = along(planes, f, 2, a[0], a[1], a[2]) + t * towards(planes, f, 2, w[0], w[1], w[2])
+                if (1.0 - w1) - w2 >= -CLOSED and w1 >= -CLOSED and w2 >= -CLOSED and (t < best or f < face):
+                    best, face, most = t, f, t
+        # Where the ray leaves the cube: what it meets before is listed in it.
+        tx = (np.float64(x + ux) - px) * ix if mx else np.inf
+        ty = (np.float64(y + uy) - py) * iy if my else np.inf
+        tz = (np.float64(z + uz) - pz) * iz if mz else np.inf
+        out = min(min(tx, ty), tz)
+        if best <= out or out > end:
+            break
+        if tx == out:
+            x += 2 * ux - 1
+        elif ty == out:
+            y += 2 * uy - 1
+        else:
+            z += 2 * uz - 1
+    return best, face
+
+
+@inlined
+def _between(p, inverse, moves, size):  # type: ignore[no-untyped-def]
+    """After which parts of its way a ray enters and leaves the grid along one axis."""
+    if not moves:
+        return (0.0, 1.0) if p >= 0.0 and p < size else (np.inf, -np.inf)
+    one, two = -p * inverse, (size - p) * inverse
+    return (one, two) if one < two else (two, one)
+
+
+@called
+def _nearest(grid, p):  # type: ignore[no-untyped-def]
+    """The square distance of a place's nearest face, which one, and the place on it."""
+    shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
+    width, off = shape[3], shape[4]
+    part = 1.0 / width
+    ax, ay, az = (p[0] - shape[0]) * part, (p[1] - shape[1]) * part, (p[2] - shape[2]) * part
+    best, face, place, least = np.inf, FURTHER, p, np.inf
+    before, second, third = FURTHER, FURTHER, FURTHER  # faces that were asked about last: neighbouring cubes have them too
+    if not (_around(ax, size[0]) and _around(ay, size[1]) and _around(az, size[2])):
+        return best, face, place
+    mx, my, mz = _middle(ax, size[0]), _middle(ay, size[1]), _middle(az, size[2])
+    ring, looking = 0, True
+    while looking and ring <= RINGS:
+        low, high = max(mz - ring, 0), min(mz + ring, size[2] - 1)
+        for x in range(max(mx - ring, 0), min(mx + ring, size[0] - 1) + 1):
+            for y in range(max(my - ring, 0), min(my + ring, size[1] - 1) + 1):
+                if _off(ax, x) + _off(ay, y) > best * part * part * (1 + 1e-6):
+                    continue
+                # On the sides of the ring all cubes of a row are new, and lie side by side; elsewhere its two ends.
+                side = abs(x - mx) == ring or abs(y - my) == ring
+                row = (x * size[1] + y) * size[2]
+                z = low
+                while z <= high:
+                    last = high if side else z
+                    if side or abs(z - mz) == ring:
+                        for k in range(first[row + z], first[row + last + 1]):
+                            if _farther(bound, k, p, off, least):
+                                continue
+                            f = listed[k]
+                            if f == face or before == f or second == f or third == f:
+                                continue
+                            before, second, third = f, before, second
+                            q = nearest_on(corners, f, p)
+                            d = square_of(minus(q, p))
+                            if d < best or (d == best and f < face):
+                                best, face, place, least = d, f, q, np.sqrt(d) + off
+                    z = last + 1 if side or z == high else high
+        known = _known(ax, mx, ring, size[0])
+        known = min(known, _known(ay, my, ring, size[1]))
+        known = min(known, _known(az, mz, ring, size[2])) * width
+        looking = not best <= known * known
+        ring += 1
+    if looking:
+        best, face, place = np.inf, FURTHER, p
+    return best, face, place
+
+
+@inlined
+def _farther(bound, k, p, off, least):  # type: ignore[no-untyped-def]
+    """Whether a face is farther away than `least` for certain: its plane is, or its ball, seen along the plane."""
+    above = ((bound[k, 0] * p[0] + bound[k, 1] * p[1]) + bound[k, 2] * p[2]) + bound[k, 3]
+    if abs(above) > least:
+        return True
+    x, y, z = p[0] - bound[k, 4], p[1] - bound[k, 5], p[2] - bound[k, 6]
+    away = bound[k, 7] + off
+    across = (x * x + y * y + z * z) - above * above
+    # How far it is along the plane at most, if it is no farther than `least`.
+    room = least * least - above * above
+    return across > away * away and across > away * away + room + 2.0 * away * np.sqrt(room)
+
+
+@inlined
+def _around(at, size):  # type: ignore[no-untyped-def]
+    return at >= -RINGS and at <= size + RINGS
+
+
+@inlined
+def _middle(at, size):  # type: ignore[no-untyped-def]
+    return min(np.int64(np.floor(max(at, 0.0))), size - 1)
+
+
+@inlined
+def _known(at, middle, ring, size):  # type: ignore[no-untyped-def]
+    below, above = middle - ring, middle + ring + 1
+    low = np.inf if below <= 0 else at - np.float64(below)
+    high = np.inf if above >= size else np.float64(above) - at
+    return min(low, high)
+
+
+@inlined
+def _off(at, cell):  # type: ignore[no-untyped-def]
+    """The square distance (cubes) of a place from a layer of cubes along one axis, less what their faces may stand out."""
+    off = max(max(np.float64(cell) - at, at - np.float64(cell + 1)) - 1e-5, 0.0)
+    return off * off
