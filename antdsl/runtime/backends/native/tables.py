@@ -19,6 +19,7 @@ from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays
 from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.backends.native.search import MOST
+from antdsl.runtime.clip_values import clip_table
 from antdsl.runtime.moving.obstacle_clearance import clearance
 from antdsl.runtime.world import AXES, Population, World
 
@@ -74,6 +75,14 @@ class Rooms:
             known = (stamp, whole, address(whole))
         known[1][: len(array)] = array
         self._copies[key] = (stamp, known[1], known[2])
+        return known[2]
+
+    def lasting(self, key: Key, of: Any, make: Callable[[], NDArray[Any]]) -> int:
+        """The address of what is made of something, as long as that is the same one."""
+        known = self._copies.get(key)
+        if known is None or known[0] is not of:
+            made = make()
+            known = self._copies[key] = (of, made, address(made))
         return known[2]
 
     def fours(self, key: Key, columns: list[NDArray[np.float32]]) -> int:
@@ -221,6 +230,9 @@ class Tables:
     def _clear(self, world: World, population: Population, key: Key) -> int:
         return self._rooms.copied((population.name, *key), clearance(world, population, str(key[1])), np.float32)
 
+    def _clip(self, world: World, population: Population, key: Key) -> int:
+        return self._rooms.lasting((population.name, *key), world.setting, lambda: clip_table(world, population, str(key[1])))
+
     def _field(self, world: World, population: Population, key: Key) -> int:
         field = world.fields[str(key[1])]
         if key[2] == "held":
@@ -268,6 +280,7 @@ _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
     "item": Tables._item,
     "cell": Tables._cell,
     "clear": Tables._clear,
+    "clip": Tables._clip,
     "field": Tables._field,
     "crowded": Tables._crowded,
     "laid": Tables._laid,
