@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from antdsl.machine_code.lanes import WIDTH
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Scope
+from antdsl.runtime.backends.native.asking import asked
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.ready import Ready
 from antdsl.runtime.backends.native.tables import Tables
 from antdsl.runtime.pairs import NearbySets
-from antdsl.runtime.requests import Effects, FaultEntry, GiveEntry
+from antdsl.runtime.requests import Effects, FaultEntry
 from antdsl.runtime.sensing import SENSES
 from antdsl.runtime.world import Population, World
 
@@ -51,7 +52,8 @@ class Chunk:
     def run(self) -> bool:
         """Take the rows through all stages; what is asked of the world is added to the effects."""
         block, tables = self.block, self.block.tables
-        tables.notes[0] = tables.crowded[0] = 0
+        tables.notes[0] = 0
+        tables.counts[:] = 0
         for stage, name in enumerate(block.code.names):
             function, began = block.ready.function(name), perf_counter()
             function(tables.address, self.begin, self.end)
@@ -59,15 +61,13 @@ class Chunk:
                 block.times.seconds += perf_counter() - began
             for some in block.ready.together[block.population.name, block.compiler.name, stage]:
                 self._call(some)
-        if tables.crowded[0]:
+        crowded, *counts = tables.counts.tolist()
+        if crowded:
             return False
-        for each in block.code.requests:
-            rows = self._enter(each.scope)
-            if len(rows):
-                began = perf_counter()
-                self._made(each, rows)
-                self._took(began, [each], [len(rows)])
-        self._gifts()
+        for number, count in enumerate(counts):
+            if count:
+                each = block.code.lists[number]
+                asked(each, [column[:count].copy() for column in tables.columns[number]], self.effects)
         self._faults()
         return True
 
@@ -77,15 +77,6 @@ class Chunk:
             each_row = (perf_counter() - began) / sum(rows)
             for each, count in zip(some, rows, strict=True):
                 self.block.times.called(each, count * each_row)
-
-    def _gifts(self) -> None:
-        """What agents have given to items."""
-        for instruction, slot in self.block.code.gives:
-            there, item, gone = (self.block.tables.arrays[slot, part] for part in range(3))
-            rows = np.flatnonzero(there[: self.end - self.begin])
-            if len(rows):
-                assert isinstance(instruction.what, ir.Give)
-                self.effects.gives.append(GiveEntry(instruction.what, item[rows], gone[rows]))
 
     def _faults(self) -> None:
         """Values that were refused."""

@@ -69,7 +69,7 @@ def neighbours(b: BlockWriter, instruction: Instruction) -> None:
         if any(each.scope is instruction.scope and each.what.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
             crowd = (e.get(e.field(group.out, STRIDE * k), I8) != 0) & mask
             with e.inside(e.some(crowd)):
-                e.do(f"store i64 1, ptr {b.base('crowded').name}")
+                e.do(f"store i64 1, ptr {b.base('counts').name}")
 
 
 def _group_of(b: BlockWriter, first: Instruction) -> Group:

@@ -107,8 +107,9 @@ class Tables:
         self.numbers = np.zeros(max(len(code.layout.numbers), 1), np.int64)
         self.pointers = np.zeros(len(code.layout.pointers), np.int64)
         self.arrays: dict[tuple[int, int], NDArray[Any]] = {}
+        self.columns: list[list[NDArray[Any]]] = []  # of each list: rows, and what is written down beside them
         self.notes = np.zeros(1, np.int64)
-        self.crowded = np.zeros(1, np.int64)
+        self.counts = np.zeros(1 + len(code.lists), np.int64)  # whether somebody has too many others around; then of each list
         self.ticks = np.zeros(0 if code.lines is None else len(code.lines.told), np.int64)  # by line, of code that is timed
         self.laid: dict[str, NDArray[np.bool_]] = {}  # by field, whether anything was
         self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
@@ -178,6 +179,10 @@ class Tables:
         self._size = rows
         for (slot, part), kind in self.code.layout.arrays.items():
             self.arrays[slot, part] = np.zeros(rows + WIDTH, DTYPES[kind])
+        self.columns = []
+        for number in range(len(self.code.lists)):
+            parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
+            self.columns.append([self.arrays[-1 - number, part] for part in parts])
         self.notes = np.zeros(1 + 2 * (len(self.code.faults) * (rows // WIDTH + 1)), np.int64)
         for key, place in self.code.layout.pointers.items():
             if key[0] == "array":
@@ -250,8 +255,8 @@ class Tables:
             laid = self.laid[str(key[1])] = np.zeros(1, np.bool_)
         return self._lies.of(key, laid)
 
-    def _crowded(self, world: World, population: Population, key: Key) -> int:
-        return self._lies.of(key, self.crowded)
+    def _counts(self, world: World, population: Population, key: Key) -> int:
+        return self._lies.of(key, self.counts)
 
     def _ticks(self, world: World, population: Population, key: Key) -> int:
         return self._lies.of(key, self.ticks)
@@ -282,7 +287,7 @@ _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
     "clear": Tables._clear,
     "clip": Tables._clip,
     "field": Tables._field,
-    "crowded": Tables._crowded,
+    "counts": Tables._counts,
     "laid": Tables._laid,
     "ticks": Tables._ticks,
     "candidates": Tables._candidate,
