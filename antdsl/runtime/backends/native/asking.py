@@ -42,13 +42,18 @@ def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
                 at = e.load_one(Lanes(e, PTR, cells, one=True), lane, I32)
                 more = e.load_one(Lanes(e, PTR, amounts, one=True), lane, I64)
                 place = e.address(pending, e.convert(at, I64), I64).name
-                before = e.get(place, I64, one=True)
-                if b.combine(name) == "add":
-                    after = e.one(f"add i64 {before.name}, {more.name}", I64)
-                else:
-                    larger = e.one(f"icmp sgt i64 {more.name}, {before.name}", BOOL)
-                    after = e.one(f"select i1 {larger.name}, i64 {more.name}, i64 {before.name}", I64)
-                e.put(place, after)
+                word = "add" if b.combine(name) == "add" else "max"
+                together = b.number(I64, "threads", one=True)
+                with e.inside(e.one(f"icmp sgt i64 {together.name}, 1", BOOL)):
+                    e.one(f"atomicrmw {word} ptr {place}, i64 {more.name} monotonic", I64)
+                with e.inside(e.one(f"icmp sle i64 {together.name}, 1", BOOL)):
+                    before = e.get(place, I64, one=True)
+                    if word == "add":
+                        after = e.one(f"add i64 {before.name}, {more.name}", I64)
+                    else:
+                        larger = e.one(f"icmp sgt i64 {more.name}, {before.name}", BOOL)
+                        after = e.one(f"select i1 {larger.name}, i64 {more.name}, i64 {before.name}", I64)
+                    e.put(place, after)
         e.do(f"store i8 1, ptr {b.base('laid', name).name}")
 
 

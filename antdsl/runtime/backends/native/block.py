@@ -8,7 +8,7 @@ from typing import Any
 
 from antdsl.machine_code.emitter import Emitter, elementwise
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.lanes import BOOL, F32, I64, PTR, WIDTH, Lanes, Module
+from antdsl.machine_code.lanes import BOOL, F32, I8, I64, PTR, WIDTH, Lanes, Module
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
@@ -95,6 +95,7 @@ class BlockCode:
     near: list[Near] = field(default_factory=list)
     kept: list[ir.Node] = field(default_factory=list)
     lists: list[Instruction] = field(default_factory=list)  # statements whose askers are written down, from slot -1 downward
+    needs: list[Instruction] = field(default_factory=list)  # calls of which is told whether somebody needs them
     guarded: dict[Instruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
 
 
@@ -191,14 +192,23 @@ class BlockWriter(Writer):
                         if self.schedule.home.get(each.out) == self.stage:
                             self.slot(each.out)
 
+    def _needed(self, each: Instruction, mask: Lanes) -> None:
+        """Note whether somebody needs a call."""
+        e = self.e
+        place = e.address(self.base("needs"), e.constant(len(self.code.needs), I64, one=True), I8).name
+        self.code.needs.append(each)
+        e.put(place, e.one(f"or i8 {e.get(place, I8, one=True).name}, {e.mask_bits(mask).name}", I8))
+
     def _guard(self, each: Instruction) -> None:
         """Note who needs a call, where that can be told, and leave what the others get."""
         assert isinstance(each.what, ir.Node)
         guard = self.guards.get(each.what.op)
         if guard is None:
+            self._needed(each, self.mask[-1])
             return
         asks, others = guard
         needed = self.mask[-1] & asks(self, each.what, tuple(self.slot(k) for k in each.inputs))
+        self._needed(each, needed)
         slot = self.code.guarded.setdefault(each, _GUARDED - len(self.code.guarded))
         self._nobody.append(slot)
         self.e.store(self.array(slot, 0, BOOL), self.offset, needed)

@@ -16,7 +16,6 @@ from antdsl.machine_code.memory import Addresses, address, roomy
 from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockCode
-from antdsl.runtime.backends.native.grids import Arrays
 from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.backends.native.search import MOST
 from antdsl.runtime.clip_values import clip_table
@@ -100,95 +99,90 @@ class Rooms:
 
 
 class Tables:
-    """What one block of one species is run with in one thread."""
+    """What one block of one species is run with: addresses and numbers that all threads read, and for each a `Lane`."""
 
     def __init__(self, code: BlockCode, rooms: Rooms) -> None:
         self.code, self._rooms = code, rooms
         self.numbers = np.zeros(max(len(code.layout.numbers), 1), np.int64)
         self.pointers = np.zeros(len(code.layout.pointers), np.int64)
-        self.arrays: dict[tuple[int, int], NDArray[Any]] = {}
-        self.columns: list[list[NDArray[Any]]] = []  # of each list: rows, and what is written down beside them
-        self.notes = np.zeros(1, np.int64)
-        self.counts = np.zeros(1 + len(code.lists), np.int64)  # whether somebody has too many others around; then of each list
-        self.ticks = np.zeros(0 if code.lines is None else len(code.lines.told), np.int64)  # by line, of code that is timed
-        self.laid: dict[str, NDArray[np.bool_]] = {}  # by field, whether anything was
-        self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
-        self._candidates = np.zeros(0, np.int32)
+        self.lanes: list[Lane] = []
         self._lies = Addresses()
-        self._size = -1
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
-        self._nodes: list[tuple[ir.Node, int]] = []
-        self._draws: dict[tuple[str, str, int], list[tuple[str, int]]] = {}  # by species, site and block: words and their places
+        nodes: list[tuple[ir.Node, int]] = []
+        self._draws: dict[tuple[str, str, int], dict[str, int]] = {}  # by species, site and block: places of words
         self._changing: list[tuple[Key, int]] = []
         for key, place in code.layout.numbers.items():
             node = key[1] if key[0] == "node" else None
             if isinstance(node, ir.Node):
-                self._nodes.append((node, place))
+                nodes.append((node, place))
             elif key[0] == "philox":
-                self._draws.setdefault((str(key[1]), str(key[2]), int(str(key[3]))), []).append((str(key[4]), place))
+                self._draws.setdefault((str(key[1]), str(key[2]), int(str(key[3]))), {})[str(key[4])] = place
             else:
                 self._changing.append((key, place))
-        self._last: list[Any] = [None] * len(self._nodes)
+        self._lasting = [each for each in nodes if each[0].rate <= ir.Rate.RUN]
+        self._stepping = [each for each in nodes if each[0].rate > ir.Rate.RUN]
+        self._filled: Any = None  # the values that `_lasting` were put down from
+        self._seed: int | None = None  # that the words of draws were put down for
         pointers = list(code.layout.pointers.items())
         self._registers = [(str(key[1]), key[0] == "start", place) for key, place in pointers if key[0] in ("start", "now")]
         self._seen: list[Any] = [None] * len(self._registers)
         self._kept = [(int(str(key[1])), key[2], place) for key, place in pointers if key[0] == "kept"]
-        self._grids = [(int(str(key[1])), str(key[2]), place) for key, place in pointers if key[0] == "grid"]
+        self._grids = [
+            (int(str(key[1])), str(key[2]), place) for key, place in pointers if key[0] == "grid" and key[2] != "widest"
+        ]
         self._found = [(_POINTERS[str(key[0])], key, place) for key, place in pointers if key[0] in _POINTERS]
         self.pointers[0] = address(self.numbers)
-        self.address = address(self.pointers)
 
-    def fill(self, world: World, population: Population, values: Mapping[ir.Node, Any], kept: Any, grids: list[Arrays]) -> None:
-        """All but what depends on the rows of a chunk. `values` are those of the step, `grids` a cell grid for each search."""
-        self._numbers(world, population, values)
+    def fill(
+        self, world: World, population: Population, values: Mapping[ir.Node, Any], lasting: Any, kept: Any, grids: Any
+    ) -> None:
+        """All but what a lane has of its own. `values` are those of the step, among them those of the run, which stay as long as
+        `lasting` is the same one; `grids`: a cell grid for each search."""
+        self._numbers(world, population, values, lasting)
         for number, (name, start, place) in enumerate(self._registers):
             holder = population.start if start else population.now
             if holder[name] is not self._seen[number]:
                 self._seen[number], self.pointers[place] = self._rooms.moved(population, name, start=start)
         for number, part, place in self._kept:
             has, parts = kept[self.code.kept[number]]
-            self.pointers[place] = address(has if part == "has" else parts[int(str(part))])
+            self.pointers[place] = self._lies.of((number, part), has if part == "has" else parts[part])
         for number, name, place in self._grids:
-            self.pointers[place] = self._grid(grids[number], number, name)
+            array = grids[number][name]
+            self.pointers[place] = 0 if array is None else self._lies.of((name, number), array)
         for find, key, place in self._found:
             self.pointers[place] = find(self, world, population, key)
 
-    def _numbers(self, world: World, population: Population, values: Mapping[ir.Node, Any]) -> None:
+    def lane(self, number: int, world: World, rows: int) -> Lane:
+        """That of a thread, ready to run what the tables were filled for, for so many rows at once."""
+        while len(self.lanes) <= number:
+            self.lanes.append(Lane(self.code, self.pointers))
+        lane = self.lanes[number]
+        lane.room(rows, max(len(other) for other in world.populations.values()))
+        lane.pointers[:] = self.pointers
+        lane.pointers[lane.own] = lane.places
+        return lane
+
+    def _numbers(self, world: World, population: Population, values: Mapping[ir.Node, Any], lasting: Any) -> None:
         """What has not become another number since is not put down again."""
-        for number, (node, place) in enumerate(self._nodes):
-            value = values[node]
-            if value is not self._last[number]:
-                self._last[number] = value
-                self._number(place, value)
+        if lasting is not self._filled:
+            self._filled = lasting
+            for node, place in self._lasting:
+                self._number(place, values[node])
+        for node, place in self._stepping:
+            self._number(place, values[node])
         for of, words in self._draws.items():
             (first, low, last), (k0, k1) = randomness.counters(world.setting.seed, world.frame, *of)
-            told = {"first": first, "low": low, "last": last, "k0": k0, "k1": k1}
-            for word, place in words:
-                self.numbers[place] = told[word]
+            self.numbers[words["first"]] = first
+            if world.setting.seed != self._seed:
+                for word, value in (("low", low), ("last", last), ("k0", k0), ("k1", k1)):
+                    self.numbers[words[word]] = value
+        self._seed = world.setting.seed
         for key, place in self._changing:
             self._number(place, _NUMBERS[str(key[0])](world, population, key))
 
     def _number(self, place: int, value: Any) -> None:
         view = self._views[value.dtype]
         view[place * (8 // value.dtype.itemsize)] = value
-
-    def room(self, rows: int) -> None:
-        """Arrays for so many rows of a chunk."""
-        if rows <= self._size:
-            return
-        self._size = rows
-        for (slot, part), kind in self.code.layout.arrays.items():
-            self.arrays[slot, part] = np.zeros(rows + WIDTH, DTYPES[kind])
-        self.columns = []
-        for number in range(len(self.code.lists)):
-            parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
-            self.columns.append([self.arrays[-1 - number, part] for part in parts])
-        self.notes = np.zeros(1 + 2 * (len(self.code.faults) * (rows // WIDTH + 1)), np.int64)
-        for key, place in self.code.layout.pointers.items():
-            if key[0] == "array":
-                self.pointers[place] = address(self.arrays[int(str(key[1])), int(str(key[2]))])
-            elif key[0] == "notes":
-                self.pointers[place] = address(self.notes)
 
     # --- one kind of key each -------------------------------------------------------------------------------------------
 
@@ -249,31 +243,68 @@ class Tables:
         places = field.seen_places
         return self._lies.of(key, places) + AXES.index(str(key[2])) * places.strides[0]
 
-    def _laid(self, world: World, population: Population, key: Key) -> int:
-        laid = self.laid.get(str(key[1]))
-        if laid is None:
-            laid = self.laid[str(key[1])] = np.zeros(1, np.bool_)
-        return self._lies.of(key, laid)
 
-    def _counts(self, world: World, population: Population, key: Key) -> int:
-        return self._lies.of(key, self.counts)
+class Lane:
+    """What a thread has of its own while it runs a block: what stages leave to each other, lists, notes and counts.
 
-    def _ticks(self, world: World, population: Population, key: Key) -> int:
-        return self._lies.of(key, self.ticks)
+    `counts`: above 0 first where somebody has too many others around, then how many each list has; `needs`: above 0 for a call
+    that somebody needs; `columns` of each list: rows, and what is written down beside them; `ticks` by line, of code that is
+    timed; `laid`: by field, whether anything was; `widest`: the greatest radius of each search."""
 
-    def _candidate(self, world: World, population: Population, key: Key) -> int:
-        most = max(len(other) for other in world.populations.values()) + (WIDTH + 1) * MOST
-        if len(self._candidates) < most:
-            self._candidates = np.zeros(most, np.int32)
-        return self._lies.of(key, self._candidates)
+    def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
+        self.code, self.pointers = code, np.zeros_like(pointers)
+        self.address = address(self.pointers)
+        self.arrays: dict[tuple[int, int], NDArray[Any]] = {}
+        self.columns: list[list[NDArray[Any]]] = []
+        self.notes = np.zeros(1, np.int64)
+        self.counts, self.needs = np.zeros(1 + len(code.lists), np.int64), np.zeros(max(len(code.needs), 1), np.uint8)
+        self.ticks = np.zeros(0 if code.lines is None else len(code.lines.told), np.int64)
+        self.laid: dict[str, NDArray[np.bool_]] = {}
+        self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
+        self._candidates = np.zeros(0, np.int32)
+        self._size = self._others = -1
+        self._keys = [(key, place) for key, place in code.layout.pointers.items() if key[0] in _OWN or key[2:] == ("widest",)]
+        self.own = np.array([place for _, place in self._keys], np.intp)
+        self.places = np.zeros(len(self._keys), np.int64)
 
-    def _grid(self, grid: Arrays, number: int, name: str) -> int:
-        if name == "widest":
-            return self._lies.of((name, number), self.widest[number])
-        array = grid[name]
-        return 0 if array is None else self._lies.of((name, number), array)
+    def room(self, rows: int, others: int) -> None:
+        """Arrays for so many rows of a chunk, and so many agents of the largest species."""
+        if rows <= self._size and others <= self._others:
+            return
+        self._size, self._others = max(rows, self._size), max(others, self._others)
+        for (slot, part), kind in self.code.layout.arrays.items():
+            self.arrays[slot, part] = np.zeros(self._size + WIDTH, DTYPES[kind])
+        self.columns.clear()
+        for number in range(len(self.code.lists)):
+            parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
+            self.columns.append([self.arrays[-1 - number, part] for part in parts])
+        self.notes = np.zeros(1 + 2 * (len(self.code.faults) * (self._size // WIDTH + 1)), np.int64)
+        self._candidates = np.zeros(self._others + (WIDTH + 1) * MOST, np.int32)
+        for number, (key, _) in enumerate(self._keys):
+            self.places[number] = address(self._own(key))
+
+    def _own(self, key: Key) -> NDArray[Any]:
+        match key[0]:
+            case "array":
+                return self.arrays[int(str(key[1])), int(str(key[2]))]
+            case "grid":
+                return self.widest[int(str(key[1]))]
+            case "laid":
+                return self.laid.setdefault(str(key[1]), np.zeros(1, np.bool_))
+            case "notes":
+                return self.notes
+            case "counts":
+                return self.counts
+            case "needs":
+                return self.needs
+            case "ticks":
+                return self.ticks
+        return self._candidates
 
 
+_OWN = frozenset(
+    ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")
+)  # kinds of keys that each lane has for itself
 _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
     "ids": Tables._rows,
     "born": Tables._rows,
@@ -287,10 +318,6 @@ _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
     "clear": Tables._clear,
     "clip": Tables._clip,
     "field": Tables._field,
-    "counts": Tables._counts,
-    "laid": Tables._laid,
-    "ticks": Tables._ticks,
-    "candidates": Tables._candidate,
 }
 
 
@@ -307,5 +334,6 @@ _NUMBERS: dict[str, Callable[[World, Population, Key], Any]] = {
     "half": lambda world, population, key: np.int64(_half(len(world.populations[str(key[1])]))),
     "turns": lambda world, population, key: np.int64(_half(len(world.populations[str(key[1])])).bit_length()),
     "cells": lambda world, population, key: np.int64(len(world.fields[str(key[1])].cells)),
+    "threads": lambda world, population, key: np.int64(world.options.threads),
     "surface": lambda world, population, key: np.int64(world.surface_index.get(str(key[1]), -1)),
 }
