@@ -5,7 +5,7 @@ into arrays with room, what others own is copied. What has not become another ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from antdsl.runtime.moving.obstacle_clearance import clearance
 from antdsl.runtime.world import AXES, Population, World
 
 _FEW = 64  # arrays that nobody looks for whether they are still in use
+Find = Callable[[World, Population], int]
 DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
 
 
@@ -32,7 +33,7 @@ class Rooms:
     def __init__(self) -> None:
         self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
         self._most = _FEW  # arrays, above which it is looked who still has them
-        self._copies: dict[Key, tuple[Any, NDArray[Any], int]] = {}
+        self._copies: dict[Key, Copy] = {}
         self.step = 0  # goes up with each: what stays while one lasts is copied once
 
     def moved(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
@@ -64,38 +65,51 @@ class Rooms:
         """Rows are others now: let go of arrays that are no longer in use."""
         self._moved.clear()
 
-    def copied(self, key: Key, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
+    def copy(self, *key: Hashable) -> Copy:
+        """What stands for a key: the same one for all blocks that name it."""
+        return self._copies.setdefault(key, Copy(self))
+
+
+class Copy:
+    """A copy with room of an array that another part of the program owns, or of something made of the world."""
+
+    __slots__ = ("_address", "_of", "_rooms", "_whole")
+
+    def __init__(self, rooms: Rooms) -> None:
+        self._rooms, self._address = rooms, 0
+        self._of: Any = None
+        self._whole: NDArray[Any] = np.zeros(0)
+
+    def of(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
         """The address of a copy. `stamp`: as long as it stays, so does what was copied; without one that is a step."""
-        known, stamp = self._copies.get(key), self.step if stamp is None else stamp
-        if known is not None and known[0] == stamp and len(known[1]) == len(array) + WIDTH:
-            return known[2]
-        if known is None or len(known[1]) != len(array) + WIDTH:
-            whole = np.zeros(len(array) + WIDTH, dtype)
-            known = (stamp, whole, address(whole))
-        known[1][: len(array)] = array
-        self._copies[key] = (stamp, known[1], known[2])
-        return known[2]
+        stamp = self._rooms.step if stamp is None else stamp
+        if stamp != self._of or len(self._whole) != len(array) + WIDTH:
+            self._size(len(array), dtype)
+            self._whole[: len(array)] = array
+            self._of = stamp
+        return self._address
 
-    def lasting(self, key: Key, of: Any, make: Callable[[], NDArray[Any]]) -> int:
-        """The address of what is made of something, as long as that is the same one."""
-        known = self._copies.get(key)
-        if known is None or known[0] is not of:
-            made = make()
-            known = self._copies[key] = (of, made, address(made))
-        return known[2]
-
-    def fours(self, key: Key, columns: list[NDArray[np.float32]]) -> int:
+    def fours(self, columns: list[NDArray[np.float32]]) -> int:
         """The address of up to four columns side by side, four floats a row, as they are in this step."""
-        known, rows = self._copies.get(key), len(columns[0])
-        if known is not None and known[0] == self.step and len(known[1]) == rows + WIDTH:
-            return known[2]
-        if known is None or len(known[1]) != rows + WIDTH:
-            whole = np.zeros((rows + WIDTH, 4), np.float32)
-            known = (self.step, whole, address(whole))
-        for k, column in enumerate(columns):
-            known[1][:rows, k] = column
-        self._copies[key] = (self.step, known[1], known[2])
-        return known[2]
+        rows = len(columns[0])
+        if self._rooms.step != self._of or len(self._whole) != rows + WIDTH:
+            self._size(rows, np.float32, 4)
+            for k, column in enumerate(columns):
+                self._whole[:rows, k] = column
+            self._of = self._rooms.step
+        return self._address
+
+    def lasting(self, of: Any, make: Callable[[], NDArray[Any]]) -> int:
+        """The address of what is made of something, as long as that is the same one."""
+        if of is not self._of:
+            self._of, self._whole = of, make()
+            self._address = address(self._whole)
+        return self._address
+
+    def _size(self, rows: int, dtype: Any, *more: int) -> None:
+        if len(self._whole) != rows + WIDTH:
+            self._whole = np.zeros((rows + WIDTH, *more), dtype)
+            self._address = address(self._whole)
 
 
 class Tables:
@@ -130,7 +144,8 @@ class Tables:
         self._grids = [
             (int(str(key[1])), str(key[2]), place) for key, place in pointers if key[0] == "grid" and key[2] != "widest"
         ]
-        self._found = [(_POINTERS[str(key[0])], key, place) for key, place in pointers if key[0] in _POINTERS]
+        self._found = [(_POINTERS[str(key[0])](self, key), place) for key, place in pointers if key[0] in _POINTERS]
+        self._of: list[Any] = [None] * (1 + len(code.near))  # what is kept for the step and the grids, as they were last
         self.pointers[0] = address(self.numbers)
 
     def fill(
@@ -143,14 +158,19 @@ class Tables:
             holder = population.start if start else population.now
             if holder[name] is not self._seen[number]:
                 self._seen[number], self.pointers[place] = self._rooms.moved(population, name, start=start)
-        for number, part, place in self._kept:
-            has, parts = kept[self.code.kept[number]]
-            self.pointers[place] = self._lies.of((number, part), has if part == "has" else parts[part])
-        for number, name, place in self._grids:
-            array = grids[number][name]
-            self.pointers[place] = 0 if array is None else self._lies.of((name, number), array)
-        for find, key, place in self._found:
-            self.pointers[place] = find(self, world, population, key)
+        if kept is not self._of[0]:
+            self._of[0] = kept
+            for number, part, place in self._kept:
+                has, parts = kept[self.code.kept[number]]
+                self.pointers[place] = address(has if part == "has" else parts[part])
+        for search, grid in enumerate(grids):
+            if grid is not self._of[1 + search]:
+                self._of[1 + search] = grid
+                for number, name, place in self._grids:
+                    if number == search:
+                        self.pointers[place] = 0 if grid[name] is None else address(grid[name])
+        for find, place in self._found:
+            self.pointers[place] = find(world, population)
 
     def lane(self, number: int, world: World, rows: int) -> Lane:
         """That of a thread, ready to run what the tables were filled for, for so many rows at once."""
@@ -184,64 +204,98 @@ class Tables:
         view = self._views[value.dtype]
         view[place * (8 // value.dtype.itemsize)] = value
 
-    # --- one kind of key each -------------------------------------------------------------------------------------------
+    # --- one kind of key each: gives what looks for its address in a step ---------------------------------------------------
 
-    def _rows(self, world: World, population: Population, key: Key) -> int:
+    def _rows(self, key: Key) -> Find:
         """What does not change while the rows stay."""
-        array = {"ids": population.ids, "born": population.born}[str(key[0])]
-        return self._rooms.copied((population.name, *key), array, np.int64, (population.version, len(population)))
+        copy, name = self._copy(key), str(key[0])
+        return lambda world, population: copy.of(getattr(population, name), np.int64, (population.version, len(population)))
 
-    def _quarantined(self, world: World, population: Population, key: Key) -> int:
-        return self._rooms.copied((population.name, *key), population.quarantined, np.bool_)
+    def _quarantined(self, key: Key) -> Find:
+        copy = self._copy(key)
+        return lambda world, population: copy.of(population.quarantined, np.bool_)
 
-    def _mesh(self, world: World, population: Population, key: Key) -> int:
-        return self._rooms.copied((population.name, *key), population.footing.mesh, np.int64)
+    def _mesh(self, key: Key) -> Find:
+        copy = self._copy(key)
+        return lambda world, population: copy.of(population.footing.mesh, np.int64)
 
-    def _event(self, world: World, population: Population, key: Key) -> int:
-        flags = population.events.get(str(key[1]))
-        return self._rooms.copied(
-            (population.name, *key), np.zeros(len(population), np.bool_) if flags is None else flags, np.bool_
-        )
+    def _event(self, key: Key) -> Find:
+        copy, name = self._copy(key), str(key[1])
 
-    def _other(self, world: World, population: Population, key: Key) -> int:
+        def find(world: World, population: Population) -> int:
+            flags = population.events.get(name)
+            return copy.of(np.zeros(len(population), np.bool_) if flags is None else flags, np.bool_)
+
+        return find
+
+    def _other(self, key: Key) -> Find:
         """What is another one's: registers at the start of the step, ids, and these in order with their rows."""
-        other, name = world.populations[str(key[1])], str(key[2])
-        stamp = (other.version, len(other))
+        species, name = str(key[1]), str(key[2])
         if name in ("sorted ids", "rows of sorted ids"):
-            return self._rooms.copied(key, other.sorted_ids()[name != "sorted ids"], np.int64, stamp)
-        if name == "frame of birth":
-            return self._rooms.copied((other.name, "born"), other.born, np.int64, stamp)
-        if name == "unsorted ids":
-            return self._rooms.copied((other.name, "ids"), other.ids, np.int64, stamp)
-        return self._rooms.moved(other, name, start=True)[1]
+            copy, which = self._rooms.copy(*key), name != "sorted ids"
 
-    def _beside(self, world: World, population: Population, key: Key) -> int:
+            def in_order(world: World, population: Population) -> int:
+                other = world.populations[species]
+                return copy.of(other.sorted_ids()[which], np.int64, (other.version, len(other)))
+
+            return in_order
+        attribute = {"frame of birth": "born", "unsorted ids": "ids"}.get(name)
+        if attribute is not None:
+            copy = self._rooms.copy(species, attribute)
+
+            def of_rows(world: World, population: Population) -> int:
+                other = world.populations[species]
+                return copy.of(getattr(other, attribute), np.int64, (other.version, len(other)))
+
+            return of_rows
+        return lambda world, population: self._rooms.moved(world.populations[species], name, start=True)[1]
+
+    def _beside(self, key: Key) -> Find:
         """Up to four registers of others at the start of the step, side by side."""
-        start = world.populations[str(key[1])].start
-        return self._rooms.fours(key, [start[str(name)] for name in key[2:]])
+        copy, species, names = self._rooms.copy(*key), str(key[1]), [str(name) for name in key[2:]]
 
-    def _item(self, world: World, population: Population, key: Key) -> int:
-        return self._rooms.copied(key, world.items[str(key[1])].seen[str(key[2])], np.float32)
+        def find(world: World, population: Population) -> int:
+            start = world.populations[species].start
+            return copy.fours([start[name] for name in names])
 
-    def _cell(self, world: World, population: Population, key: Key) -> int:
-        return self._rooms.copied((population.name, *key), population.cells[str(key[1])], np.int32)
+        return find
 
-    def _clear(self, world: World, population: Population, key: Key) -> int:
-        return self._rooms.copied((population.name, *key), clearance(world, population, str(key[1])), np.float32)
+    def _item(self, key: Key) -> Find:
+        copy, items, name = self._rooms.copy(*key), str(key[1]), str(key[2])
+        return lambda world, population: copy.of(world.items[items].seen[name], np.float32)
 
-    def _clip(self, world: World, population: Population, key: Key) -> int:
-        return self._rooms.lasting((population.name, *key), world.setting, lambda: clip_table(world, population, str(key[1])))
+    def _cell(self, key: Key) -> Find:
+        copy, name = self._copy(key), str(key[1])
+        return lambda world, population: copy.of(population.cells[name], np.int32)
 
-    def _field(self, world: World, population: Population, key: Key) -> int:
-        field = world.fields[str(key[1])]
-        if key[2] == "held":
-            return self._lies.of(key, field.held)
-        if key[2] == "pending":
-            return self._lies.of(key, field.pending)
-        if key[2] == "block":
-            return self._lies.of(key, field.cells.nearest(int(str(key[3]))))
-        places = field.seen_places
-        return self._lies.of(key, places) + AXES.index(str(key[2])) * places.strides[0]
+    def _clear(self, key: Key) -> Find:
+        copy, name = self._copy(key), str(key[1])
+        return lambda world, population: copy.of(clearance(world, population, name), np.float32)
+
+    def _clip(self, key: Key) -> Find:
+        copy, what = self._copy(key), str(key[1])
+        return lambda world, population: copy.lasting(world.setting, lambda: clip_table(world, population, what))
+
+    def _field(self, key: Key) -> Find:
+        name, what, lies = str(key[1]), key[2], self._lies
+        if what == "held":
+            return lambda world, population: lies.of(key, world.fields[name].held)
+        if what == "pending":
+            return lambda world, population: lies.of(key, world.fields[name].pending)
+        if what == "block":
+            count = int(str(key[3]))
+            return lambda world, population: lies.of(key, world.fields[name].cells.nearest(count))
+        axis = AXES.index(str(what))
+
+        def along(world: World, population: Population) -> int:
+            places = world.fields[name].seen_places
+            return lies.of(key, places) + axis * places.strides[0]
+
+        return along
+
+    def _copy(self, key: Key) -> Copy:
+        """What stands for a key of this species."""
+        return self._rooms.copy(self.code.species.name, *key)
 
 
 class Lane:
@@ -305,7 +359,7 @@ class Lane:
 _OWN = frozenset(
     ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")
 )  # kinds of keys that each lane has for itself
-_POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
+_POINTERS: dict[str, Callable[[Tables, Key], Find]] = {
     "ids": Tables._rows,
     "born": Tables._rows,
     "quarantined": Tables._quarantined,
