@@ -23,7 +23,7 @@ from antdsl.runtime.backends.native.block import BlockWriter, Near, Writer
 from antdsl.runtime.backends.native.cells import BEYOND, Rows, write_down
 from antdsl.runtime.backends.native.crowds import write_many
 from antdsl.runtime.backends.native.layout import KINDS
-from antdsl.runtime.backends.native.near import STRIDE, Search, measured
+from antdsl.runtime.backends.native.near import PLACE, STRIDE, Search, measured
 from antdsl.runtime.backends.native.schedule import operands_of
 from antdsl.runtime.backends.native.sets import PairValues, own_values, sets_of, take
 from antdsl.runtime.backends.native.sums import Sum
@@ -125,7 +125,7 @@ def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
         stops = [chosen for chosen in near.reach if nearest_asked(plan, chosen) is None]
         near.stops = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
         read = needed(arg for node in near.nodes for arg in node.args[1:])
-        names = sorted({each.attrs[0] for each in read if each.op == "other" and each.kind is ir.Kind.F32})
+        names = sorted({each.attrs[0] for each in read if each.op == "other" and each.kind is ir.Kind.F32} - {*PLACE})
         near.beside = names if len(names) > 1 else []
         b.code.near.append(Near(near.other, list(near.reach)))
     for k, value in enumerate(values):
@@ -161,7 +161,7 @@ def _write(b: BlockWriter, near: Search) -> None:
     itself = e.splat(e.convert(row, I32)) + e.convert(e.iota(), I32)
     with e.loop(e.convert(e.greatest(number), I64)) as k:
         there = e.convert(e.splat(k), I32) < number
-        found = measured(w, near, e.where(there, _across(e, buffer, k), e.constant(0, I32)), place, there)
+        found = measured(w, near, _across(e, buffer, k), place, there)
         if near.other == b.species:
             found.there = there & (found.rows != itself)
 
@@ -243,4 +243,15 @@ def _candidates(w: Writer, near: Search, search: Rows, asks: Lanes) -> tuple[Lan
     search.each(through)
     counted = e.get(found, I32)
     over = asks & ((e.get(seen, I32) > MOST) | (counted > limits.NEIGHBOURS))
-    return buffer, e.where(asks & ~over, counted, e.constant(0, I32)), over
+    counted = e.where(asks & ~over, counted, e.constant(0, I32))
+    e.put(number, counted)
+    most, nobody = e.greatest(counted), e.constant(0, I32)
+    with e.loop(e.constant(WIDTH, I64, one=True)) as lane:  # all lists go on to the end of the longest one
+        many = each_of(number, I32, lane)
+        own = e.address(buffer, e.one(f"mul i64 {lane.name}, {_LIST}", I64), I32)
+        end = e.address(own, e.convert(many, I64), I32)
+        short = e.convert(e.one(f"sub i32 {most.name}, {many.name}", I32), I64)
+        e.store(end, e.constant(0, I64, one=True), nobody)
+        with e.inside(e.one(f"icmp sgt i64 {short.name}, {WIDTH}", BOOL)), e.loop(short, WIDTH) as k:
+            e.store(end, k, nobody)
+    return buffer, counted, over
