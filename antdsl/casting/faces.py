@@ -97,7 +97,7 @@ class Faces:
 
             n = len(named)
             here, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
-            faces_compiled.hits(*tables, self.hair, AHEAD, at.astype(np.float64), origin, way, named, here, weights, hit, hair)
+            faces_compiled.hits(tables, self.hair, AHEAD, at.astype(np.float64), origin, way, named, here, weights, hit, hair)
             return here, weights, hit, hair
         hair = self.hair / np.sqrt((way[:, 0] * way[:, 0] + way[:, 1] * way[:, 1]) + way[:, 2] * way[:, 2])
         here, weights, hit, beside = self.crossing(named, origin, way)
@@ -131,8 +131,8 @@ class Faces:
         if tables is not None:
             from antdsl.casting import faces_compiled
 
-            face, place, square = face.copy(), np.empty_like(points), np.empty(len(points))
-            faces_compiled.nearest(*tables, self.corners, points, face, place, square)
+            face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
+            faces_compiled.nearest(tables, self.corners, points, face, place, square)
             return place, square, face
         place = nearest_on_triangle(points, self.corners.take(face, axis=0))
         gap = place - points

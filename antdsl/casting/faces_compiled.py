@@ -5,16 +5,30 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.casting.tolerances import CLOSED
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, inlined, kernel
 from antdsl.numerics.vectors_compiled import dot, minus
 
+# Planes and rims of faces; the place of each corner by number, where the faces at each place begin, and these faces.
+Table = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64]]
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def hits(  # type: ignore[no-untyped-def]
-    planes, rims, weld, first, faces, hair, ahead, at, origin, way, named, here, weights, hit, short
-):  # fmt: skip
+
+@kernel
+def hits(
+    table: Table,
+    hair: F64,
+    ahead: F64,
+    at: Array1[F64],
+    origin: Strided2[F64],
+    way: Strided2[F64],
+    named: Array1[I64],
+    here: Array1[F64],
+    weights: Array2[F64],
+    hit: Array1[BOOL],
+    short: Array1[F64],
+) -> None:
     """As `Faces.judged`, into the last five arrays: the face, after what part of the way, the weights of its corners, whether
     it is hit, and a hair as a part of the way."""
+    planes, rims, weld, first, faces = table
     for i in range(named.size):
         x, y, z = way[i, 0], way[i, 1], way[i, 2]
         a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
@@ -35,9 +49,17 @@ def hits(  # type: ignore[no-untyped-def]
                     weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def nearest(planes, rims, weld, first, faces, corners, points, face, place, square):  # type: ignore[no-untyped-def]
+@kernel
+def nearest(
+    table: Table,
+    corners: Array3[F64],
+    points: Strided2[F64],
+    face: Array1[I64],
+    place: Array2[F64],
+    square: Array1[F64],
+) -> None:
     """As `Faces.nearest`, into the last three arrays; `face` holds what Open3D names."""
+    planes, rims, weld, first, faces = table
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
         f = face[i]
@@ -57,17 +79,17 @@ def nearest(planes, rims, weld, first, faces, corners, points, face, place, squa
                     place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
 
 
-@njit(inline="always")
+@inlined
 def _along(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
     return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 
-@njit(inline="always")
+@inlined
 def _towards(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
     return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
 
 
-@njit(inline="always")
+@inlined
 def _least(a, b, c):  # type: ignore[no-untyped-def]
     """NaN if any is, as `np.minimum` has it."""
     if a != a or b != b or c != c:
@@ -75,7 +97,7 @@ def _least(a, b, c):  # type: ignore[no-untyped-def]
     return min(min(a, b), c)
 
 
-@njit(inline="always")
+@inlined
 def _heaviest(a, b, c):  # type: ignore[no-untyped-def]
     """As `np.argmax` has it: NaN is the greatest, and the first of equals counts."""
     if a != a or (not (b > a or b != b) and not (c > a or c != c)):
@@ -85,7 +107,7 @@ def _heaviest(a, b, c):  # type: ignore[no-untyped-def]
     return 2
 
 
-@njit(inline="always")
+@inlined
 def _crossing(planes, face, a, b, c, x, y, z):  # type: ignore[no-untyped-def]
     t = -_along(planes, face, 0, a, b, c) / _towards(planes, face, 0, x, y, z)
     w1 = _along(planes, face, 1, a, b, c) + t * _towards(planes, face, 1, x, y, z)
@@ -94,17 +116,17 @@ def _crossing(planes, face, a, b, c, x, y, z):  # type: ignore[no-untyped-def]
     return t, w0, w1, w2, _least(w0, w1, w2)
 
 
-@njit(inline="always")
+@inlined
 def _square(a):  # type: ignore[no-untyped-def]
     return dot(a, a)
 
 
-@njit(inline="always")
+@inlined
 def _on(a, v, s):  # type: ignore[no-untyped-def]
     return a[0] + s * v[0], a[1] + s * v[1], a[2] + s * v[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _nearest(corners, face, p):  # type: ignore[no-untyped-def]
     """As `nearest_on_triangle`."""
     a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])

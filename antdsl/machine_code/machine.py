@@ -18,6 +18,7 @@ if hasattr(os, "register_at_fork"):  # a process that was forked amid LLVM's wor
     os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release)
 _NUMBERS = re.compile("[0-9]+")
 _OLDEST = (0, 45)  # of llvmlite, which reads what is written here
+WHOLE = "whole"  # text that begins with this as a remark is gone over by all passes of LLVM
 _FUSED = ("fma", "fma4", "avx512f")  # what no instruction may come from, so that none can be fused
 
 
@@ -116,8 +117,14 @@ def _passed(text: str, target: Target) -> tuple[Any, Any]:
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = target.triple, str(machine.target_data)
     module.verify()
-    options = llvm.create_pipeline_tuning_options(speed_level=0)
+    whole = text.startswith(f"; {WHOLE}")
+    options = llvm.create_pipeline_tuning_options(speed_level=2 if whole else 0)
+    if whole:
+        options.loop_vectorization = options.slp_vectorization = True
     builder = llvm.create_pass_builder(machine, options)
+    if whole:
+        builder.getModulePassManager().run(module, builder)
+        return machine, module
     passes = builder.getFunctionPassManager()
     passes.add_sroa_pass()
     passes.add_simplify_cfg_pass()

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 
+from antdsl.machine_code.kernels import BOOL, F32, Array1, as_bits, as_float, independent, inlined, kernel
 from antdsl.numerics.coefficients import (
     ATAN,
     COS,
@@ -24,21 +22,21 @@ from antdsl.numerics.coefficients import (
     TAN_EIGHTH,
     TWO_OVER_PI,
 )
-from antdsl.numerics.kernel_cache import njit
 
 _F = np.float32
+_FRACTION, _EXPONENT, _BIAS = 52, 0x7FF, 1023  # of float64: bits of the fraction, those of the exponent, and its offset
 
 
-@njit(inline="always")
+@inlined
 def _series(x, coefficients):  # type: ignore[no-untyped-def]
-    value = x * 0.0 + coefficients[len(coefficients) - 1]
-    for k in range(len(coefficients) - 2, -1, -1):
+    value = x * 0.0 + coefficients[-1]
+    for c in coefficients[-2::-1]:
         value *= x
-        value += coefficients[k]
+        value += c
     return value
 
 
-@njit()
+@inlined
 def cos_sin(x):  # type: ignore[no-untyped-def]
     """Cosine and sine, float32, of an angle below 1e6."""
     wide = np.float64(x)
@@ -52,7 +50,7 @@ def cos_sin(x):  # type: ignore[no-untyped-def]
     return _F(-c if quarter == 1.0 or quarter == 2.0 else c), _F(-s if quarter >= 2.0 else s)
 
 
-@njit()
+@inlined
 def atan2(y, x):  # type: ignore[no-untyped-def]
     """Angle of (x, y), float32, of finite float32."""
     wide_y, wide_x = np.float64(y), np.float64(x)
@@ -68,60 +66,68 @@ def atan2(y, x):  # type: ignore[no-untyped-def]
     return _F(-angle if wide_y < 0.0 else angle)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def sines(x, found):  # type: ignore[no-untyped-def]
-    """Writes `elementary.sin` of all; False where an angle is not below 1e6."""
+@inlined
+def _usual(x, least, most):  # type: ignore[no-untyped-def]
+    """Whether all numbers lie between two others."""
+    usual = True
     for k in range(x.size):
-        if not abs(x[k]) < FAR:
-            return False
+        usual &= x[k] > least and x[k] < most
+    return usual
+
+
+@kernel
+def sines(x: Array1[F32], found: Array1[F32]) -> BOOL:
+    """Writes `elementary.sin` of all; False where an angle is not below 1e6."""
+    if not _usual(x, -FAR, FAR):
+        return False
+    for k in independent(0, x.size):
         found[k] = cos_sin(x[k])[1]
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def cosines(x, found):  # type: ignore[no-untyped-def]
+@kernel
+def cosines(x: Array1[F32], found: Array1[F32]) -> BOOL:
     """Writes `elementary.cos` of all; False where an angle is not below 1e6."""
-    for k in range(x.size):
-        if not abs(x[k]) < FAR:
-            return False
+    if not _usual(x, -FAR, FAR):
+        return False
+    for k in independent(0, x.size):
         found[k] = cos_sin(x[k])[0]
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def angles(y, x, found):  # type: ignore[no-untyped-def]
+@kernel
+def angles(y: Array1[F32], x: Array1[F32], found: Array1[F32]) -> BOOL:
     """Writes `kernels.atan2` of all; False where a number is not finite."""
-    for k in range(x.size):
-        if not (abs(y[k]) < np.inf and abs(x[k]) < np.inf):
-            return False
+    if not (_usual(y, -np.inf, np.inf) and _usual(x, -np.inf, np.inf)):
+        return False
+    for k in independent(0, x.size):
         found[k] = atan2(y[k], x[k])
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def exponentials(x, found):  # type: ignore[no-untyped-def]
+@kernel
+def exponentials(x: Array1[F32], found: Array1[F32]) -> BOOL:
     """Writes `elementary.exp` of all; False where one is no number."""
     for k in range(x.size):
-        wide = np.float64(x[k])
-        if wide != wide:
+        if x[k] != x[k]:
             return False
-        held = min(max(wide, -200.0), 200.0)
+    for k in independent(0, x.size):
+        held = min(max(np.float64(x[k]), -200.0), 200.0)
         power = np.rint(held * LOG2_E)
         rest = (held - power * LN2_HIGH) - power * LN2_LOW
-        doublings: Any = np.int32(power)  # numba's ldexp takes no wider ones
-        found[k] = _F(math.ldexp(_series(rest, EXP), doublings))
+        found[k] = _F(_series(rest, EXP) * as_float((np.int64(power) + _BIAS) << _FRACTION))
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def logarithms(x, found):  # type: ignore[no-untyped-def]
+@kernel
+def logarithms(x: Array1[F32], found: Array1[F32]) -> BOOL:
     """Writes `elementary.log` of all; False where one is not above 0, or not finite."""
-    for k in range(x.size):
-        wide = np.float64(x[k])
-        if not (wide > 0.0 and wide < np.inf):
-            return False
-        mantissa, whole = math.frexp(wide)
-        power = np.float64(whole)
+    if not _usual(x, 0.0, np.inf):
+        return False
+    for k in independent(0, x.size):
+        bits = as_bits(np.float64(x[k]))  # of a float32 above 0: as float64 none has a fraction alone
+        power = np.float64(((bits >> _FRACTION) & _EXPONENT) - (_BIAS - 1))
+        mantissa = as_float((bits & ((1 << _FRACTION) - 1)) | ((_BIAS - 1) << _FRACTION))
         if mantissa < ROOT_HALF:
             mantissa, power = mantissa + mantissa, power - 1.0
         s = (mantissa - 1.0) / (mantissa + 1.0)

@@ -4,53 +4,53 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import inlined
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def at(table, k):  # type: ignore[no-untyped-def]
     """Three numbers of a table."""
     return table[k], table[k + 1], table[k + 2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def plus(a, b):  # type: ignore[no-untyped-def]
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def minus(a, b):  # type: ignore[no-untyped-def]
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def times(a, factor):  # type: ignore[no-untyped-def]
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def cross(a, b):  # type: ignore[no-untyped-def]
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def more(a, b):  # type: ignore[no-untyped-def]
     """As np.fmax of a number that may be NaN and one that is not."""
     return a if a > b else b
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def less(a, b):  # type: ignore[no-untyped-def]
     """As np.fmin of the same."""
     return a if a < b else b
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def inside(b1, b2):  # type: ignore[no-untyped-def]
     """As `walk.inside`."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
@@ -60,7 +60,7 @@ def inside(b1, b2):  # type: ignore[no-untyped-def]
     return b1, b2
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def turned(v, before, after, direction):  # type: ignore[no-untyped-def]
     """As `walk.turned`, for one."""
     cosine = dot(before, after)
@@ -72,7 +72,7 @@ def turned(v, before, after, direction):  # type: ignore[no-untyped-def]
     return plus(plus(times(v, cosine), cross(axis, v)), times(axis, part))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def level(c, s):  # type: ignore[no-untyped-def]
     """A direction in a face of unit length; along its first axis where nothing is left of it."""
     size = np.sqrt(c * c + s * s)
@@ -81,7 +81,7 @@ def level(c, s):  # type: ignore[no-untyped-def]
     return 1.0, 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def nearest(edge1, edge2, v):  # type: ignore[no-untyped-def]
     """As `walk.nearest`, for one."""
     edge3 = minus(edge2, edge1)

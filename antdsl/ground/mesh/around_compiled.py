@@ -7,11 +7,11 @@ import numpy as np
 from antdsl.ground.mesh.boxes_compiled import first_of, gather
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, NORMAL, WIDTH
 from antdsl.ground.mesh.surroundings import DEEP, GAP, HIGH, LIFT, STEEPEST, TURNED
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import called, inlined
 from antdsl.numerics.vectors_compiled import at, dot, inside, less, level, minus, more, nearest, plus, times, turned
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def other_ahead(table, sides, boxes, scale, found, body, f, b1, b2, side, c, s, left, length):  # type: ignore[no-untyped-def]
     """As `Around._other`: the face met (-1 for none), weights, side to walk on, way gone. `found` has room for all faces."""
     pieces, _ = sides
@@ -35,7 +35,7 @@ def other_ahead(table, sides, boxes, scale, found, body, f, b1, b2, side, c, s, 
     return face, one, two, _side(table, face, towards), min(np.sqrt(gone * gone + eye * eye), left)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _seen(table, boxes, scale, found, n, ground, length, high):  # type: ignore[no-untyped-def]
     """As `Around._seen`: the face met, weights, way gone on the eye's level, the way that came to it, the eye's height."""
     _, fine, under = scale
@@ -52,7 +52,7 @@ def _seen(table, boxes, scale, found, n, ground, length, high):  # type: ignore[
     return face, one, two, length, down, high
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _hidden(table, pieces, boxes, scale, found, f, ground, length, high, towards):  # type: ignore[no-untyped-def]
     """As in `Around._seen`: whether what is met from an eye so high is behind the own piece."""
     _, fine, _ = scale
@@ -66,13 +66,13 @@ def _hidden(table, pieces, boxes, scale, found, f, ground, length, high, towards
     first = first_of(table, boxes, found, n, eye, step, fine)[0]
     if first >= 0 and pieces[first] == piece:
         return True
-    if towards == way:
+    if towards[0] == way[0] and towards[1] == way[1] and towards[2] == way[2]:
         return False
     first = first_of(table, boxes, found, n, plus(eye, step), towards, 0.0)[0]
     return first >= 0 and pieces[first] == piece
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # type: ignore[no-untyped-def]
     """As `Around.beyond`: the face stepped over to (-1 for none), weights, side, way gone on its level, and how high that is."""
     pieces, _ = sides
@@ -83,8 +83,8 @@ def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # t
     body = more(body, least / LIFT)
     gap, high = GAP * body, HIGH * body
     most, across = high, times(out, gap)
-    rise = times(up, high)
-    n = gather(pieces, boxes, plus(place, rise), minus(place, rise), gap + 4 * fine, f, -1, found)
+    lift = times(up, high)
+    n = gather(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, found)
     if n == 0:
         return -1, 0.0, 0.0, 1.0, 0.0, 0.0
     hair = times(out, 2 * fine)
@@ -142,7 +142,7 @@ def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # t
     return _leading(table, sides, f, side, up, face, one, two, towards, gone, rise)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def landed(table, f, side, c, s, heading_c, heading_s, to, to_side):  # type: ignore[no-untyped-def]
     """As `walk._land`: direction and heading in the frame of the face `to`."""
     row, there = WIDTH * f, WIDTH * to
@@ -156,23 +156,23 @@ def landed(table, f, side, c, s, heading_c, heading_s, to, to_side):  # type: ig
     return c, s, heading_c, heading_s
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def stand(table, row, b1, b2, side):  # type: ignore[no-untyped-def]
     """Place on a face."""
     return plus(plus(at(table, row + CORNER), times(at(table, row + EDGE1), b1)), times(at(table, row + EDGE2), b2))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _in_space(table, row, c, s):  # type: ignore[no-untyped-def]
     return plus(times(at(table, row + AXIS1), c), times(at(table, row + AXIS2), s))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _side(table, face, towards):  # type: ignore[no-untyped-def]
     return -1.0 if dot(at(table, WIDTH * face + NORMAL), towards) > 0 else 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _leads(table, sides, f, side, up, face, towards):  # type: ignore[no-untyped-def]
     """As `Around._leads`."""
     pieces, ways = sides
@@ -182,7 +182,7 @@ def _leads(table, sides, f, side, up, face, towards):  # type: ignore[no-untyped
     return alike and dot(times(at(table, WIDTH * face + NORMAL), there), up) > TURNED
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _leading(table, sides, f, side, up, face, b1, b2, towards, gone, rise):  # type: ignore[no-untyped-def]
     """As `Around._landing`, of who is led there."""
     if not _leads(table, sides, f, side, up, face, towards):

@@ -7,13 +7,14 @@ import numpy as np
 
 from antdsl.ground.mesh.boxes import EDGE, FARTHEST, LEVEL, WIDE
 from antdsl.ground.mesh.face_table import CORNER, EDGE1, EDGE2, WIDTH
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, Strided2, called, kernel, scratch
 from antdsl.numerics.vectors_compiled import at, cross, dot, minus
 
+Tree = tuple[Array1[I64], Array1[I64], Array2[F64]]  # order, first and bounds of `Boxes`
 _DEEP = 128  # boxes that wait to be opened: more than trees of 2**40 triangles ever need
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[no-untyped-def]
     """Writes into `found` the places in the order of all triangles, but `face` and those of `piece`, whose boxes overlap a box:
     that around the points `one` and `two`, `size` mm larger. Returns how many. `boxes` are the arrays of `Boxes`."""
@@ -21,7 +22,7 @@ def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[n
     count, waiting = 0, 0
     low_x, low_y, low_z = min(one[0], two[0]) - size, min(one[1], two[1]) - size, min(one[2], two[2]) - size
     high_x, high_y, high_z = max(one[0], two[0]) + size, max(one[1], two[1]) + size, max(one[2], two[2]) + size
-    levels, nodes = np.empty(_DEEP, np.int64), np.empty(_DEEP, np.int64)
+    levels, nodes = scratch(_DEEP, I64), scratch(_DEEP, I64)
     if order.size:
         levels[0], nodes[0], waiting = first.size - 2, 0, 1
     while waiting:
@@ -42,7 +43,7 @@ def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[n
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no-untyped-def]
     """The first triangle met of the first `count` in `found`, after what part of a way that goes on by `fine` mm, and its weights
     there. `table` is `packed`."""
@@ -76,16 +77,26 @@ def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no
     return face, part, b1, b2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def first_of_all(table, pieces, boxes, origin, step, fine, face, piece):  # type: ignore[no-untyped-def]
-    """As `boxes.first_met`, for ways (3, n)."""
-    n = origin.shape[1]
-    met, part, b1, b2 = np.empty(n, np.int64), np.empty(n), np.empty(n), np.empty(n)
-    found = np.empty(boxes[0].size, np.int64)
-    for k in range(n):
+@kernel
+def first_of_all(
+    table: Array1[F64],
+    pieces: Array1[I32],
+    boxes: Tree,
+    origin: Strided2[F64],
+    step: Strided2[F64],
+    fine: F64,
+    face: Array1[I64],
+    piece: Array1[I32],
+    found: Array1[I64],
+    met: Array1[I64],
+    part: Array1[F64],
+    b1: Array1[F64],
+    b2: Array1[F64],
+) -> None:
+    """As `boxes.first_met`, for ways (3, n), into the last four; `found` has room for all faces."""
+    for k in range(origin.shape[1]):
         start, way = (origin[0, k], origin[1, k], origin[2, k]), (step[0, k], step[1, k], step[2, k])
         long = 1.0 + min(fine / max(np.sqrt(dot(way, way)), 1e-300), FARTHEST)
         end = (start[0] + way[0] * long, start[1] + way[1] * long, start[2] + way[2] * long)
         count = gather(pieces, boxes, start, end, 0.0, face[k], piece[k], found)
         met[k], part[k], b1[k], b2[k] = first_of(table, boxes, found, count, start, way, fine)
-    return met, part, b1, b2

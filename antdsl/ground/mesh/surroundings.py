@@ -210,9 +210,10 @@ class Around:
             from antdsl.ground.mesh.boxes_compiled import first_of_all
 
             boxes = (self._boxes.order, self._boxes.first, self._boxes.bounds)
-            found: tuple[Index, Floats, Floats, Floats]
-            found = first_of_all(self._packed, self._table.piece, boxes, origin, step, fine, passed, beside)
-            return found
+            met, room = np.empty(n, np.int64), np.empty(self._boxes.order.size, np.int64)
+            part, b1, b2 = np.empty((3, n))
+            first_of_all(self._packed, self._table.piece, boxes, origin, step, fine, passed, beside, room, met, part, b1, b2)
+            return met, part, b1, b2
         return first_met(self._boxes, self._table, origin, step, fine, passed, beside)
 
     def _leads(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.around_compiled import beyond, landed, other_ahead
+from antdsl.ground.mesh.boxes_compiled import Tree
 from antdsl.ground.mesh.face_table import (
     AXIS1,
     AXIS2,
@@ -27,9 +28,17 @@ from antdsl.ground.mesh.face_table import (
 from antdsl.ground.mesh.surroundings import LIFT
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walk import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined, kernel
 from antdsl.numerics.vectors_compiled import inside as _inside
 
+# `packed` faces, `link` and `forked` of the topology, the first face of each mesh.
+Surface = tuple[Array1[F64], Array2[I32], BOOL, Array1[I64]]
+# `first`, `count`, `least` and `reach` of `Parts`; an agent stays away from what is nearer than its way, LIFT of its body and a
+# noise, which comes last.
+Clearances = tuple[Array1[I64], Array1[I32], Array1[F64], F64, F64]
+Placed = tuple[Array1[I32], Array1[I32], Array1[F64], Array1[F64], Array1[F64]]  # mesh, face, two weights, height over it
+# Place, up, heading and direction (3, n), and the way gone.
+Moved = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array1[F64]]
 # What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, REALS = range(12)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, LOOKED, EVENT, EDGE, WHOLES = range(10)
@@ -37,20 +46,36 @@ _FETCHED = 16  # agents whose rows are fetched at once
 AHEAD, BORDER, HANG, MET = 1, 2, 3, 4  # something may be in the way, or beyond the border; over one already; decided elsewhere
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    table, link, forked, first, sub_first, sub_count, clear, reach, noise, mesh, face, b1s, b2s, overs,
-    body, wish, heading, up, reals, wholes, done,
-    to_mesh, to_face, to_b1, to_b2, to_over, place, above, ahead, direction, gone, begin, end,
-):  # fmt: skip
+@kernel
+def walk_all(
+    surface: Surface,
+    near: Clearances,
+    mesh: Array1[I32],
+    face: Array1[I32],
+    b1s: Array1[F64],
+    b2s: Array1[F64],
+    overs: Array1[F64],
+    body: Array1[F64],
+    vectors: tuple[Array2[F64], Array2[F64], Array2[F64]],
+    reals: Array2[F64],
+    wholes: Array2[I64],
+    done: Array1[BOOL],
+    placed: Placed,
+    moved: Moved,
+    begin: I64,
+    end: I64,
+) -> I64:
     """One step of the agents from `begin` to before `end`; sets `done` for those that it moved and returns how many wait, in
     `reals` and `wholes` (.., end - begin).
 
-    `table` is `packed`, `link` and `forked` of the topology and `first` the first face of each mesh. `sub_first`,
-    `sub_count`, `clear` and `reach` are `first`, `count`, `least` and `reach` of `Parts`; an agent stays away from what is
-    nearer than its way, LIFT of its body and `noise`. Then where agents stand, their body, wish, heading and up (3, n), and
-    where the results go. Agents neither done nor waiting are left as they are.
+    Then where agents stand, their body, wish, heading and up (3, n), and where the results go. Agents neither done nor waiting
+    are left as they are.
     """
+    table, link, forked, first = surface
+    sub_first, sub_count, clear, reach, noise = near
+    wish, heading, up = vectors
+    to_mesh, to_face, to_b1, to_b2, to_over = placed
+    place, above, ahead, direction, gone = moved
     waiting = 0
     for i in range(begin, end):
         if (i - begin) % _FETCHED == 0:
@@ -96,29 +121,63 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
     return waiting
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def walk_on(  # type: ignore[no-untyped-def]
-    table, link, forked, first, sub_first, sub_count, clear, reach, noise, sides, cuts, boxes, scale, straight,
-    body, reals, wholes, done, to_mesh, to_face, to_b1, to_b2, to_over, place, above, ahead, direction, gone, blocked, begin, end,
-):  # fmt: skip
+@kernel
+def walk_on(
+    surface: Surface,
+    near: Clearances,
+    sides: tuple[Array1[I32], Array2[I32]],
+    cuts: Array1[I64],
+    boxes: Tree,
+    scale: tuple[F64, F64, F64],
+    straight: BOOL,
+    found: Array1[I64],
+    body: Array1[F64],
+    reals: Array2[F64],
+    wholes: Array2[I64],
+    done: Array1[BOOL],
+    placed: Placed,
+    moved: Moved,
+    blocked: Array1[BOOL],
+    begin: I64,
+    end: I64,
+) -> None:
     """The same for agents that wait, from `begin` to before `end`: until they are done, or `EVENT` says that they may come to
     what their own piece cuts.
 
     `sides` are `piece` and `way` of the topology and `cuts` the first of its cuts, `boxes` the arrays of `Boxes`, `scale` least,
-    fine and under of `Scale`; ways end at open borders if they are to be `straight`.
+    fine and under of `Scale`; ways end at open borders if they are to be `straight`; `found` has room for all faces.
     """
-    found = np.empty(boxes[0].size, np.int64)
+    table, link, forked, first = surface
+    sub_first, sub_count, clear, reach, noise = near
+    to_mesh, to_face, to_b1, to_b2, to_over = placed
+    place, above, ahead, direction, gone = moved
     for k in range(begin, end):
         event = wholes[EVENT, k]
         if event == 0:
             continue
-        r, w = reals[:, k], wholes[:, k]
-        i = w[AGENT]
+        i = wholes[AGENT, k]
         size = body[i]
-        high = _margin(noise, size) if w[NEAR] else -np.inf
-        f, b1, b2, side, c, s, heading_c, heading_s = w[FACE], r[B1], r[B2], r[SIDE], r[C], r[S], r[HEADING_C], r[HEADING_S]
-        left, way, over, turn, looked, edge, length = r[LEFT], r[GONE], r[OVER], w[TURN], w[LOOKED] != 0, w[EDGE], r[LENGTH]
-        w[EVENT], w[LOOKED] = 0, 0
+        high = _margin(noise, size) if wholes[NEAR, k] != 0 else -np.inf
+        f, b1, b2, side, c, s, heading_c, heading_s = (
+            wholes[FACE, k],
+            reals[B1, k],
+            reals[B2, k],
+            reals[SIDE, k],
+            reals[C, k],
+            reals[S, k],
+            reals[HEADING_C, k],
+            reals[HEADING_S, k],
+        )
+        left, way, over, turn, looked, edge, length = (
+            reals[LEFT, k],
+            reals[GONE, k],
+            reals[OVER, k],
+            wholes[TURN, k],
+            wholes[LOOKED, k] != 0,
+            wholes[EDGE, k],
+            reals[LENGTH, k],
+        )
+        wholes[EVENT, k], wholes[LOOKED, k] = 0, 0
         while event:
             to, side2, level, gap = -1, side, 0.0, 0.0
             if event == AHEAD:
@@ -147,27 +206,27 @@ def walk_on(  # type: ignore[no-untyped-def]
                 over, left, way = _rise(over, level, left, way)
                 if to < 0 and over == level:
                     c, s, left = _along(table[WIDTH * f + EDGE_C + edge], table[WIDTH * f + EDGE_S + edge], c, s, left)
-                    w[BLOCKED] = 1
-                    w[SPENT] += 1
-                    if straight or w[SPENT] >= HOPS:
+                    wholes[BLOCKED, k] = 1
+                    wholes[SPENT, k] += 1
+                    if straight or wholes[SPENT, k] >= HOPS:
                         left = 0.0
                 elif to < 0 or over != level or not left >= gap:
                     if way == 0:
-                        w[BLOCKED] = 1
+                        wholes[BLOCKED, k] = 1
                     to, left = -1, 0.0
                 else:
                     over = 0.0
-                    w[NEAR] = 1
+                    wholes[NEAR, k] = 1
                     high = _margin(noise, size)
             if to >= 0:
                 c, s, heading_c, heading_s = landed(table, f, side, c, s, heading_c, heading_s, to, side2)
                 f, b1, b2, side = to, one, two, side2
                 left = max(left - gap, 0.0)
                 way += gap
-                w[SPENT] += 1
-                if w[SPENT] >= HOPS:
+                wholes[SPENT, k] += 1
+                if wholes[SPENT, k] >= HOPS:
                     left = 0.0
-                    w[BLOCKED] = 1
+                    wholes[BLOCKED, k] = 1
             f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
                 table, link, forked, sub_first, sub_count, clear, reach, high, looked,
                 f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn,
@@ -182,11 +241,11 @@ def walk_on(  # type: ignore[no-untyped-def]
         row = WIDTH * f
         on = int(table[row + MESH])
         to_mesh[i], to_face[i] = on, f - first[on]
-        to_b1[i], to_b2[i], to_over[i], gone[i], blocked[i] = b1, b2, over * side + 0.0, way, w[BLOCKED] != 0
+        to_b1[i], to_b2[i], to_over[i], gone[i], blocked[i] = b1, b2, over * side + 0.0, way, wholes[BLOCKED, k] != 0
         _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _margin(noise, body):  # type: ignore[no-untyped-def]
     """How near to its way (mm) a piece of surface must be to matter."""
     high = LIFT * body
@@ -195,17 +254,24 @@ def _margin(noise, body):  # type: ignore[no-untyped-def]
     return high + noise
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _keep(  # type: ignore[no-untyped-def]
     reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length
 ):
-    r, w = reals[:, k], wholes[:, k]
-    r[B1], r[B2], r[SIDE], r[C], r[S], r[HEADING_C], r[HEADING_S] = b1, b2, side, c, s, heading_c, heading_s
-    r[LEFT], r[GONE], r[OVER], r[LENGTH] = left, way, over, length
-    w[FACE], w[TURN], w[LOOKED], w[EVENT], w[EDGE] = f, turn, 0, event, edge
+    reals[B1, k], reals[B2, k], reals[SIDE, k], reals[C, k], reals[S, k], reals[HEADING_C, k], reals[HEADING_S, k] = (
+        b1,
+        b2,
+        side,
+        c,
+        s,
+        heading_c,
+        heading_s,
+    )
+    reals[LEFT, k], reals[GONE, k], reals[OVER, k], reals[LENGTH, k] = left, way, over, length
+    wholes[FACE, k], wholes[TURN, k], wholes[LOOKED, k], wholes[EVENT, k], wholes[EDGE, k] = f, turn, 0, event, edge
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _rise(over, level, left, way):  # type: ignore[no-untyped-def]
     """As `walk.rise`: where it leads, and the way left and gone."""
     most = level - over
@@ -214,7 +280,7 @@ def _rise(over, level, left, way):  # type: ignore[no-untyped-def]
     return to, left - climb, way + climb
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _hung(table, link, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
     """As `walk.hung`."""
     weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf
@@ -225,7 +291,7 @@ def _hung(table, link, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
     return edge, c * table[row + EDGE_S] - s * table[row + EDGE_C] > 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _touch(table, mesh, face, first, start, stop):  # type: ignore[no-untyped-def]
     """Reads what the next agents will need of the table. These reads wait for memory all at once, and not one after another."""
     total = 0.0
@@ -237,7 +303,7 @@ def _touch(table, mesh, face, first, start, stop):  # type: ignore[no-untyped-de
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _laid_down(table, row, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
     c = table[row + AXIS1] * x + table[row + AXIS1 + 1] * y + table[row + AXIS1 + 2] * z
     s = table[row + AXIS2] * x + table[row + AXIS2 + 1] * y + table[row + AXIS2 + 2] * z
@@ -247,7 +313,7 @@ def _laid_down(table, row, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
     return c / flat, s / flat, min(np.sqrt(x * x + y * y + z * z), 2 * flat)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-untyped-def]
     """As `Parts.of`."""
     n = sub_count[f]
@@ -256,7 +322,7 @@ def _free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-unt
     return clear[sub_first[f] + max(min(int(b1 * n), n - 1), 0) * n + max(min(int(b2 * n), n - 1), 0)]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _walk(  # type: ignore[no-untyped-def]
     table, link, forked, sub_first, sub_count, clear, reach, high, looked,
     f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn,
@@ -304,7 +370,7 @@ def _walk(  # type: ignore[no-untyped-def]
     return f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _along(edge_c, edge_s, c, s, left):  # type: ignore[no-untyped-def]
     """Along an open border, and the way that is left there."""
     along = c * edge_c + s * edge_s
@@ -312,7 +378,7 @@ def _along(edge_c, edge_s, c, s, left):  # type: ignore[no-untyped-def]
     return turn * edge_c - INWARD * edge_s, turn * edge_s + INWARD * edge_c, left * abs(along)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s):  # type: ignore[no-untyped-def]
     """Into the face beyond an edge."""
     f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
@@ -334,7 +400,7 @@ def _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s): 
     return f, b1, b2, -side if flip else side, c, s, heading_c, heading_s
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _finish(  # type: ignore[no-untyped-def]
     table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction
 ):
@@ -362,7 +428,7 @@ def _finish(  # type: ignore[no-untyped-def]
         direction[k, i] = table[row + AXIS1 + k] * c + table[row + AXIS2 + k] * s
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _turned(vx, vy, vz, bx, by, bz, ax, ay, az):  # type: ignore[no-untyped-def]
     """A vector turned as the unit normal b turns into a; half a turn goes over the vector itself."""
     cosine = bx * ax + by * ay + bz * az

@@ -50,11 +50,12 @@ class Walk:
         n = body.size
         done = np.empty(n, np.bool_)
         table = (self.packed, self._table.link, self._table.forked, self._first)
-        near = (*table, parts.first, parts.count, parts.least, parts.reach, scale.noise)
+        near = (parts.first, parts.count, parts.least, parts.reach, scale.noise)
+        placed, moved, blocked = to[:5], to[5:10], to[10]
 
         def part(begin: int, end: int) -> tuple[Floats, NDArray[np.int64]]:
             reals, wholes = np.empty((loop.REALS, end - begin)), np.empty((loop.WHOLES, end - begin), np.int64)
-            waiting = loop.walk_all(*near, *at, body, *vectors, reals, wholes, done, *to[:-1], begin, end)
+            waiting = loop.walk_all(table, near, *at, body, vectors, reals, wholes, done, placed, moved, begin, end)
             return reals[:, :waiting], wholes[:, :waiting]
 
         reals, wholes = (np.concatenate(half, axis=1) for half in zip(*compiled.in_parts(part, n, threads), strict=True))
@@ -63,7 +64,8 @@ class Walk:
         known = (sides, topology.cuts.first, tree, (scale.least, scale.fine, scale.under))
 
         def further(begin: int, end: int) -> None:
-            loop.walk_on(*near, *known, straight, body, reals, wholes, done, *to, begin, end)
+            found = np.empty(boxes.order.size, np.int64)
+            loop.walk_on(table, near, *known, straight, found, body, reals, wholes, done, placed, moved, blocked, begin, end)
 
         if wholes.size:
             asking = around.of(wholes[loop.AGENT])

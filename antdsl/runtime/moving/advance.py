@@ -94,7 +94,7 @@ def _arrive(
         walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
         hasty = np.empty(len(population), np.bool_)
         arrive(
-            velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], now["response"], whole * _F(1.0001),
+            velocity, step, population.position, walked, now["max_speed"], now["max_turn"], now["response"], whole * _F(1.0001),
             most, dt, _share(dt), _SLOW, _BOUNCE, _BEYOND, FACE in now, _read(population, "~face" if FACE in now else "velocity"),
             *(_read(population, name) for name in ("position", "velocity", "heading", "up")), hasty,
         )  # fmt: skip

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from antdsl.machine_code.kernels import BOOL, F32, F64, Array1, Array2, Strided2, called, inlined, kernel
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
-from antdsl.numerics.kernel_cache import njit
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 _F = np.float32
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 _TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
@@ -18,10 +19,24 @@ _SURELY = _F(1e-3)
 _TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)  # as `moving`
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    push, velocity, up, max_speed, max_force, mass, response, max_turn, keeps, min_speed, heading, at_once, first, dt, to
-):  # fmt: skip
+@kernel
+def velocities(
+    push: Three,
+    velocity: Three,
+    up: Three,
+    max_speed: Array1[F32],
+    max_force: Array1[F32],
+    mass: Array1[F32],
+    response: Array1[F32],
+    max_turn: Array1[F32],
+    keeps: BOOL,
+    min_speed: Array1[F32],
+    heading: Three,
+    at_once: F32,
+    first: F32,
+    dt: F32,
+    to: Array2[F32],
+) -> None:
     """Velocities after the push, within the limits of speed and turn, into `to` (3, n). `at_once` is the longest response that
     takes its whole time, `first`, in one substep; `dt` the time of others. `keeps`: whether `min_speed` and `heading` count. All
     float32, vectors three arrays."""
@@ -46,14 +61,14 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
             most = _maximum(max_turn[i], _ZERO) * time
             turn = min(most, _PI)
             if turn != last:
-                last, cosine = turn, _F(np.cos(turn))
+                last, cosine = turn, cos_sin(turn)[0]
             both = _length(v) * _length(before)
             if not (dot(v, before) > (cosine + _SURELY) * both and both > _TINY):
                 v = _turned(v, before, u, most)
         to[0, i], to[1, i], to[2, i] = v
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _quickened(velocity, before, heading, least):  # type: ignore[no-untyped-def]
     """As `moving._quickened`, for one."""
     square = dot(velocity, velocity)
@@ -69,7 +84,7 @@ def _quickened(velocity, before, heading, least):  # type: ignore[no-untyped-def
     return plus(velocity, times(ahead, more))
 
 
-@njit(error_model="numpy")
+@called
 def _turned(velocity, before, up, most):  # type: ignore[no-untyped-def]
     """As `moving._limit_turn`, for one."""
     if not _length(before) > 0:
@@ -93,17 +108,38 @@ def _turned(velocity, before, up, most):  # type: ignore[no-untyped-def]
     return times(plus(times(ahead, c), times(side, s)), _length(velocity))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def arrive(  # type: ignore[no-untyped-def]
-    velocity, step, old, place, above, ahead, direction, blocked, max_speed, max_turn, response, at_once, most, dt, share, slow,
-    bounce, beyond, faces, face, position, to, heading, up, hasty,
-):  # fmt: skip
+@kernel
+def arrive(
+    velocity: Three,
+    step: Three,
+    old: Strided2[F64],
+    walked: tuple[Strided2[F64], Strided2[F64], Strided2[F64], Strided2[F64], Array1[BOOL]],
+    max_speed: Array1[F32],
+    max_turn: Array1[F32],
+    response: Array1[F32],
+    at_once: F32,
+    most: Array1[F32],
+    dt: F32,
+    share: F32,
+    slow: F32,
+    bounce: F32,
+    beyond: F32,
+    faces: BOOL,
+    face: Three,
+    position: Three,
+    to: Three,
+    heading: Three,
+    up: Three,
+    hasty: Array1[BOOL],
+) -> None:
     """Velocity and heading where the walk has led, with place and up, into three arrays each: `position`, `to`, `heading`, `up`;
     and in `hasty` whose up turns by more than `most` (radians), or whose body by more than `max_turn` allows and `beyond` that.
 
-    `velocity`, `step`: before the walk, (3, n) float32; `old` the place before it, (n, 3); then the walk's, (3, n) float64.
-    `faces`: whether `face`, three arrays, has ways to face. `at_once` is the longest response of who faces at once where it goes.
+    `velocity`, `step`: before the walk, float32; `old` the place before it, (n, 3); `walked`: place, up, heading and direction of
+    the walk, (3, n), and who is blocked. `faces`: whether `face` has ways to face. `at_once` is the longest
+    response of who faces at once where it goes.
     """
+    place, above, ahead, direction, blocked = walked
     rate = _ONE / dt
     for i in range(blocked.size):
         u = (_F(above[0, i]), _F(above[1, i]), _F(above[2, i]))
@@ -135,7 +171,7 @@ def arrive(  # type: ignore[no-untyped-def]
         position[0][i], position[1][i], position[2][i] = _F(place[0, i]), _F(place[1, i]), _F(place[2, i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@inlined
 def _faced(heading, velocity, up, faces, wish, max_speed, max_turn, at_once, tilt, dt, share, slow):  # type: ignore[no-untyped-def]
     """As `moving._face`, for one."""
     heading, good = _unit(_flat(heading, up))
@@ -175,28 +211,28 @@ def _faced(heading, velocity, up, faces, wish, max_speed, max_turn, at_once, til
     return turned
 
 
-@njit(inline="always")
+@inlined
 def _maximum(a, b):  # type: ignore[no-untyped-def]
     """The first number's NaN is kept, as NumPy does."""
     return b if a <= b else a
 
 
-@njit(inline="always")
+@inlined
 def _minimum(a, b):  # type: ignore[no-untyped-def]
     return b if a >= b else a
 
 
-@njit(inline="always")
+@inlined
 def _length(a):  # type: ignore[no-untyped-def]
     return np.sqrt(dot(a, a))
 
 
-@njit(inline="always")
+@inlined
 def _flat(a, up):  # type: ignore[no-untyped-def]
     return minus(a, times(up, dot(a, up)))
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _unit(a):  # type: ignore[no-untyped-def]
     """Length 1, and whether there is a direction."""
     size = _length(a)
@@ -204,7 +240,7 @@ def _unit(a):  # type: ignore[no-untyped-def]
     return times(a, _ONE / (size if good else _ONE)), good
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _across(up):  # type: ignore[no-untyped-def]
     steep = abs(up[0]) > _STEEP
     side = _flat((_ZERO if steep else _ONE, _ONE if steep else _ZERO, _ZERO), up)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Strided2, called, inlined, kernel
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
 _OPPOSITE, _NOWHERE = -0.5, 1e-6  # as `capsules`
 
 
-@njit(inline="always")
+@inlined
 def _of(vectors, i):  # type: ignore[no-untyped-def]
     """One of vectors (3, k)."""
     return vectors[0, i], vectors[1, i], vectors[2, i]
 
 
-@njit(error_model="numpy")
+@called
 def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untyped-def]
     """As `capsules._gaps`, of one pair: gap and way; and whether it has no way of its own."""
     between = plus(one, other)
@@ -41,8 +41,21 @@ def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untype
     return gap, (apart[0] / size, apart[1] / size, apart[2] / size), distance <= wide * _NOWHERE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def measured(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, lost):  # type: ignore[no-untyped-def]
+@kernel
+def measured(
+    middle: Strided2[F64],
+    gone: Strided2[F64],
+    ahead: Strided2[F64],
+    up: Strided2[F64],
+    half: Array1[F64],
+    radius: Array1[F64],
+    i: Array1[I64],
+    j: Array1[I64],
+    changed: Array1[BOOL],
+    gap: Array1[F64],
+    way: Array2[F64],
+    lost: Array1[I64],
+) -> I64:
     """As `capsules.Near.measure`, into `gap` and `way`; gives how many pairs have no way of their own, which are the first of
     `lost`."""
     count = 0

@@ -132,17 +132,17 @@ class Bodies:
 
         part, r = np.ones(len(self.most), np.float32), self.rises
         walls = (r.wall, r.ahead, r.angle, r.far, r.over)
-        shares(rows, self._walls(rows), step, self.up, self.population.normal, self.most, *walls, part)
+        shares(rows, self._walls(rows), step, self.up, self.population.normal, self.most, walls, part)
         return vec.scale(step, part), np.maximum(part, _F(_WAITING))
 
     def _follow_fast(self, rows: Rows, went: Floats, dt: np.float32) -> None:
         from antdsl.runtime.moving.tilting_compiled import follow
 
         now, r = self.population.now, self.rises
-        walls = (r.wall, r.ahead, r.angle, r.far, r.over, r.half)
+        walls = (r.wall, r.ahead, r.angle, r.far, r.over)
         up, heading = (tuple(now[f"{name}.{axis}"] for axis in AXES) for name in ("up", "heading"))
         most = (self.most, now["max_turn"], dt)
-        follow(rows, self._walls(rows), self.up, self.heading, went, *most, *walls, RAISED, up, heading)
+        follow(rows, self._walls(rows), self.up, self.heading, went, *most, walls, r.half, RAISED, up, heading)
 
     def _walls(self, rows: Rows) -> Rows:
         """The number of the wall of each of some rows, -1 for none."""

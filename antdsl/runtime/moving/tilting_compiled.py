@@ -4,31 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, called, inlined, kernel
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
-from antdsl.numerics.kernel_cache import njit
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+# Of walls: normal and way ahead (3, k), angle, how far, over how much.
+Walls = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array1[F64]]
 _F = np.float32
 _OPPOSITE, _STEEP = 0.05, 0.9  # as `tilting` and `vectors`
 
 
-@njit(inline="always")
+@inlined
 def _over(a, s):  # type: ignore[no-untyped-def]
     return a[0] / s, a[1] / s, a[2] / s
 
 
-@njit(inline="always")
+@inlined
 def _unit(v):  # type: ignore[no-untyped-def]
     return _over(v, max(np.sqrt(dot(v, v)), 1e-300))
 
 
-@njit(inline="always")
+@inlined
 def _of(vectors, i):  # type: ignore[no-untyped-def]
     """One of vectors (3, n), in float64."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
-@njit()
+@inlined
 def _across(v, up):  # type: ignore[no-untyped-def]
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
@@ -39,7 +42,7 @@ def _across(v, up):  # type: ignore[no-untyped-def]
     return times(side, 1 / np.sqrt(dot(side, side)))
 
 
-@njit()
+@called
 def _axis(one, other, ahead):  # type: ignore[no-untyped-def]
     axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
@@ -48,23 +51,23 @@ def _axis(one, other, ahead):  # type: ignore[no-untyped-def]
     return _unit(cross(one, ahead)), cosine, sine
 
 
-@njit()
+@inlined
 def _rotated(v, axis, c, s):  # type: ignore[no-untyped-def]
     return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))
 
 
-@njit()
+@called
 def _laid(heading, one, other):  # type: ignore[no-untyped-def]
     axis, cosine, sine = _axis(one, other, heading)
     return _across(_rotated(heading, axis, cosine, sine), other)
 
 
-@njit()
+@inlined
 def _nearer(gone, wall, ahead):  # type: ignore[no-untyped-def]
     return dot(gone, wall) / min(dot(ahead, wall), -1e-3)
 
 
-@njit()
+@called
 def _tilted(n, wall, ahead, angle, far, over, gone):  # type: ignore[no-untyped-def]
     part = min(max(1.0 - (far - _nearer(gone, wall, ahead)) / over, 0.0), 1.0) * angle
     axis, cosine = cross(n, wall), dot(n, wall)
@@ -79,8 +82,8 @@ def _tilted(n, wall, ahead, angle, far, over, gone):  # type: ignore[no-untyped-
     return _over(turned, np.sqrt(dot(turned, turned)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def laid(rows, heading, up, normal, to):  # type: ignore[no-untyped-def]
+@kernel
+def laid(rows: Array1[I64], heading: Array2[F32], up: Array2[F32], normal: Array2[F32], to: Array2[F32]) -> None:
     """Headings of some rows of (3, n) float32, laid from across `up` to across `normal` (n, 3), into `to` (3, k)."""
     for k in range(rows.size):
         i = rows[k]
@@ -88,9 +91,19 @@ def laid(rows, heading, up, normal, to):  # type: ignore[no-untyped-def]
         to[0, k], to[1, k], to[2, k] = _F(found[0]), _F(found[1]), _F(found[2])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def shares(rows, at, step, up, normal, most, wall, ahead, angle, far, over, to):  # type: ignore[no-untyped-def]
+@kernel
+def shares(
+    rows: Array1[I64],
+    at: Array1[I64],
+    step: Three,
+    up: Array2[F32],
+    normal: Array2[F32],
+    most: Array1[F32],
+    walls: Walls,
+    to: Array1[F32],
+) -> None:
     """Into `to` [n] which part of its step each of `rows` can make; `at[k]` is the number of its wall, -1 for none."""
+    wall, ahead, angle, far, over = walls
     zero = (0.0, 0.0, 0.0)
     for k in range(rows.size):
         i, j = rows[k], at[k]
@@ -111,12 +124,24 @@ def shares(rows, at, step, up, normal, most, wall, ahead, angle, far, over, to):
         to[i] = _F(min(lag, min(max(room / max(size, 1e-300), 0.0), 1.0)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def follow(  # type: ignore[no-untyped-def]
-    rows, at, before_up, before_heading, went, most, max_turn, dt, wall, ahead, angle, far, over, half, raised,
-    now_up, now_heading,
-):  # fmt: skip
+@kernel
+def follow(
+    rows: Array1[I64],
+    at: Array1[I64],
+    before_up: Array2[F32],
+    before_heading: Array2[F32],
+    went: Strided2[F64],
+    most: Array1[F32],
+    max_turn: Array1[F32],
+    dt: F32,
+    walls: Walls,
+    half: Array1[F64],
+    raised: F64,
+    now_up: Three,
+    now_heading: Three,
+) -> None:
     """As `Bodies.follow` for `rows`, whose walls are `at`; changes `now_up` and `now_heading`."""
+    wall, ahead, angle, far, over = walls
     for k in range(rows.size):
         i, j = rows[k], at[k]
         before = _of(before_up, i)

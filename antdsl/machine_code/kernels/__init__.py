@@ -1,0 +1,36 @@
+"""Kernels: loops over arrays that are written in a subset of Python and run as machine code.
+
+`@kernel` marks a function that is called with arrays, `@inlined` and `@called` functions that kernels call, for any types. The
+function's text is read (`ast`) and written in LLVM's language (`statements`, `expressions`, `functions`), once for the types that
+its annotations name; nothing of it runs in Python. Its operations are those of the text in their order, so its bits are those of
+the same operations of NumPy.
+
+The subset: whole numbers of 64 bits, float64, float32 and conditions; tuples; arrays of one to three axes, read and written by
+index (never negative); `for` over `range`, `independent`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; the
+functions of `functions`. A variable keeps the type of its first value. Loops over `range` of up to four numbers of the text are
+written out. `independent(begin, end)` says that no turn reads what another one writes, and lets several be done at once. Indices
+are not checked: what calls a kernel answers for them."""
+
+from antdsl.machine_code.kernels.functions import as_bits, as_float, independent, scratch
+from antdsl.machine_code.kernels.kernel import called, inlined, kernel
+from antdsl.machine_code.kernels.types import (
+    BOOL,
+    F32,
+    F64,
+    I8,
+    I16,
+    I32,
+    I64,
+    U8,
+    U32,
+    U64,
+    Array1,
+    Array2,
+    Array3,
+    Strided2,
+)
+
+__all__ = [
+    "BOOL", "F32", "F64", "I8", "I16", "I32", "I64", "U8", "U32", "U64", "Array1", "Array2", "Array3", "Strided2", "as_bits",
+    "as_float", "called", "independent", "inlined", "kernel", "scratch",
+]  # fmt: skip

@@ -1,0 +1,111 @@
+"""The functions that a kernel may call, besides those of its own: by the function that Python knows, how it is written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
+from antdsl.machine_code.kernels.values import Number, constant
+
+if TYPE_CHECKING:
+    from antdsl.machine_code.kernels.statements import Writer
+
+
+def independent(begin: int, end: int) -> Iterator[int]:
+    """Numbers from `begin` to before `end`, of a loop of which no turn reads what another one writes."""
+    return iter(range(begin, end))
+
+
+def scratch(count: int, dtype: Any) -> Any:
+    """Room for so many numbers, which a kernel has for itself; the count stands in the text."""
+    return np.empty(count, dtype)
+
+
+def as_bits(value: Any) -> Any:
+    """The bits of a float64 as a whole number."""
+    return int(np.float64(value).view(np.int64))
+
+
+def as_float(bits: Any) -> Any:
+    """The float64 of these bits."""
+    return float(np.int64(bits).view(np.float64))
+
+
+def _intrinsic(stem: str) -> Callable[..., Number]:
+    def write(w: Writer, a: Number) -> Number:
+        a = w.floating(a)
+        return w.intrinsic(stem, a.kind, a)
+
+    return write
+
+
+def _absolute(w: Writer, a: Number) -> Number:
+    if a.kind in (DOUBLE, FLOAT):
+        return w.intrinsic("fabs", a.kind, a)
+    return w.select(w.compare("lt", a, constant(0)), w.negated(a), a)
+
+
+def _lesser(w: Writer, *values: Number) -> Number:
+    """As Python has it: the first one, unless another is less."""
+    best = values[0]
+    for each in values[1:]:
+        a, b = w.paired(each, best)
+        best = w.select(w.compare("lt", a, b), a, b)
+    return best
+
+
+def _greater(w: Writer, *values: Number) -> Number:
+    best = values[0]
+    for each in values[1:]:
+        a, b = w.paired(each, best)
+        best = w.select(w.compare("gt", a, b), a, b)
+    return best
+
+
+def _finite(w: Writer, a: Number) -> Number:
+    a = w.floating(a)
+    return w.compare("lt", w.intrinsic("fabs", a.kind, a), w.convert(constant(math.inf), a.kind))
+
+
+def _nan(w: Writer, a: Number) -> Number:
+    return w.op(f"fcmp uno {a.typed}, {a.name}", TRUTH)
+
+
+def _to(kind: str) -> Callable[..., Number]:
+    return lambda w, a: w.convert(a, kind)
+
+
+def _floored(w: Writer, a: Number) -> Number:
+    return w.convert(_intrinsic("floor")(w, a), INT)
+
+
+def _bits(w: Writer, a: Number) -> Number:
+    return w.op(f"bitcast {w.convert(a, DOUBLE).typed} to i64", INT)
+
+
+def _float(w: Writer, a: Number) -> Number:
+    return w.op(f"bitcast {a.typed} to double", DOUBLE)
+
+
+def _narrowed(bits: int, signed: bool) -> Callable[..., Number]:
+    """To fewer bits and back, as a cast does."""
+
+    def write(w: Writer, a: Number) -> Number:
+        small = w.op(f"trunc {w.convert(a, INT).typed} to i{bits}", INT)
+        return w.op(f"{'sext' if signed else 'zext'} i{bits} {small.name} to i64", INT)
+
+    return write
+
+
+WRITTEN: Mapping[Any, Callable[..., Number]] = {
+    np.sqrt: _intrinsic("sqrt"), math.sqrt: _intrinsic("sqrt"), np.floor: _intrinsic("floor"), math.floor: _floored,
+    np.ceil: _intrinsic("ceil"), np.rint: _intrinsic("rint"), abs: _absolute, np.abs: _absolute, min: _lesser, max: _greater,
+    np.isfinite: _finite, math.isfinite: _finite, np.isnan: _nan, math.isnan: _nan, int: _to(INT), np.int64: _to(INT),
+    np.intp: _to(INT), np.uint64: _to(UNSIGNED), float: _to(DOUBLE), np.float64: _to(DOUBLE), np.float32: _to(FLOAT),
+    bool: _to(TRUTH), np.bool_: _to(TRUTH), np.int32: _narrowed(32, True), np.uint32: _narrowed(32, False),
+    as_bits: _bits, as_float: _float,
+}  # fmt: skip

@@ -1,0 +1,385 @@
+"""Writes the statements of a kernel's function, for the types of one call."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from antdsl.machine_code.kernels.expressions import Expressions
+from antdsl.machine_code.kernels.functions import independent
+from antdsl.machine_code.kernels.types import INT, LLVM, TRUTH
+from antdsl.machine_code.kernels.units import Loop, Unit, Variable, result_type
+from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves, renamed, type_name, types_of
+
+_WRITTEN_OUT = 4  # turns of a loop whose numbers the text names
+
+
+class Writer(Expressions):
+    """Writes one function for items of certain types."""
+
+    def __init__(self, unit: Unit, definition: ast.FunctionDef, world: dict[str, Any]) -> None:
+        super().__init__(definition.name)
+        self.unit, self.definition, self.world = unit, definition, world
+        self.variables: dict[str, Any] = {}
+        self.loops: list[Loop] = []
+        self.result: Item = None
+        self.returns = False
+        self.open = True  # whether the text has come to a place that is reached
+
+    def run(self, inputs: list[Item]) -> None:
+        """Write the body, its arguments being these."""
+        names = [each.arg for each in self.definition.args.args]
+        if len(names) != len(inputs):
+            self.fail(self.definition, f"{len(inputs)} arguments for {len(names)}")
+        for name, item in zip(names, inputs, strict=True):
+            self.assign(self.definition, name, item)
+        self.block(self.definition.body)
+        if self.open:
+            self._return(self.definition, ())
+
+    def read(self, name: str) -> Item:
+        if name not in self.variables:
+            if name in self.world:
+                return self._constants(self.world[name])
+            self.fail(self.definition, f"`{name}` is not known where it is read")
+        return self._loaded(self.variables[name])
+
+    def _constants(self, value: Any) -> Item:
+        if isinstance(value, tuple):
+            return tuple(self._constants(each) for each in value)
+        return constant(value)
+
+    def _loaded(self, item: Any) -> Item:
+        if isinstance(item, tuple):
+            return tuple(self._loaded(each) for each in item)
+        if isinstance(item, Variable):
+            return self.op(f"load {LLVM[item.kind]}, ptr {item.place}", item.kind)
+        return item
+
+    # --- assignment ----------------------------------------------------------------------------------------------------
+
+    def assign(self, node: ast.AST, name: str, item: Item) -> None:
+        """Give a name a value; the first one decides of its type."""
+        if name not in self.variables:
+            self.variables[name] = self._room(item)
+        self._put(node, name, self.variables[name], item)
+
+    def _room(self, item: Item) -> Any:
+        if isinstance(item, tuple):
+            return tuple(self._room(each) for each in item)
+        return item if isinstance(item, Array) else Variable(item.kind, self.slot(item.kind))
+
+    def _put(self, node: ast.AST, name: str, room: Any, item: Item) -> None:
+        if isinstance(room, tuple) and isinstance(item, tuple) and len(room) == len(item):
+            for one, other in zip(room, item, strict=True):
+                self._put(node, name, one, other)
+        elif isinstance(room, Variable) and isinstance(item, Number):
+            if item.kind != room.kind and not (item.known is not None or item.kind == TRUTH or room.kind == "double"):
+                self.fail(node, f"`{name}` is {room.kind}, and is given {item.kind}")
+            if room.kind == INT and item.kind in ("double", "float"):
+                self.fail(node, f"`{name}` is a whole number, and is given a float")
+            self.do(f"store {self.convert(item, room.kind).typed}, ptr {room.place}")
+        elif not (isinstance(room, Array) and item == room):
+            self.fail(node, f"`{name}` is given a value of another type")
+
+    def _to(self, node: ast.AST, target: ast.expr, item: Item) -> None:
+        match target:
+            case ast.Name(id="_"):
+                pass
+            case ast.Name(id=name):
+                self.assign(node, name, item)
+            case ast.Tuple(elts=parts):
+                if not isinstance(item, tuple) or len(parts) != len(item):
+                    self.fail(node, f"{len(parts)} values are wanted")
+                for part, each in zip(parts, item, strict=True):
+                    self._to(node, part, each)
+            case ast.Subscript(value=of, slice=ast.Slice(lower=None, upper=None)):
+                self._fill(node, self.value(of), item)
+            case ast.Subscript(value=of, slice=index):
+                array = self.value(of)
+                if not isinstance(array, Array) or not isinstance(item, Number):
+                    self.fail(node, "only numbers are put into arrays")
+                self._store(array, self.element(node, array, index), item)
+            case _:
+                self.fail(node, "cannot be assigned to")
+
+    def _store(self, array: Array, place: str, item: Number) -> None:
+        self.unit.written.add(array.origin)
+        value = self.convert(item, array.of.kind)
+        text, stored = value.name, array.of.stored
+        if value.kind == TRUTH:
+            text = self.op(f"zext {value.typed} to i8", INT).name
+        elif LLVM[value.kind] != stored:
+            text = self.op(f"trunc {value.typed} to {stored}", INT).name
+        self.do(f"store {stored} {text}, ptr {place}{self.access()}")
+
+    def _fill(self, node: ast.AST, array: Item, item: Item) -> None:
+        """`a[:] = number`."""
+        if not isinstance(array, Array) or array.steps is not None or not isinstance(item, Number):
+            self.fail(node, "`a[:] = number` of an array in one piece")
+        count = array.lengths[0]
+        for each in array.lengths[1:]:
+            count = self.op(f"mul {count.typed}, {each.name}", INT)
+        whole = Array(array.of, array.address, (count,), None, array.origin)
+        with_number = ast.Name(id="~k")
+        self._counted("~k", constant(0), count, 1, lambda: self._store(whole, self.element(node, whole, with_number), item))
+
+    # --- statements ----------------------------------------------------------------------------------------------------
+
+    def block(self, body: list[ast.stmt]) -> None:
+        for each in body:
+            if not self.open:
+                return
+            self.statement(each)
+
+    def statement(self, node: ast.stmt) -> None:
+        match node:
+            case ast.Expr(value=ast.Constant()) | ast.Pass():
+                pass
+            case ast.Expr(value=call):
+                self.value(call)
+            case ast.Assign(targets=[target], value=value):
+                self._to(node, target, self.value(value))
+            case ast.Assign(targets=targets, value=value):
+                item = self.value(value)
+                for target in targets:
+                    self._to(node, target, item)
+            case ast.AnnAssign(target=target, value=ast.expr() as value):
+                self._to(node, target, self.value(value))
+            case ast.AugAssign(target=ast.Name(id=name), op=operator, value=value):
+                self._augment(node, ast.Name(id=name), operator, value)
+            case ast.AugAssign(target=ast.Subscript(value=of, slice=index), op=operator, value=value):
+                array = self.value(of)
+                if not isinstance(array, Array):
+                    self.fail(node, "only an array's elements change")
+                before = self._indexed(target_of(node), array, index)
+                after = self.arithmetic(node, operator, before, self.number(value))
+                self._store(array, self.element(node, array, index), after)
+            case ast.If(test=test, body=then, orelse=other):
+                self._if(test, then, other)
+            case ast.While(test=test, body=body, orelse=[]):
+                self._while(test, body)
+            case ast.For(target=target, iter=over, body=body, orelse=[]):
+                self._for(node, target, over, body)
+            case ast.Break() | ast.Continue():
+                self.jump(self.loops[-1].end if isinstance(node, ast.Break) else self.loops[-1].following)
+                self.open = False
+            case ast.Return(value=value):
+                self._return(node, () if value is None else self.value(value))
+            case _:
+                self.fail(node, f"`{ast.unparse(node).splitlines()[0]}` is not in the subset")
+
+    def _augment(self, node: ast.stmt, name: ast.Name, operator: ast.operator, value: ast.expr) -> None:
+        before = self.number(name)
+        found = self.arithmetic(node, operator, before, self.number(value))
+        self.assign(
+            node, name.id, self.convert(found, before.kind) if before.kind == "float" and found.kind == "double" else found
+        )
+
+    def _if(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
+        condition = self.truth(test)
+        if condition.known is not None:
+            self.block(then if condition.known else other)
+            return
+        yes, no, done = self.label("then"), self.label("else"), self.label("done")
+        self.branch(condition, yes, no if other else done)
+        self.begin(yes)
+        self.block(then)
+        reached = self.open
+        if self.open:
+            self.jump(done)
+        self.open = True
+        if other:
+            self.begin(no)
+            self.block(other)
+            if self.open:
+                self.jump(done)
+            self.open = self.open or reached
+        if self.open:
+            self.begin(done)
+
+    def _while(self, test: ast.expr, body: list[ast.stmt]) -> None:
+        head, inner, end = self.label("while"), self.label("body"), self.label("end")
+        self.jump(head)
+        self.begin(head)
+        self.branch(self.truth(test), inner, end)
+        self.begin(inner)
+        self._body(Loop(head, end), lambda: self.block(body))
+        self.begin(end)
+
+    def _body(self, loop: Loop, write: Callable[[], None]) -> None:
+        """A turn of a loop, and on to what follows it."""
+        self.loops.append(loop)
+        write()
+        self.loops.pop()
+        if self.open:
+            self.jump(loop.following)
+        self.open = True
+
+    def _for(self, node: ast.For, target: ast.expr, over: ast.expr, body: list[ast.stmt]) -> None:
+        if isinstance(over, ast.Call):
+            known, numbers = self.known(over, over.func), [self.number(each) for each in over.args]
+            if known not in (range, independent) or not isinstance(target, ast.Name):
+                self.fail(node, "`for` goes over `range`, `independent` or a tuple")
+            step = int(numbers[2].known or 0) if len(numbers) == 3 else 1
+            if step == 0:
+                self.fail(node, "a step is a number of the text, and not 0")
+            begin, end = (constant(0), numbers[0]) if len(numbers) == 1 else numbers[:2]
+            if begin.known is not None and end.known is not None:
+                turns = range(int(begin.known), int(end.known), step)
+                if len(turns) <= _WRITTEN_OUT or getattr(known, "written_out", False):
+                    self._written_out(node, target, [constant(k) for k in turns], body)
+                    return
+            free = known is independent
+            self._counted(target.id, begin, end, step, lambda: self.block(body), free)
+            return
+        items = self.value(over)
+        if isinstance(items, tuple):
+            self._written_out(node, target, list(items), body)
+            return
+        if not isinstance(items, Array) or len(items.lengths) != 1:
+            self.fail(node, "`for` goes over `range`, `independent`, a tuple or an array with one axis")
+        at = f"~{self.label('at')}"
+
+        def turn() -> None:
+            self._to(node, target, self._indexed(over, items, ast.Name(id=at)))
+            self.block(body)
+
+        self._counted(at, constant(0), items.lengths[0], 1, turn)
+
+    def _written_out(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
+        end = self.label("end")
+        for item in items:
+            following = self.label("next")
+            before = {name: self.variables.get(name) for name in _names(target)}
+            for name in before:
+                self.variables.pop(name, None)
+            self._bind(node, target, item)
+            self._body(Loop(following, end, self.loops[-1].group if self.loops else ""), lambda: self.block(body))
+            self.begin(following)
+        self.jump(end)
+        self.begin(end)
+
+    def _bind(self, node: ast.AST, target: ast.expr, item: Item) -> None:
+        """Names for what a turn of a loop that is written out is about: numbers of the text stay such."""
+        if isinstance(target, ast.Name):
+            self.variables[target.id] = item
+        elif isinstance(target, ast.Tuple) and isinstance(item, tuple) and len(item) == len(target.elts):
+            for part, each in zip(target.elts, item, strict=True):
+                self._bind(node, part, each)
+        else:
+            self.fail(node, "cannot be bound")
+
+    def _counted(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None], free: bool = False) -> None:
+        """A loop over numbers."""
+        begin, end = self.convert(begin, INT), self.convert(end, INT)
+        number = self.slot(INT)
+        self.do(f"store {begin.typed}, ptr {number}")
+        head, inner, following, done = (self.label(stem) for stem in ("for", "body", "next", "end"))
+        self.jump(head)
+        self.begin(head)
+        at = self.op(f"load i64, ptr {number}", INT)
+        self.branch(self.op(f"icmp {'slt' if step > 0 else 'sgt'} {at.typed}, {end.name}", TRUTH), inner, done)
+        self.begin(inner)
+        group = self.unit.number("distinct !{}") if free else (self.loops[-1].group if self.loops else "")
+        self.assign(self.definition, name, at)
+        self._body(Loop(following, done, group), write)
+        self.begin(following)
+        self.do(f"store i64 {self.op(f'add {at.typed}, {step}', INT).name}, ptr {number}")
+        text = f"br label %{head}"
+        if free:
+            text += f", !llvm.loop {self._parallel(group)}"
+        self.do(text)
+        self.begin(done)
+
+    def _parallel(self, group: str) -> str:
+        """What says that loads and stores of a loop do not get in each other's way from turn to turn."""
+        accesses = self.unit.number(f'!{{!"llvm.loop.parallel_accesses", {group}}}')
+        wanted = self.unit.number('!{!"llvm.loop.vectorize.enable", i1 true}')
+        place = len(self.unit.metadata)
+        return self.unit.number(f"distinct !{{!{place}, {accesses}, {wanted}}}")
+
+    def access(self) -> str:
+        group = self.loops[-1].group if self.loops else ""
+        return f", !llvm.access.group {group}" if group else ""
+
+    def _return(self, node: ast.AST, item: Item) -> None:
+        if self.returns and types_of(item) != types_of(self.result):
+            item = self._alike(node, item, self.result)
+        if any(isinstance(each, Array) for each in (item if isinstance(item, tuple) else (item,))):
+            self.fail(node, "arrays cannot be given back")
+        self.result, self.returns, self.open = item if not self.returns else self.result, True, False
+        numbers = list(leaves(item))
+        if not numbers:
+            self.do("ret void")
+            return
+        if len(numbers) == 1:
+            self.do(f"ret {numbers[0].typed}")
+            return
+        type = result_type(item)
+        whole = "poison"
+        for k, each in enumerate(numbers):
+            name = self.name("r")
+            self.lines.append(f"  {name} = insertvalue {type} {whole}, {each.typed}, {k}")
+            whole = name
+        self.do(f"ret {type} {whole}")
+
+    def _alike(self, node: ast.AST, item: Item, other: Item) -> Item:
+        if isinstance(item, tuple) and isinstance(other, tuple) and len(item) == len(other):
+            return tuple(self._alike(node, a, b) for a, b in zip(item, other, strict=True))
+        if isinstance(item, Number) and isinstance(other, Number) and (item.known is not None or item.kind == other.kind):
+            return self.convert(item, other.kind)
+        self.fail(node, "gives back another type than before")
+
+    def called(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
+        part = getattr(function, "part", None)
+        if part is None:
+            self.fail(node, f"`{ast.unparse(node.func)}` is no function of kernels")
+        name, result = written(self.unit, part, inputs)
+        arguments = ", ".join(f"{type_name(each)} {each.name}" for item in inputs for each in leaves(item))
+        numbers = list(leaves(result))
+        if not numbers:
+            self.do(f"call void {name}({arguments})")
+            return ()
+        if len(numbers) == 1:
+            found = [self.op(f"call {type_name(numbers[0])} {name}({arguments})", numbers[0].kind).name]
+        else:
+            whole = self.op(f"call {result_type(result)} {name}({arguments})", "all").name
+            found = [
+                self.op(f"extractvalue {result_type(result)} {whole}, {k}", each.kind).name for k, each in enumerate(numbers)
+            ]
+        return renamed(result, iter(found))
+
+
+def target_of(node: ast.AugAssign) -> ast.expr:
+    return node.target
+
+
+def _names(target: ast.expr) -> Iterator[str]:
+    for each in ast.walk(target):
+        if isinstance(each, ast.Name):
+            yield each.id
+
+
+def written(unit: Unit, part: Any, inputs: list[Item]) -> tuple[str, Item]:
+    """The function of a part for items of these types, written once: its name, and what it gives back."""
+    key = (part, ",".join(types_of(each) for each in inputs))
+    if key not in unit.made:
+        definition, world = part.source()
+        name = f"@{definition.name}.{len(unit.made)}"
+        unit.made[key] = name, None
+        w = Writer(unit, definition, world)
+        numbers = iter(f"%x{k}" for k in range(100_000))
+        own = [renamed(each, numbers) for each in inputs]
+        arguments = ", ".join(f"{type_name(each)} {each.name}" for item in own for each in leaves(item))
+        w.run(own)
+        unit.declared |= w.declared
+        body = "\n".join((*w.allocas, *w.lines))
+        unit.functions.append(
+            f"define internal {result_type(w.result)} {name}({arguments}) {part.attribute} {{\nentry:\n{body}\n}}"
+        )
+        unit.made[key] = name, w.result
+    elif unit.made[key][1] is None:
+        raise RecursionError(f"{part} calls itself")
+    return unit.made[key]

@@ -1,0 +1,86 @@
+"""The types that a kernel's annotations name, and what they are in LLVM's language."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Scalar:
+    """A number: how it is stored in an array (`dtype`, `stored`) and worked with (`kind`)."""
+
+    name: str
+    dtype: np.dtype[Any]
+    stored: str
+    kind: str
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayType:
+    """An array of so many axes; `strided`: the step along each of its axes counts, else it lies in one piece."""
+
+    axes: int
+    of: Scalar
+    strided: bool = False
+
+
+# Kinds of values; u64 is told from i64 by the name alone.
+DOUBLE, FLOAT, INT, UNSIGNED, TRUTH = "double", "float", "i64", "u64", "i1"
+LLVM = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i64", TRUTH: "i1"}
+
+if TYPE_CHECKING:
+    T = TypeVar("T")
+    F64: TypeAlias = Any
+    F32: TypeAlias = Any
+    I64: TypeAlias = Any
+    I32: TypeAlias = Any
+    I16: TypeAlias = Any
+    I8: TypeAlias = Any
+    U64: TypeAlias = Any
+    U32: TypeAlias = Any
+    U8: TypeAlias = Any
+    BOOL: TypeAlias = Any
+
+    class Array1(Generic[T]):
+        """An array with one axis."""
+
+        size: int
+        shape: tuple[int, ...]
+
+        def __getitem__(self, key: Any) -> Any: ...
+
+        def __setitem__(self, key: Any, value: Any) -> None: ...
+
+        def __len__(self) -> int: ...
+
+    class Array2(Array1[T]):
+        """An array with two axes, in one piece."""
+
+    class Array3(Array1[T]):
+        """An array with three axes, in one piece."""
+
+    class Strided2(Array1[T]):
+        """An array with two axes and any steps along them."""
+
+else:
+
+    def _scalar(name: str, dtype: Any, stored: str, kind: str) -> Scalar:
+        return Scalar(name, np.dtype(dtype), stored, kind)
+
+    F64, F32 = _scalar("F64", np.float64, "double", DOUBLE), _scalar("F32", np.float32, "float", FLOAT)
+    I64, I32 = _scalar("I64", np.int64, "i64", INT), _scalar("I32", np.int32, "i32", INT)
+    I16, I8 = _scalar("I16", np.int16, "i16", INT), _scalar("I8", np.int8, "i8", INT)
+    U64, U32 = _scalar("U64", np.uint64, "i64", UNSIGNED), _scalar("U32", np.uint32, "i32", INT)
+    U8, BOOL = _scalar("U8", np.uint8, "i8", INT), _scalar("BOOL", np.bool_, "i8", TRUTH)
+
+    class _Axes:
+        def __init__(self, axes: int, strided: bool = False) -> None:
+            self.axes, self.strided = axes, strided
+
+        def __getitem__(self, of: Scalar) -> ArrayType:
+            return ArrayType(self.axes, of, self.strided)
+
+    Array1, Array2, Array3, Strided2 = _Axes(1), _Axes(2), _Axes(3), _Axes(2, True)

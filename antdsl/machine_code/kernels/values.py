@@ -1,0 +1,94 @@
+"""Values while a kernel is written: numbers, arrays, and tuples of these."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED, Scalar
+from antdsl.machine_code.lanes import F32, F64, I64, literal
+
+Item = Any  # Number, Array, or a tuple of items
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number by its kind and its name in the text; `known` is its value where the text has it."""
+
+    kind: str
+    name: str
+    known: int | float | bool | None = None
+
+    @property
+    def typed(self) -> str:
+        return f"{LLVM[self.kind]} {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Array:
+    """An array by the name of its address, the lengths of its axes, and the elements from one index to the next along each."""
+
+    of: Scalar
+    address: str
+    lengths: tuple[Number, ...]
+    steps: tuple[Number, ...] | None = None
+    origin: int = -1  # number of the kernel's argument, -1 for scratch
+
+
+def constant(value: Any) -> Number:
+    """A number of the text. TypeError for what is none."""
+    if isinstance(value, bool):
+        return Number(TRUTH, "true" if value else "false", value)
+    kind = type(value).__name__
+    if kind == "uint64":
+        return Number(UNSIGNED, literal(value, I64), int(value))
+    if isinstance(value, float):  # float64 of NumPy is one too
+        return Number(DOUBLE, literal(value, F64), float(value))
+    if isinstance(value, int) or kind in ("int64", "int32", "intp"):
+        whole = int(value)
+        return Number(UNSIGNED if whole >= 1 << 63 else INT, literal(whole, I64), whole)
+    if kind == "float32":
+        return Number(FLOAT, literal(value, F32))
+    if kind == "bool":  # of NumPy
+        return Number(TRUTH, "true" if value else "false", bool(value))
+    raise TypeError(f"{value!r} is no number of a kernel")
+
+
+def leaves(item: Item) -> Iterator[Number]:
+    """The numbers that an item is made of, in order: of an array its address, lengths and steps."""
+    if isinstance(item, tuple):
+        for each in item:
+            yield from leaves(each)
+    elif isinstance(item, Array):
+        yield Number("ptr", item.address)
+        yield from item.lengths
+        yield from item.steps or ()
+    else:
+        yield item
+
+
+def types_of(item: Item) -> str:
+    """What a function of this item is known by."""
+    if isinstance(item, tuple):
+        return "(" + ",".join(types_of(each) for each in item) + ")"
+    if isinstance(item, Array):
+        return f"[{item.of.name}{len(item.lengths)}{'s' if item.steps else ''}.{item.origin}]"
+    return str(item.kind)
+
+
+def renamed(item: Item, names: Iterator[str]) -> Item:
+    """The same with other names, for instance those of arguments."""
+    if isinstance(item, tuple):
+        return tuple(renamed(each, names) for each in item)
+    if isinstance(item, Array):
+        address = next(names)
+        lengths = tuple(Number(INT, next(names)) for _ in item.lengths)
+        steps = None if item.steps is None else tuple(Number(INT, next(names)) for _ in item.steps)
+        return Array(item.of, address, lengths, steps, item.origin)
+    return Number(item.kind, next(names))
+
+
+def type_name(number: Number) -> str:
+    """Its type in LLVM's language."""
+    return "ptr" if number.kind == "ptr" else LLVM[number.kind]
