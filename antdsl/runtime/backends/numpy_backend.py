@@ -92,20 +92,17 @@ class NumpyBackend:
         """Values of the step, and nothing sensed yet."""
         for name, population in world.populations.items():
             self._values[name] = self._of_step(world, name)
+            n = len(population) + self.spare
             self._pairs[name] = {}
-            self._forget(population)
-
-    def _forget(self, population: Population) -> None:
-        """Nothing of the senses that are kept for a step holds any more; their arrays are used again."""
-        rows, known = len(population) + self.spare, self._kept.get(population.name)
-        if known is None or any(len(has) != rows for has, _ in known.values()):
-            self._kept[population.name] = {
-                node: (np.zeros(rows, np.bool_), [np.empty(rows, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
+            kept = self._kept.get(name)
+            if kept is not None and all(len(has) == n for has, _ in kept.values()):
+                for has, _ in kept.values():
+                    has.fill(False)
+                continue
+            self._kept[name] = {
+                node: (np.zeros(n, np.bool_), [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
                 for node in kept_senses(population.plan)
             }
-            return
-        for has, _ in known.values():
-            has.fill(False)
 
     def told(self) -> list[str]:
         """Nothing is otherwise than asked."""
