@@ -10,25 +10,33 @@ from antdsl.ground.mesh.around_compiled import beyond, landed, other_ahead
 from antdsl.ground.mesh.boxes_compiled import Tree
 from antdsl.ground.mesh.face_table import (
     AXIS1,
-    AXIS2,
     CORNER,
-    EDGE1,
     EDGE2,
     EDGE_C,
     EDGE_S,
-    LINK,
     MESH,
-    NORMAL,
     RATE1,
-    RATE2,
-    SHEAR,
     SMOOTH,
     WIDTH,
 )
 from antdsl.ground.mesh.surroundings import LIFT
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walk import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined, kernel
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    called,
+    fetch_ahead,
+    four,
+    independent,
+    inlined,
+    kernel,
+    whole,
+)
 from antdsl.numerics.vectors_compiled import inside as _inside
 
 # `packed` faces, `link` and `forked` of the topology, the first face of each mesh.
@@ -42,7 +50,7 @@ Moved = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array1[F64]]
 # What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, REALS = range(12)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, LOOKED, EVENT, EDGE, WHOLES = range(10)
-_FETCHED = 16  # agents whose rows are fetched at once
+_FETCHED = 64  # agents whose rows are brought near at once: as many as a processor's nearest memory holds
 AHEAD, BORDER, HANG, MET = 1, 2, 3, 4  # something may be in the way, or beyond the border; over one already; decided elsewhere
 
 
@@ -76,48 +84,67 @@ def walk_all(
     wish, heading, up = vectors
     to_mesh, to_face, to_b1, to_b2, to_over = placed
     place, above, ahead, direction, gone = moved
+    for at in range(begin, end, _FETCHED):
+        last = min(at + _FETCHED, end)
+        for i in independent(at, last):
+            if mesh[i] >= 0:
+                row = WIDTH * (first[mesh[i]] + face[i])
+                fetch_ahead(table, row)
+                fetch_ahead(table, row + 8)
+                fetch_ahead(table, row + 16)
+                fetch_ahead(table, row + 24)
+                fetch_ahead(table, row + 32)
+        for i in independent(at, last):
+            slot = i - begin
+            done[i] = False
+            wholes[EVENT, slot] = 0
+            if mesh[i] < 0 or face[i] < 0:
+                continue
+            f = first[mesh[i]] + face[i]
+            wish_x, wish_y, wish_z = wish[0, i], wish[1, i], wish[2, i]
+            if not np.isfinite(wish_x + wish_y + wish_z):
+                continue
+            row = WIDTH * f
+            axis1, axis2, normal, _ = _frame(table, row)
+            along_up = up[0, i] * normal[0] + up[1, i] * normal[1] + up[2, i] * normal[2]
+            side = -1.0 if along_up < 0 else 1.0
+            over = overs[i] * side
+            b1, b2 = _inside(b1s[i] + 0.0, b2s[i] + 0.0)
+            c, s, left = _laid_down(axis1, axis2, wish_x, wish_y, wish_z, 1.0, 0.0)
+            heading_c, heading_s, _ = _laid_down(axis1, axis2, heading[0, i], heading[1, i], heading[2, i], c, s)
+            high = _margin(noise, body[i])
+            if not _free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
+                high = -np.inf  # has nothing to look out for on the whole way
+            if over != 0 and left > 0:
+                way, turn, event, edge, length = 0.0, 0, HANG, 0, 0.0
+            else:
+                f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
+                    table, link, forked, sub_first, sub_count, clear, reach, high, False,
+                    f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
+                )  # fmt: skip
+            if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
+                continue
+            if event:
+                wholes[AGENT, slot], wholes[SPENT, slot], wholes[BLOCKED, slot] = i, 0, 0
+                wholes[NEAR, slot] = high > 0
+                _keep(
+                    reals, wholes, slot, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length
+                )
+                continue
+            done[i] = True
+            row = WIDTH * f
+            on = whole(table[row + MESH])
+            to_mesh[i], to_face[i] = on, f - first[on]
+            to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
+            _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
     waiting = 0
-    for i in range(begin, end):
-        if (i - begin) % _FETCHED == 0:
-            gone[i] = _touch(table, mesh, face, first, i, min(i + _FETCHED, end))
-        done[i] = False
-        if mesh[i] < 0 or face[i] < 0:
-            continue
-        f = first[mesh[i]] + face[i]
-        wish_x, wish_y, wish_z = wish[0, i], wish[1, i], wish[2, i]
-        if not np.isfinite(wish_x + wish_y + wish_z):
-            continue
-        row = WIDTH * f
-        along_up = up[0, i] * table[row + NORMAL] + up[1, i] * table[row + NORMAL + 1] + up[2, i] * table[row + NORMAL + 2]
-        side = -1.0 if along_up < 0 else 1.0
-        over = overs[i] * side
-        b1, b2 = _inside(b1s[i] + 0.0, b2s[i] + 0.0)
-        c, s, left = _laid_down(table, row, wish_x, wish_y, wish_z, 1.0, 0.0)
-        heading_c, heading_s, _ = _laid_down(table, row, heading[0, i], heading[1, i], heading[2, i], c, s)
-        high = _margin(noise, body[i])
-        if not _free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
-            high = -np.inf  # has nothing to look out for on the whole way
-        if over != 0 and left > 0:
-            way, turn, event, edge, length = 0.0, 0, HANG, 0, 0.0
-        else:
-            f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
-                table, link, forked, sub_first, sub_count, clear, reach, high, False,
-                f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
-            )  # fmt: skip
-        if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
-            continue
-        if event:
-            wholes[AGENT, waiting], wholes[SPENT, waiting], wholes[BLOCKED, waiting] = i, 0, 0
-            wholes[NEAR, waiting] = high > 0
-            _keep(reals, wholes, waiting, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length)
+    for k in range(0, end - begin):
+        if wholes[EVENT, k] != 0:
+            for row in range(0, REALS):
+                reals[row, waiting] = reals[row, k]
+            for row in range(0, WHOLES):
+                wholes[row, waiting] = wholes[row, k]
             waiting += 1
-            continue
-        done[i] = True
-        row = WIDTH * f
-        on = int(table[row + MESH])
-        to_mesh[i], to_face[i] = on, f - first[on]
-        to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
-        _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
     return waiting
 
 
@@ -292,21 +319,33 @@ def _hung(table, link, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _touch(table, mesh, face, first, start, stop):  # type: ignore[no-untyped-def]
-    """Reads what the next agents will need of the table. These reads wait for memory all at once, and not one after another."""
-    total = 0.0
-    for i in range(start, stop):
-        if mesh[i] >= 0 and face[i] >= 0:
-            row = WIDTH * (first[mesh[i]] + face[i])
-            for k in range(0, WIDTH, 8):
-                total += table[row + k]
-    return total
+def _frame(table, row):  # type: ignore[no-untyped-def]
+    """Both axes of a face, its normal, and its rates and shear."""
+    ax, ay, az, bx = four(table, row + AXIS1)
+    by, bz, nx, ny = four(table, row + AXIS1 + 4)
+    nz, rate1, rate2, shear = four(table, row + AXIS1 + 8)
+    return (ax, ay, az), (bx, by, bz), (nx, ny, nz), (rate1, rate2, shear)
 
 
 @inlined
-def _laid_down(table, row, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
-    c = table[row + AXIS1] * x + table[row + AXIS1 + 1] * y + table[row + AXIS1 + 2] * z
-    s = table[row + AXIS2] * x + table[row + AXIS2 + 1] * y + table[row + AXIS2 + 2] * z
+def _edges(table, row):  # type: ignore[no-untyped-def]
+    """Cosines, sines and links of a face's edges, and its mesh."""
+    c0, c1, c2, mesh = four(table, row + EDGE_C)
+    s0, s1, s2, link0 = four(table, row + EDGE_S)
+    link1, link2, _, _ = four(table, row + EDGE_S + 4)
+    return (c0, c1, c2), (s0, s1, s2), (link0, link1, link2), mesh
+
+
+@inlined
+def _of(three, k):  # type: ignore[no-untyped-def]
+    """One of three numbers."""
+    return three[0] if k == 0 else (three[1] if k == 1 else three[2])
+
+
+@inlined
+def _laid_down(axis1, axis2, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
+    c = axis1[0] * x + axis1[1] * y + axis1[2] * z
+    s = axis2[0] * x + axis2[1] * y + axis2[2] * z
     flat = np.sqrt(c * c + s * s)
     if not flat > 1e-150:
         return c0, s0, 0.0
@@ -319,7 +358,7 @@ def _free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-unt
     n = sub_count[f]
     if n == 0:
         return reach
-    return clear[sub_first[f] + max(min(int(b1 * n), n - 1), 0) * n + max(min(int(b2 * n), n - 1), 0)]
+    return clear[sub_first[f] + max(min(whole(np.floor(b1 * n)), n - 1), 0) * n + max(min(whole(np.floor(b2 * n)), n - 1), 0)]
 
 
 @inlined
@@ -332,12 +371,14 @@ def _walk(  # type: ignore[no-untyped-def]
     `looked`."""
     event, edge, length = 0, 0, 0.0
     while turn < CROSSINGS and left > 0:
-        if turn >= STUCK and turn % STUCK == 0 and not looked:
-            b1 = b1 * (1 - GRAIN) + GRAIN / 3
-            b2 = b2 * (1 - GRAIN) + GRAIN / 3
+        if turn >= STUCK:  # noqa: SIM102  # asked first: hardly anybody comes to it, and the rest of a division is dear
+            if turn % STUCK == 0 and not looked:
+                b1 = b1 * (1 - GRAIN) + GRAIN / 3
+                b2 = b2 * (1 - GRAIN) + GRAIN / 3
         row = WIDTH * f
-        rate1 = c * table[row + RATE1] - s * table[row + SHEAR]
-        rate2 = s * table[row + RATE2]
+        _, along, across, shear = four(table, row + RATE1 - 1)
+        rate1 = c * along - s * shear
+        rate2 = s * across
         rate0 = -(rate1 + rate2)
         b0 = 1.0 - b1 - b2
         until, edge = np.inf, 0
@@ -361,11 +402,14 @@ def _walk(  # type: ignore[no-untyped-def]
         if until >= left:
             break
         left = left - length
-        beyond = link[1, 3 * f + edge] if forked and side < 0 else int(table[row + LINK + edge])
+        cosines, sines, links, _ = _edges(table, row)
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else whole(_of(links, edge))
         if beyond == NO_LINK:
             event = BORDER
             break
-        f, b1, b2, side, c, s, heading_c, heading_s = _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s)
+        f, b1, b2, side, c, s, heading_c, heading_s = _cross(
+            table, beyond, edge, _of(cosines, edge), _of(sines, edge), b1, b2, side, c, s, heading_c, heading_s
+        )
         turn += 1
     return f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length
 
@@ -379,7 +423,7 @@ def _along(edge_c, edge_s, c, s, left):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s):  # type: ignore[no-untyped-def]
+def _cross(table, beyond, edge, c1, s1, b1, b2, side, c, s, heading_c, heading_s):  # type: ignore[no-untyped-def]
     """Into the face beyond an edge."""
     f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
     b0 = 1.0 - b1 - b2
@@ -388,8 +432,8 @@ def _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s): 
     if not flip:
         first, second = second, first
     there = WIDTH * f
-    c1, s1 = table[row + EDGE_C + edge], table[row + EDGE_S + edge]
-    c2, s2 = table[there + EDGE_C + k2], table[there + EDGE_S + k2]
+    cosines, sines, _, _ = _edges(table, there)
+    c2, s2 = _of(cosines, k2), _of(sines, k2)
     turn = 1.0 if flip else -1.0
     along, out = turn * (c * c1 + s * s1), c * s1 - s * c1
     c, s = along * c2 - out * s2, along * s2 + out * c2
@@ -406,26 +450,31 @@ def _finish(  # type: ignore[no-untyped-def]
 ):
     """Place, smooth normal, transported heading and direction of travel in space."""
     b0 = 1.0 - b1 - b2
-    sx = table[row + SMOOTH] * b0 + table[row + SMOOTH + 3] * b1 + table[row + SMOOTH + 6] * b2
-    sy = table[row + SMOOTH + 1] * b0 + table[row + SMOOTH + 4] * b1 + table[row + SMOOTH + 7] * b2
-    sz = table[row + SMOOTH + 2] * b0 + table[row + SMOOTH + 5] * b1 + table[row + SMOOTH + 8] * b2
+    axis1, axis2, (nx, ny, nz), _ = _frame(table, row)
+    _, _, corner_x, corner_y = four(table, row + CORNER - 2)
+    corner_z, one_x, one_y, one_z = four(table, row + CORNER + 2)
+    two_x, two_y, two_z, s0 = four(table, row + EDGE2)
+    s1, s2, s3, s4 = four(table, row + SMOOTH + 1)
+    s5, s6, s7, s8 = four(table, row + SMOOTH + 5)
+    sx, sy, sz = s0 * b0 + s3 * b1 + s6 * b2, s1 * b0 + s4 * b1 + s7 * b2, s2 * b0 + s5 * b1 + s8 * b2
     size = np.sqrt(max(sx * sx + sy * sy + sz * sz, 1e-300))
     sx, sy, sz = sx / size * side, sy / size * side, sz / size * side
-    nx, ny, nz = table[row + NORMAL] * side, table[row + NORMAL + 1] * side, table[row + NORMAL + 2] * side
-    hx = table[row + AXIS1] * heading_c + table[row + AXIS2] * heading_s
-    hy = table[row + AXIS1 + 1] * heading_c + table[row + AXIS2 + 1] * heading_s
-    hz = table[row + AXIS1 + 2] * heading_c + table[row + AXIS2 + 2] * heading_s
+    nx, ny, nz = nx * side, ny * side, nz * side
+    hx = axis1[0] * heading_c + axis2[0] * heading_s
+    hy = axis1[1] * heading_c + axis2[1] * heading_s
+    hz = axis1[2] * heading_c + axis2[2] * heading_s
     hx, hy, hz = _turned(hx, hy, hz, nx, ny, nz, sx, sy, sz)
     off = hx * sx + hy * sy + hz * sz
     hx, hy, hz = hx - off * sx, hy - off * sy, hz - off * sz
     size = np.sqrt(hx * hx + hy * hy + hz * hz)
     ahead[0, i], ahead[1, i], ahead[2, i] = hx / size, hy / size, hz / size
     above[0, i], above[1, i], above[2, i] = sx, sy, sz
-    stood = (nx, ny, nz)
-    for k in range(3):
-        there = table[row + CORNER + k] + b1 * table[row + EDGE1 + k] + b2 * table[row + EDGE2 + k]
-        place[k, i] = there + over * stood[k]
-        direction[k, i] = table[row + AXIS1 + k] * c + table[row + AXIS2 + k] * s
+    place[0, i] = corner_x + b1 * one_x + b2 * two_x + over * nx
+    place[1, i] = corner_y + b1 * one_y + b2 * two_y + over * ny
+    place[2, i] = corner_z + b1 * one_z + b2 * two_z + over * nz
+    direction[0, i] = axis1[0] * c + axis2[0] * s
+    direction[1, i] = axis1[1] * c + axis2[1] * s
+    direction[2, i] = axis1[2] * c + axis2[2] * s
 
 
 @inlined

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
@@ -9,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.values import Number, constant
+from antdsl.machine_code.kernels.values import Number, constant, text_type
 
 if TYPE_CHECKING:
     from antdsl.machine_code.kernels.statements import Writer
+
+
+_TIED = 1.5 * 2.0**52  # added to a number, it leaves a whole one in the last bits of the sum
 
 
 def independent(begin: int, end: int) -> Iterator[int]:
@@ -23,6 +27,20 @@ def independent(begin: int, end: int) -> Iterator[int]:
 def scratch(count: int, dtype: Any) -> Any:
     """Room for so many numbers, which a kernel has for itself; the count stands in the text."""
     return np.empty(count, dtype)
+
+
+def four(array: Any, at: int) -> tuple[Any, Any, Any, Any]:
+    """Four elements of an array with one axis that follow each other, read at once."""
+    return array[at], array[at + 1], array[at + 2], array[at + 3]
+
+
+def fetch_ahead(array: Any, at: int) -> None:
+    """Say that the line of memory with an element will be read soon; any index may be given."""
+
+
+def whole(value: float) -> int:
+    """A float64 as the whole number that is nearest, of which it has less than 51 bits; of any other some number."""
+    return round(value) if abs(value) < 2.0**51 else 0
 
 
 def as_bits(value: Any) -> Any:
@@ -72,7 +90,7 @@ def _finite(w: Writer, a: Number) -> Number:
 
 
 def _nan(w: Writer, a: Number) -> Number:
-    return w.op(f"fcmp uno {a.typed}, {a.name}", TRUTH)
+    return w.op(f"fcmp uno {a.typed}, {a.name}", TRUTH, a.wide)
 
 
 def _to(kind: str) -> Callable[..., Number]:
@@ -84,19 +102,25 @@ def _floored(w: Writer, a: Number) -> Number:
 
 
 def _bits(w: Writer, a: Number) -> Number:
-    return w.op(f"bitcast {w.convert(a, DOUBLE).typed} to i64", INT)
+    return w.op(f"bitcast {w.convert(a, DOUBLE).typed} to {text_type(INT, a.wide)}", INT, a.wide)
+
+
+def _whole(w: Writer, a: Number) -> Number:
+    bits = _bits(w, w.arithmetic(ast.Pass(), ast.Add(), a, constant(_TIED)))
+    return w.arithmetic(ast.Pass(), ast.Sub(), bits, constant(as_bits(_TIED)))
 
 
 def _float(w: Writer, a: Number) -> Number:
-    return w.op(f"bitcast {a.typed} to double", DOUBLE)
+    return w.op(f"bitcast {a.typed} to {text_type(DOUBLE, a.wide)}", DOUBLE, a.wide)
 
 
 def _narrowed(bits: int, signed: bool) -> Callable[..., Number]:
     """To fewer bits and back, as a cast does."""
 
     def write(w: Writer, a: Number) -> Number:
-        small = w.op(f"trunc {w.convert(a, INT).typed} to i{bits}", INT)
-        return w.op(f"{'sext' if signed else 'zext'} i{bits} {small.name} to i64", INT)
+        small, type = f"i{bits}", text_type(INT, a.wide)
+        name = w.op(f"trunc {w.convert(a, INT).typed} to {text_type(small, a.wide)}", small, a.wide)
+        return w.op(f"{'sext' if signed else 'zext'} {name.typed} to {type}", INT, a.wide)
 
     return write
 
@@ -107,5 +131,5 @@ WRITTEN: Mapping[Any, Callable[..., Number]] = {
     np.isfinite: _finite, math.isfinite: _finite, np.isnan: _nan, math.isnan: _nan, int: _to(INT), np.int64: _to(INT),
     np.intp: _to(INT), np.uint64: _to(UNSIGNED), float: _to(DOUBLE), np.float64: _to(DOUBLE), np.float32: _to(FLOAT),
     bool: _to(TRUTH), np.bool_: _to(TRUTH), np.int32: _narrowed(32, True), np.uint32: _narrowed(32, False),
-    as_bits: _bits, as_float: _float,
+    as_bits: _bits, as_float: _float, whole: _whole,
 }  # fmt: skip

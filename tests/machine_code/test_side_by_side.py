@@ -1,0 +1,153 @@
+"""Loops whose turns run eight at a time give what each turn gives by itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from antdsl.machine_code import machine
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    called,
+    four,
+    independent,
+    inlined,
+    kernel,
+    whole,
+)
+
+pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code can be made here")
+COUNTS = (0, 1, 7, 8, 9, 64, 203)
+
+
+@inlined
+def _halved(x, most):
+    """How often a number is halved until it is at most 1, in turns of a loop that some leave early."""
+    turns = 0
+    while x > 1.0:
+        turns += 1
+        if turns > most:
+            break
+        if turns % 3 == 0:
+            continue
+        x = x * 0.5
+    return turns, x
+
+
+@called
+def _kind(x):
+    if x < 0:
+        return -1, x
+    if x < 1:
+        x = x + 1.0
+        if x < 1.25:
+            return 5, x
+    return 2, x * 2.0
+
+
+@kernel
+def questions(x: Array1[F64], to: Array1[F64], kinds: Array1[I32], flags: Array1[BOOL], begin: I64, end: I64) -> None:
+    for i in independent(begin, end):
+        flags[i] = False
+        if not np.isfinite(x[i]):
+            continue
+        turns, rest = _halved(abs(x[i]), 9)
+        kind, value = _kind(x[i])
+        total = 0.0
+        for k in range(turns):
+            if k == 5:
+                break
+            total += value if k % 2 == 0 else -rest
+        near = 0 if x[i] > 3 else 1
+        if kind == 2 and (value > 4 or rest < 0.6):
+            total = max(total, 1.0)
+        elif kind < 0:
+            near = 2
+        for k in range(3):
+            if k > near:
+                break
+            total += k
+        to[i], kinds[i] = total, kind + turns
+        flags[i] = kind == 2 and total > 1
+
+
+@kernel
+def tables(
+    rows: Array1[I64], table: Array1[F64], shift: Array2[F32], to: Array2[F64], found: Array1[I64], begin: I64, end: I64
+) -> None:
+    for i in independent(begin, end):
+        at = rows[i]
+        if at >= 0:
+            a, b, c, d = four(table, 4 * at)
+            to[0, i], to[1, i] = a + b * shift[0, i], c - d / shift[1, i]
+            found[4 * i + whole(a)] = whole(b)
+
+
+def numbers(count: int) -> np.ndarray:
+    rng = np.random.default_rng(count)
+    x = rng.normal(size=count) * 10 ** rng.uniform(-2, 3, count)
+    x[::11], x[3::17], x[5::19] = np.nan, np.inf, 0.0
+    return x
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_turns_that_ask_leave_and_return_at_different_places(count: int) -> None:
+    x = numbers(count)
+    made, plain = ((np.full(count, -7.0), np.full(count, -7, np.int32), np.ones(count, bool)) for _ in range(2))
+    questions(x, *made, 0, count)
+    questions.part.function(x, *plain, 0, count)
+    for one, other in zip(made, plain, strict=True):
+        assert np.array_equal(one, other, equal_nan=True)
+    if count > 20:
+        assert len(np.unique(made[1])) > 5 and made[2].any() and not made[2].all()
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_elements_anywhere_are_read_and_stored_for_those_that_ask(count: int) -> None:
+    rng = np.random.default_rng(count)
+    rows = rng.integers(-1, 40, count)
+    table = np.stack([rng.integers(0, 4, 40), rng.integers(-9, 9, 40), *rng.normal(size=(2, 40))], axis=1).ravel()
+    shift = rng.normal(size=(2, count)).astype(np.float32)
+    made, plain = ((np.zeros((2, count)), np.zeros(4 * count + 4, np.int64)) for _ in range(2))
+    tables(rows, table, shift, *made, 0, count)
+    tables.part.function(rows, table, shift.astype(np.float64), *plain, 0, count)
+    assert all(np.array_equal(one, other) for one, other in zip(made, plain, strict=True))
+
+
+@pytest.mark.parametrize("begin", [0, 3, 8])
+def test_a_part_of_the_turns_is_left_to_others(begin: int) -> None:
+    x, end = numbers(64), 41
+    to, kinds, flags = np.full(64, -7.0), np.full(64, -7, np.int32), np.ones(64, bool)
+    questions(x, to, kinds, flags, begin, end)
+    assert (to[:begin] == -7).all() and (to[end:] == -7).all() and flags[end:].all()
+    questions(x, to, kinds, flags, 9, 2)
+
+
+@kernel
+def several(x: Array1[F64], to: Array1[F64]) -> None:
+    total = 0.0
+    for i in independent(0, x.size):
+        total += x[i]
+    to[0] = total
+
+
+def test_what_turns_would_change_together_is_refused() -> None:
+    from antdsl.machine_code.kernels.arithmetic import NotInSubset
+
+    with pytest.raises(NotInSubset, match="belongs to none of them"):
+        several(np.ones(9), np.zeros(1))
+
+
+@pytest.mark.parametrize("triple", ["x86_64-unknown-linux-gnu", "aarch64-unknown-linux-gnu"])
+def test_no_operation_is_fused(triple: str) -> None:
+    features = "+avx2,-fma" if triple.startswith("x86") else ""
+    target = machine.Target(triple, "x86-64-v3" if features else "generic", features)
+    text = machine.assembly(questions.text(target), target) + machine.assembly(tables.text(target), target)
+    assert "mul" in text
+    assert not any(word in text for word in ("fmadd", "fmsub", "fnmadd", "fmla", "fmls"))
