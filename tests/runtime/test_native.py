@@ -20,7 +20,7 @@ from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
 from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import listing, ready
+from antdsl.runtime.backends.native import listing, ready, runner
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.layout import Layout
 
@@ -334,6 +334,18 @@ def test_arrays_of_cells_that_nobody_asks_for_any_more_are_let_go() -> None:
     grids = seen.world.backend._grids  # type: ignore[attr-defined]
     assert 0 < len(grids._kept) <= 1 + 16 and all(size < np.inf for _, size in grids._kept)
     assert min(each.asked for each in grids._kept.values()) >= grids._step - 16
+
+
+def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
+    for count, chunk, threads, parts in (
+        (15_000, 16_384, 1, 1),
+        (15_000, 16_384, 2, 4),
+        (2_200, 16_384, 4, 2),
+        (125, 16_384, 8, 1),
+        (300, 100, 2, 3),
+    ):
+        size = runner._part(count, chunk, threads)
+        assert size % WIDTH == 0 and -(-count // size) == parts, (count, chunk, threads)
 
 
 def test_what_is_machine_code_is_told() -> None:
