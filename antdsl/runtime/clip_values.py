@@ -13,13 +13,18 @@ from antdsl.scene.setting import ClipData
 _UNKNOWN = ClipData()
 
 
-def clip_value(world: World, population: Population, what: str, clip: Any) -> NDArray[np.float32]:
-    """`seconds`, `stride`, `loop` or `mark NAME` of clips by their numbers in the species' plan; of none as of an unknown one."""
+def clip_table(world: World, population: Population, what: str) -> NDArray[np.float32]:
+    """`seconds`, `stride`, `loop` or `mark NAME` of each clip of the species' plan, and at the end of an unknown one."""
     known = world.setting.clips.get(population.name, {})
     every = [known.get(each.name, _UNKNOWN) for each in population.plan.clips]
-    values = np.array([_of(each, what) for each in (*every, _UNKNOWN)], np.float32)
-    number = np.asarray(clip)
-    found: NDArray[np.float32] = values[np.where((number >= 0) & (number < len(every)), number, len(every))]
+    return np.array([_of(each, what) for each in (*every, _UNKNOWN)], np.float32)
+
+
+def clip_value(world: World, population: Population, what: str, clip: Any) -> NDArray[np.float32]:
+    """The same of clips by their numbers in the species' plan; of none as of an unknown one."""
+    values = clip_table(world, population, what)
+    number, last = np.asarray(clip), len(values) - 1
+    found: NDArray[np.float32] = values[np.where((number >= 0) & (number < last), number, last)]
     return found
 
 

@@ -15,10 +15,9 @@ from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.native import listing
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays, Grids
-from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.programs import Facts, program
 from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, known
-from antdsl.runtime.backends.native.runner import Block, Chunk
+from antdsl.runtime.backends.native.runner import Block
 from antdsl.runtime.backends.native.tables import Rooms, Tables
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import Agent
@@ -125,33 +124,24 @@ class NativeBackend(NumpyBackend):
             super().run(world, population, block, rows)
             return
         compiler = ready.blocks[population.name, block]
-        size, count = -(-max(WIDTH, world.options.chunk) // WIDTH) * WIDTH, len(population)
         if (population.name, block) not in self._tables:
             self._tables[population.name, block] = Tables(code, self._rooms)
         tables = self._tables[population.name, block]
         grids = [self._cells(world, population, block, code, number) for number in range(len(code.near))]
         values = self._values[population.name]
-        tables.fill(world, population, values, self._kept[population.name], grids)
-        tables.room(min(size, count))
-        lines = code.lines
-        times = None if metered is None or lines is None else Times(lines, tables.ticks, metered.lane())
-        made = Block(ready, code, compiler, tables, world, population, values, times)
-        with np.errstate(all="ignore"):
-            for begin in range(0, count, size):
-                end = min(begin + size, count)
-                if not Chunk(made, begin, end, population.effects).run():
-                    super().run(world, population, block, np.arange(begin, end))  # which stops, and says where
-        if metered is not None and times is not None:
-            times.end()
-            metered.take([times.lane], times.lane[-1])
-        for field, laid in tables.laid.items():
-            if laid[0]:
-                world.fields[field].touch()
-                laid[0] = False
-        for number, widest in enumerate(tables.widest):
-            key = (population.name, block, number)
-            self._widest[key] = float(widest.max()) or self._widest[key]
-            widest[:] = 0
+        tables.fill(world, population, values, self._lasting[population.name], self._kept[population.name], grids)
+        for begin, end in Block(ready, code, compiler, tables, world, population, values, metered).run():
+            super().run(world, population, block, np.arange(begin, end))  # which stops, and says where
+        for lane in tables.lanes:
+            for field, laid in lane.laid.items():
+                if laid[0]:
+                    world.fields[field].touch()
+                    laid[0] = False
+        for number in range(len(code.near)):
+            key, widest = (population.name, block, number), [lane.widest[number] for lane in tables.lanes]
+            self._widest[key] = float(max(each.max() for each in widest)) or self._widest[key]
+            for each in widest:
+                each.fill(0)
 
     def _cells(self, world: World, population: Population, block: str, code: BlockCode, number: int) -> Arrays:
         """Cells for a search: they suit the greatest radius of the step before, or at first what `_guessed` gives."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from antdsl.machine_code.emitter import Emitter, elementwise
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
+from antdsl.machine_code.lanes import BOOL, F32, I8, I64, PTR, WIDTH, Lanes, Module
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
@@ -17,6 +17,7 @@ from antdsl.runtime.backends.native.marks import Lines, marks_of
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of
 
 _LONG = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # functions of the module rather than inlined
+_GUARDED = -1_000_000  # slots from here downward stand for who needs a call
 
 
 class Writer:
@@ -93,9 +94,9 @@ class BlockCode:
     faults: list[tuple[str, Any]] = field(default_factory=list)  # of refused values: what is refused, where in the text
     near: list[Near] = field(default_factory=list)
     kept: list[ir.Node] = field(default_factory=list)
-    requests: list[Instruction] = field(default_factory=list)
+    lists: list[Instruction] = field(default_factory=list)  # statements whose askers are written down, from slot -1 downward
+    needs: list[Instruction] = field(default_factory=list)  # calls of which is told whether somebody needs them
     guarded: dict[Instruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
-    gives: list[tuple[Instruction, int]] = field(default_factory=list)  # with the slot that stands for what it leaves
 
 
 Lower = Callable[["BlockWriter", ir.Node, tuple[Any, ...]], Any]
@@ -113,12 +114,12 @@ class BlockWriter(Writer):
         senses: dict[str, Lower],
         reduce: Callable[[BlockWriter, Instruction], None],
         guards: Mapping[str, tuple[Lower, tuple[Any, ...]]],
-        asking: Mapping[str, Callable[[BlockWriter, Instruction, ir.Request], None]],
+        ask: Callable[[BlockWriter, Instruction], None],
         combine: Callable[[str], str],
     ) -> None:
         super().__init__(module, code.layout)
         self.code, self.compiler, self.stage, self.senses, self._reduce = code, compiler, stage, senses, reduce
-        self.guards, self.asking, self.combine = guards, asking, combine
+        self.guards, self.ask, self.combine = guards, ask, combine
         self.schedule, self.species = code.schedule, code.species.name
         self._uniform = {slot: node for node, slot in compiler.uniforms.items()}
         self._makers: dict[int, Instruction] = {}
@@ -191,15 +192,24 @@ class BlockWriter(Writer):
                         if self.schedule.home.get(each.out) == self.stage:
                             self.slot(each.out)
 
+    def _needed(self, each: Instruction, mask: Lanes) -> None:
+        """Note whether somebody needs a call."""
+        e = self.e
+        place = e.address(self.base("needs"), e.constant(len(self.code.needs), I64, one=True), I8).name
+        self.code.needs.append(each)
+        e.put(place, e.one(f"or i8 {e.get(place, I8, one=True).name}, {e.mask_bits(mask).name}", I8))
+
     def _guard(self, each: Instruction) -> None:
         """Note who needs a call, where that can be told, and leave what the others get."""
         assert isinstance(each.what, ir.Node)
         guard = self.guards.get(each.what.op)
         if guard is None:
+            self._needed(each, self.mask[-1])
             return
         asks, others = guard
         needed = self.mask[-1] & asks(self, each.what, tuple(self.slot(k) for k in each.inputs))
-        slot = self.code.guarded.setdefault(each, -1000 - len(self.code.guarded))
+        self._needed(each, needed)
+        slot = self.code.guarded.setdefault(each, _GUARDED - len(self.code.guarded))
         self._nobody.append(slot)
         self.e.store(self.array(slot, 0, BOOL), self.offset, needed)
         for part, (value, kind) in enumerate(zip(others, self._kinds[each.out], strict=True)):
@@ -333,14 +343,8 @@ class BlockWriter(Writer):
         what = each.what
         if isinstance(what, ir.Store):
             self._store(each, what)
-        elif isinstance(what, ir.Give):
-            self._give(each, what)
-        elif isinstance(what, ir.Request) and what.op in self.asking:
-            self.asking[what.op](self, each, what)
         else:
-            for slot in each.inputs:
-                self.slot(slot)
-            self.code.requests.append(each)
+            self.ask(self, each)
 
     def _store(self, each: Instruction, what: ir.Store) -> None:
         value, mask = self.slot(each.inputs[0]), self.mask[-1]
@@ -368,25 +372,3 @@ class BlockWriter(Writer):
                 e.do(f"store {value.typed}, ptr {at.name}")
             more = e.op(f"add i64 {count.name}, 1", I64, one=True)
             e.do(f"store {more.typed}, ptr {notes.name}")
-
-    def _give(self, each: Instruction, what: ir.Give) -> None:
-        e, mask, own = self.e, self.mask[-1], self.base("now", what.own)
-        item = self.slot(each.inputs[0])
-        had = e.load(own, self.row, F32)
-        amount = had if what.amount is None else self.slot(each.inputs[1])
-        if what.amount is not None:
-            good = e.intrinsic("fabs", amount) < float("inf")
-            self.refuse(mask & ~good, f"give {what.own}", what.span)
-            mask = mask & good
-        there = mask & (item >= 0) & (item < self.number(I32, "items", what.items))
-        zero = e.constant(0.0, F32)
-        most = e.where(had > zero, had, zero)
-        cut = e.where(amount > zero, amount, zero)
-        left = had - e.where(cut < most, cut, most) + zero
-        e.store_where(there, own, self.row, left)
-        slot = -1 - len(self.code.gives)
-        self.code.gives.append((each, slot))
-        self._nobody.append(slot)
-        gone = e.convert(had, F64) - e.convert(left, F64)
-        for part, value in enumerate((there, item, gone)):
-            e.store(self.array(slot, part, value.kind), self.offset, value)

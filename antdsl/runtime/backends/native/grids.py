@@ -8,26 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.lanes import F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
-from antdsl.machine_code.memory import Addresses, address
+from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
+from antdsl.machine_code.memory import address
+from antdsl.numerics import compiled
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.layout import Layout
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.neighbours import Shape
 
-NAMES = ("grid.count", "grid.place")
-_KEYS = ("numbers", "x", "y", "z", "keys", "starts", "sorted x", "sorted y", "sorted z", "places")
-_AGAIN = 16  # searches of a crowd after which it is asked anew whether it lies in one sheet
-_FEW = 64  # agents; fewer are sorted by NumPy
+NAMES = ("grid.bounds", "grid.keys", "grid.sort")
+_LAST = ("places", "bounds", "whole")
+_KEYS = ("numbers", "x", "y", "z", "keys", "starts", "sorted x", "sorted y", "sorted z", *_LAST)
+_AGAIN = 64  # searches of a crowd after which it is asked anew whether it lies in one sheet
+_FEW = 128  # agents; among fewer the cells of an agent are no fewer to go through than all others
 _UNUSED = 16  # steps after which arrays of a size of cells that nobody asks for are let go
+_COARSER = 2  # quarters of an octave: finding others in cells that much wider costs less than sorting them again
+_CELLS = 4  # for each agent, above which wider ones cost less
+_PARTED = 16_384  # agents for whom several threads pay
 _NO_KEYS = np.zeros(1, np.int64)  # cells are listed
+_WHOLE = 1e300  # mm: the width of a cell that has all places in it
 
 Arrays = Mapping[str, NDArray[Any] | None]
 
@@ -35,8 +40,10 @@ Arrays = Mapping[str, NDArray[Any] | None]
 def write(module: Module) -> None:
     """The functions of the sort."""
     layout = Layout({(name,): k for k, name in enumerate(_KEYS)})
-    _count(Writer(module, layout))
-    _place(Writer(module, layout))
+    for name, made in zip(NAMES, (_bounds, _keys, _sort), strict=True):
+        w = Writer(module, layout)
+        made(w)
+        module.functions[name] = w.function(name)
 
 
 def _real(w: Writer, k: int) -> Lanes:
@@ -44,31 +51,72 @@ def _real(w: Writer, k: int) -> Lanes:
     return e.splat(e.load_one(w.base("numbers"), e.constant(k, I64, one=True), F64))
 
 
-def _count(w: Writer) -> None:
+def _bounds(w: Writer) -> None:
+    """Least and greatest x, y and z, and 1 where all of them are numbers, else 0."""
+    e = w.e
+    rows = e.op("sub i64 %end, %begin", I64, one=True)
+    low, high, good = [e.slot(F32) for _ in AXES], [e.slot(F32) for _ in AXES], e.slot(I32)
+    for k in range(3):
+        e.put(low[k], e.constant(np.inf, F32))
+        e.put(high[k], e.constant(-np.inf, F32))
+    e.put(good, e.constant(1, I32))
+    with e.loop(rows, WIDTH) as at:
+        inside = (e.splat(at) + e.iota()) < e.splat(rows)
+        for k, axis in enumerate(AXES):
+            place = e.load(w.base(axis), at, F32)
+            least, most = e.get(low[k], F32), e.get(high[k], F32)
+            e.put(low[k], e.where(inside & (place < least), place, least))
+            e.put(high[k], e.where(inside & (place > most), place, most))
+            e.put(good, e.get(good, I32) & e.convert(~inside | np.isfinite(place), I32))
+    for k in range(3):
+        for part, slot, word in ((0, low[k], "fmin"), (3, high[k], "fmax")):
+            name = f"llvm.vector.reduce.{word}.v8f32"
+            e.module.declare(name, F32, [f"<{WIDTH} x {F32}>"])
+            e.put(
+                e.field(w.base("bounds").name, 8 * (part + k)),
+                e.convert(e.one(f"call float @{name}({e.get(slot, F32).typed})", F32), F64),
+            )
+    all_good = e.one(f"icmp eq i8 {e.mask_bits(e.get(good, I32) != 0).name}, -1", BOOL)
+    e.put(e.field(w.base("bounds").name, 48), e.one(f"uitofp i1 {all_good.name} to double", F64))
+
+
+def _keys(w: Writer) -> None:
+    """The number of each agent's cell."""
     e = w.e
     low, inverse, most = ([_real(w, 3 * part + k) for k in range(3)] for part in range(3))
     number = [e.whole(each) for each in most]
     rows = e.op("sub i64 %end, %begin", I64, one=True)
-    with e.loop(rows, WIDTH) as at:
+    with e.loop(rows, WIDTH) as offset:
+        at = e.op(f"add i64 %begin, {offset.name}", I64, one=True)
         cells = []
         for k, axis in enumerate(AXES):
             place = (e.convert(e.load(w.base(axis), at, F32), F64) - low[k]) * inverse[k]
             cells.append(e.whole(np.floor(e.between(place, e.constant(0.0, F64), most[k] - 1.0))))
         line = e.multiplied(e.multiplied(cells[2], number[1]) + cells[1], number[0]) + cells[0]
         e.store(w.base("keys"), at, line)
-    with e.loop(rows) as at:
-        key = e.convert(e.load_one(w.base("keys"), at, I32), I64)
-        place = e.address(w.base("starts"), e.one(f"add i64 {key.name}, 2", I64), I32)
-        e.put(place.name, e.one(f"add i32 {e.get(place.name, I32, one=True).name}, 1", I32))
-    w.module.functions[NAMES[0]] = w.function(NAMES[0])
 
 
-def _place(w: Writer) -> None:
+def _sort(w: Writer) -> None:
+    """Counts of the cells, where each begins, and the agents to their places."""
     e = w.e
     rows = e.op("sub i64 %end, %begin", I64, one=True)
+    starts, many = w.base("starts"), e.load_one(w.base("whole"), e.constant(7, I64, one=True), I64)
+    with e.loop(many, WIDTH) as at:  # there is room behind the last one
+        e.store(starts, at, e.constant(0, I32))
     with e.loop(rows) as at:
         key = e.convert(e.load_one(w.base("keys"), at, I32), I64)
-        cursor = e.address(w.base("starts"), e.one(f"add i64 {key.name}, 1", I64), I32)
+        place = e.address(starts, e.one(f"add i64 {key.name}, 2", I64), I32)
+        e.put(place.name, e.one(f"add i32 {e.get(place.name, I32, one=True).name}, 1", I32))
+    total = e.slot(I32, one=True)
+    e.put(total, e.constant(0, I32, one=True))
+    with e.loop(many) as at:
+        place = e.address(starts, at, I32)
+        so_far = e.one(f"add i32 {e.get(total, I32, one=True).name}, {e.get(place.name, I32, one=True).name}", I32)
+        e.put(total, so_far)
+        e.put(place.name, so_far)
+    with e.loop(rows) as at:
+        key = e.convert(e.load_one(w.base("keys"), at, I32), I64)
+        cursor = e.address(starts, e.one(f"add i64 {key.name}, 1", I64), I32)
         small = e.get(cursor.name, I32, one=True)
         e.put(cursor.name, e.one(f"add i32 {small.name}, 1", I32))
         to = e.convert(small, I64)
@@ -78,7 +126,6 @@ def _place(w: Writer) -> None:
             e.put(e.address(w.base(f"sorted {axis}"), to, F32).name, value)
             e.put(e.field(four.name, 4 * k), value)
         e.put(e.field(four.name, 12), e.convert(at, I32))
-    w.module.functions[NAMES[1]] = w.function(NAMES[1])
 
 
 def _with_room(array: NDArray[Any]) -> None:
@@ -88,76 +135,118 @@ def _with_room(array: NDArray[Any]) -> None:
         raise ValueError("machine code reads eight places at once, so that there has to be room behind the last one")
 
 
+class _Crowd:
+    """Arrays that a crowd is sorted with into cells of one size, kept from step to step. `tables` are those of `CellGrid.tables`:
+    another mapping whenever one of them is another array."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.bounds, self._numbers, self._table = np.zeros(7), np.zeros(9), np.zeros(len(_KEYS), np.int64)
+        self._keys = np.zeros(count + WIDTH, np.int32)
+        self.floats, self.whole = np.zeros(9), np.zeros(8, np.int64)
+        own: dict[str, NDArray[Any]] = {axis: np.zeros(count + WIDTH, np.float32) for axis in AXES}
+        own |= {"places": np.zeros((count + WIDTH, 4), np.float32), "floats": self.floats, "whole": self.whole, "keys": _NO_KEYS}
+        self.tables: dict[str, NDArray[Any]] = own | {"starts": np.zeros(0, np.int32)}
+        self._places: list[NDArray[np.float32]] = []
+        self._lies: list[int] = []
+        self.asked = 0  # the last step in which somebody did
+        self._table[0], self._table[4] = address(self._numbers), address(self._keys)
+        self._table[6:] = [address(each) for each in (*(own[axis] for axis in AXES), own["places"], self.bounds, self.whole)]
+        self.address = address(self._table)
+
+    def at(self, places: list[NDArray[np.float32]]) -> None:
+        """Where the crowd is now."""
+        if len(self._places) != 3 or any(one is not two for one, two in zip(places, self._places, strict=True)):
+            for each in places:
+                _with_room(each)
+            self._places = places
+            self._lies = [address(each) for each in places]
+        self._table[1:4] = self._lies
+
+    def shaped(self, shape: Shape) -> None:
+        """Cells for it."""
+        many = shape.cells + 2
+        starts = self.tables["starts"]
+        if len(starts) < many + WIDTH:
+            starts = np.zeros(many + (many >> 3) + WIDTH, np.int32)
+            self.tables = {**self.tables, "starts": starts}
+            self._table[5] = address(starts)
+        inverse = [1 / width for width in shape.width]
+        self.floats[:] = (*shape.low, *shape.width, *inverse)
+        self._numbers[:] = (*shape.low, *inverse, *shape.size)
+        self.whole[:] = (*shape.axes, *shape.size, self.count, many)
+        self._table[1:4] = [self._lies[axis] for axis in shape.axes]
+
+    def numbered(self) -> None:
+        """Cells are numbered; from here on places are read as they lie."""
+        self._table[1:4] = self._lies
+
+
 @dataclass(slots=True, eq=False)
 class Grids:
     """Sorts crowds into cells; arrays are kept from step to step."""
 
     functions: Callable[[str], Callable[[int, int, int], None]]
     _found: dict[tuple[str, float], Arrays] = field(default_factory=dict)  # of this step
-    _kept: dict[tuple[str, float], dict[str, NDArray[Any]]] = field(default_factory=dict)
-    _asked: dict[tuple[str, float], int] = field(default_factory=dict)  # the last step in which somebody did
+    _kept: dict[tuple[str, float], _Crowd] = field(default_factory=dict)
     _step: int = 0
-    _lies: Addresses = field(default_factory=Addresses)
     _sheets: dict[str, tuple[int, int, bool]] = field(default_factory=dict)  # agents, searches since, whether
 
     def forget(self) -> None:
         """Agents have moved: another step begins."""
         self._found.clear()
         self._step += 1
-        for key in [key for key, last in self._asked.items() if self._step - last > _UNUSED]:
-            del self._asked[key]
-            for name in self._kept.pop(key):
-                self._lies.forget((*key, name))
+        for key in [key for key, each in self._kept.items() if self._step - each.asked > _UNUSED]:
+            del self._kept[key]
 
     def of(self, world: World, other: Population, cell: float) -> Arrays:
         """What a search is run with, of cells that suit a radius."""
-        size = float(np.ceil(4 * np.log2(cell)))
-        if (other.name, size) not in self._found:
-            self._found[other.name, size] = self._sorted(other, size) or grid_for(world, other, cell).tables
-        return self._found[other.name, size]
+        size = float(np.ceil(4 * np.log2(cell))) if len(other) > _FEW else np.inf
+        for wider in range(_COARSER + 1):
+            found = self._found.get((other.name, size + wider))
+            if found is not None:
+                return found
+        found = self._found[other.name, size] = self._sorted(world, other, size) or grid_for(world, other, cell).tables
+        return found
 
-    def _sorted(self, other: Population, size: float) -> Arrays | None:
-        """The arrays of `CellGrid.tables`; None where NumPy has to sort: of very few agents, of some without a place, and of a
-        crowd so far apart that its cells are not listed."""
+    def _sorted(self, world: World, other: Population, size: float) -> Arrays | None:
+        """The arrays of `CellGrid.tables`; None where NumPy has to sort: where some are without a place, and of a crowd so far
+        apart that its cells are not listed."""
         count = len(other)
-        if count < _FEW:
-            return None
+        crowd = self._kept.get((other.name, size))
+        if crowd is None or crowd.count != count:
+            crowd = self._kept[other.name, size] = _Crowd(count)
+        crowd.asked = self._step
         places = [other.start[f"position.{axis}"] for axis in AXES]
-        low, high = [float(np.minimum.reduce(p)) for p in places], [float(np.maximum.reduce(p)) for p in places]
-        if not all(map(isfinite, (*low, *high))):
+        crowd.at(places)
+        bounds, number, sort = (self.functions(name) for name in NAMES)
+        bounds(crowd.address, 0, count)
+        *corners, good = crowd.bounds.tolist()
+        shape = self._shape(other, places, corners, size) if good and count else None
+        if shape is None:
             return None
-        cell = float(2.0 ** (size / 4))
-        shape = Shape.of(low, high, cell)
+        crowd.shaped(shape)
+        threads = world.options.threads if count >= _PARTED else 1
+        if threads > 1:
+            part = -(-count // (WIDTH * threads)) * WIDTH
+            parts = [(begin, min(begin + part, count)) for begin in range(0, count, part)]
+            list(compiled.workers(threads).map(lambda each: number(crowd.address, *each), parts))
+        else:
+            number(crowd.address, 0, count)
+        crowd.numbered()
+        sort(crowd.address, 0, count)
+        return crowd.tables
+
+    def _shape(self, other: Population, places: list[NDArray[np.float32]], corners: list[float], size: float) -> Shape | None:
+        """Cells of a crowd in a box between two corners, one for all of very few agents; None where there would be too many."""
+        low, high = corners[:3], corners[3:]
+        if size == np.inf:
+            return Shape((0, 1, 2), low, [0.0] * 3, [_WHOLE] * 3, [1] * 3)
+        shape = Shape.of(low, high, float(2.0 ** (size / 4)))
         if self._sheet(other, places, shape):
             shape = shape.as_sheet()
-        if shape.cells > max(1 << 16, 16 * count):
-            return None
-        kept = self._kept.get((other.name, size))
-        if kept is None or len(kept["keys"]) != count + WIDTH:
-            kept = {name: np.zeros(count + WIDTH, np.float32) for name in AXES}
-            kept |= {"keys": np.zeros(count + WIDTH, np.int32), "places": np.zeros((count + WIDTH, 4), np.float32)}
-            kept |= {"floats": np.zeros(9), "whole": np.zeros(7, np.int64), "table": np.zeros(len(_KEYS), np.int64)}
-            kept["numbers"] = np.zeros(9)
-            self._kept[other.name, size] = kept
-        self._asked[other.name, size] = self._step
-        starts = np.zeros(shape.cells + 2, np.int32)
-        inverse = [1 / width for width in shape.width]
-        floats, table = kept["floats"], kept["table"]
-        floats[:] = (*shape.low, *shape.width, *inverse)
-        kept["numbers"][:] = (*shape.low, *inverse, *shape.size)
-        kept["whole"][:] = (*shape.axes, *shape.size, count)
-        lies = self._lies.of
-        at = [lies((other.name, axis), places[axis], _with_room) for axis in range(3)]
-        own = {name: lies((other.name, size, name), kept[name]) for name in (*AXES, "numbers", "keys", "places", "table")}
-        table[0], table[4], table[5], table[9] = own["numbers"], own["keys"], address(starts), own["places"]
-        table[1:4] = [at[axis] for axis in shape.axes]
-        table[6:9] = [own[AXES[axis]] for axis in shape.axes]
-        self.functions(NAMES[0])(own["table"], 0, count)
-        np.cumsum(starts, out=starts)
-        table[1:4] = at
-        table[6:9] = [own[axis] for axis in AXES]
-        self.functions(NAMES[1])(own["table"], 0, count)
-        return {**kept, "keys": _NO_KEYS, "starts": starts}
+        shape = _coarser(shape, _CELLS * len(other))
+        return shape if shape.cells <= max(1 << 16, 16 * len(other)) else None
 
     def _sheet(self, other: Population, places: list[NDArray[np.float32]], shape: Shape) -> bool:
         """Whether a crowd lies in one sheet: only speed hangs on it, so it is not asked each time."""
@@ -168,3 +257,16 @@ class Grids:
             known, since = shape.is_sheet(places), 0
         self._sheets[other.name] = (len(other), since + 1, known)
         return known
+
+
+def _coarser(shape: Shape, most: int) -> Shape:
+    """Wider cells of a crowd so sparse that there are more than so many, which would have to be counted for nobody: up to four
+    times along the fast axis, then up to twice along each."""
+    width, size = list(shape.width), list(shape.size)
+    for axis in (0, 0, 1, 2, 0):
+        if size[0] * size[1] * size[2] <= most:
+            break
+        if size[axis] > 1:
+            width[axis] *= 2
+            size[axis] = int(shape.extent[axis] / width[axis]) + 1
+    return Shape(shape.axes, shape.low, shape.extent, width, size)

@@ -52,7 +52,7 @@ def show(made: Program) -> str:
             lines += [f"    then NumPy: {what}{f', {count} times' if count > 1 else ''}" for what, count in called.items()]
         for search in code.near:
             lines.append(f"    searches {search.species} for {len(search.sets)} set{'s' if len(search.sets) > 1 else ''}")
-        lines += [f"    asks for {_asked(each.what)}{_place(each.what)}" for each in code.requests]
+        lines += [f"    asks for {_asked(each.what)}{_place(each.what)}" for each in code.lists]
     shared = sorted(set(size) - named)
     lines += ["functions of all", *(f"  {name}: {size[name]:,} instructions" for name in shared)]
     return "\n".join(lines) + "\n"

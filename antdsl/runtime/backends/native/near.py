@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from antdsl.machine_code.lanes import I32, I64, Lanes
+from antdsl.machine_code.lanes import I32, I64, PTR, WIDTH, Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.layout import KINDS
+from antdsl.runtime.world import AXES
 
+PLACE = tuple(f"position.{axis}" for axis in AXES)
 STRIDE = 64  # bytes from one operand or result of a search to the next
 
 
@@ -32,12 +34,15 @@ class Search:
 
 @dataclass(slots=True, eq=False)
 class Found:
-    """Eight pairs: which are there at all, others' rows, other minus own, and its length."""
+    """Eight pairs: which are there at all, others' rows, other minus own, and its length; `at` are their indices in the grid,
+    `place` where they are."""
 
     w: Writer
     near: Search
     there: Lanes
+    at: Lanes
     rows: Lanes
+    place: list[Lanes]
     dx: Lanes
     dy: Lanes
     dz: Lanes
@@ -45,7 +50,7 @@ class Found:
 
     def ids(self) -> Lanes:
         def make() -> Lanes:
-            return self.w.e.gather(self.w.base("other", self.near.other, "unsorted ids"), self.rows, I64)
+            return self.w.e.gather(self.w.base("other", self.near.other, "unsorted ids"), self._rows(), I64)
 
         found: Lanes = self.w.e.once(("ids", self.rows.name), make)
         return found
@@ -56,14 +61,33 @@ class Found:
             return named[node.op]
         if node.op == "other.id":
             return self.ids()
+        if node.attrs[0] in PLACE:
+            return self.place[PLACE.index(node.attrs[0])]
         beside = self.near.beside
         if node.attrs[0] in beside:
             block, part = divmod(beside.index(node.attrs[0]), 4)
             names = tuple(beside[4 * block : 4 * block + 4])
             base = self.w.base("beside", self.near.other, *names)
-            found: Lanes = self.w.e.once(("beside", block, self.rows.name), lambda: self.w.e.quadruples(base, self.rows))[part]
+            found: Lanes = self.w.e.once(("beside", block, self.rows.name), lambda: self.w.e.quadruples(base, self._rows()))[part]
             return found
-        return self.w.e.gather(self.w.base("other", self.near.other, node.attrs[0]), self.rows, KINDS[node.kind])
+        return self.w.e.gather(self.w.base("other", self.near.other, node.attrs[0]), self._rows(), KINDS[node.kind])
+
+    def _rows(self) -> Lanes:
+        """Others' rows, each read by itself: as addresses they are wanted one by one, which is slow out of eight."""
+        e, places = self.w.e, self.w.base("grid", self.near.number, "places")
+
+        def make() -> Lanes:
+            value = f"<{WIDTH} x i32> poison"
+            for lane in range(WIDTH):
+                at = e.convert(e.one(f"extractelement {self.at.typed}, i64 {lane}", I32), I64)
+                four = e.one(f"getelementptr <4 x float>, ptr {places.name}, i64 {at.name}", PTR)
+                value = e.op(
+                    f"insertelement {value}, {e.get(e.field(four.name, 12), I32, one=True).typed}, i64 {lane}", I32
+                ).typed
+            return Lanes(e, I32, value.rpartition(" ")[2])
+
+        found: Lanes = e.once(("rows", self.rows.name), make)
+        return found
 
 
 def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lanes) -> Found:
@@ -71,4 +95,4 @@ def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lane
     e = w.e
     *others, rows = e.quadruples(w.base("grid", near.number, "places"), at)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
-    return Found(w, near, there, e.bits(rows, I32), dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
+    return Found(w, near, there, at, e.bits(rows, I32), others, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))

@@ -12,7 +12,7 @@ from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction
 from antdsl.runtime.backends.native import grids, search, sets
-from antdsl.runtime.backends.native.asking import ASKING
+from antdsl.runtime.backends.native.asking import ask
 from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
 from antdsl.runtime.backends.native.layout import KINDS, Layout
 from antdsl.runtime.backends.native.marks import Lines
@@ -77,12 +77,12 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
     for (species, block), compiler in blocks.items():
         if block not in _RUNS or not compiler.root.code:
             continue
-        order = schedule(compiler, partial(lowers, plan.species[species]), costly, frozenset(ASKING))
+        order = schedule(compiler, partial(lowers, plan.species[species]), costly)
         lines = Lines(compiler) if facts.timed else None
         code = found[species, block] = BlockCode(plan.species[species], [], Layout(), order, lines)
         for stage in range(order.stages):
             name = f"{species}.{block}.{stage}"
-            BlockWriter(module, code, compiler, stage, senses, _reduce, guards, ASKING, combine).write(name)
+            BlockWriter(module, code, compiler, stage, senses, _reduce, guards, ask, combine).write(name)
             code.names.append(name)
         for each in (each for group in order.calls for each in group):
             if each.does not in PAIRED and isinstance(each.what, ir.Node):

@@ -68,7 +68,7 @@ def _made(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, 
     for key, code in made.blocks.items():
         for stage, called in enumerate(code.schedule.calls):
             together[(*key, stage)] = _groups(called)
-        for each in (*code.requests, *(each for called in code.schedule.calls for each in called)):
+        for each in (each for called in code.schedule.calls for each in called):
             calls[each] = numpy_calls.call(each, blocks[key])(each.out, each.inputs, None)
     found = {}
     for name, text in made.units.items():

@@ -1,7 +1,9 @@
-"""Runs one block of machine code for the rows of a chunk: its stages, the calls between them, and what it asks of the world."""
+"""Runs one block of machine code: its rows in parts, perhaps in several threads, and each part through its stages, the calls
+between them, and what is asked of the world."""
 
 from __future__ import annotations
 
+from concurrent.futures import wait
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
@@ -10,22 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.lanes import WIDTH
+from antdsl.numerics import compiled
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Scope
+from antdsl.runtime.backends.metering import Metered
+from antdsl.runtime.backends.native.asking import asked
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.ready import Ready
-from antdsl.runtime.backends.native.tables import Tables
+from antdsl.runtime.backends.native.tables import Lane, Tables
 from antdsl.runtime.pairs import NearbySets
-from antdsl.runtime.requests import Effects, FaultEntry, GiveEntry
+from antdsl.runtime.requests import Effects, FaultEntry
 from antdsl.runtime.sensing import SENSES
 from antdsl.runtime.world import Population, World
+
+_PART = 1_024  # agents for whom a part of their own pays
 
 
 @dataclass(slots=True, eq=False)
 class Block:
-    """A block of one species in one step; `values` are those that are the same for all agents, `times` is there while lines are
-    timed."""
+    """A block of one species in one step; `values` are those that are the same for all agents, `timed` tells of its lines while
+    they are timed."""
 
     ready: Ready
     code: BlockCode
@@ -34,7 +41,46 @@ class Block:
     world: World
     population: Population
     values: dict[ir.Node, Any]
-    times: Times | None = None
+    timed: Metered | None = None
+
+    def run(self) -> list[tuple[int, int]]:
+        """Take all rows through the block, and put what they ask for into the population's effects, in the order of their rows.
+        Gives the parts, as first row and the one after the last, in which some agent has too many others in a radius."""
+        count, threads = len(self.population), max(1, self.world.options.threads)
+        size = _part(count, self.world.options.chunk, threads)
+        bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
+        lanes = [self.tables.lane(k, self.world, min(size, count)) for k in range(min(threads, len(bounds)))]
+        lines, timed, began = self.code.lines, self.timed, perf_counter()
+        times = [None if timed is None or lines is None else Times(lines, lane.ticks, timed.lane()) for lane in lanes]
+        effects, good, coming = [Effects() for _ in bounds], [False] * len(bounds), iter(range(len(bounds)))
+
+        def work(number: int) -> None:
+            with np.errstate(all="ignore"):
+                for k in coming:  # the next one that nobody has
+                    good[k] = Chunk(self, lanes[number], times[number], *bounds[k], effects[k]).run()
+
+        others = [compiled.workers(threads).submit(work, number) for number in range(1, len(lanes))]
+        try:
+            work(0)
+        finally:
+            wait(others)
+        for other in others:
+            other.result()
+        for each in effects:
+            self.population.effects.take(each)
+        counted = [each for each in times if each is not None]
+        if timed is not None and counted:
+            for spent in counted:
+                spent.end()
+            timed.take([spent.lane for spent in counted], perf_counter() - began if len(lanes) > 1 else np.inf)
+        return [part for part, well in zip(bounds, good, strict=True) if not well]
+
+
+def _part(count: int, chunk: int, threads: int) -> int:
+    """Rows of a part: as many as a chunk has at most, and where that pays two parts for each thread, of whole eights."""
+    parts = max(-(-count // max(WIDTH, chunk)), min(2 * threads, count // _PART) if threads > 1 else 1)
+    most = WIDTH * parts
+    return WIDTH * max(1, -(-count // most))
 
 
 @dataclass(slots=True, eq=False)
@@ -42,6 +88,8 @@ class Chunk:
     """Some rows of a block. `run` says whether all went well: False where some agent has too many others in a radius."""
 
     block: Block
+    lane: Lane
+    times: Times | None
     begin: int
     end: int
     effects: Effects
@@ -50,46 +98,38 @@ class Chunk:
 
     def run(self) -> bool:
         """Take the rows through all stages; what is asked of the world is added to the effects."""
-        block, tables = self.block, self.block.tables
-        tables.notes[0] = tables.crowded[0] = 0
+        block, lane = self.block, self.lane
+        lane.notes[0] = 0
+        lane.counts.fill(0)
+        lane.needs.fill(0)
         for stage, name in enumerate(block.code.names):
             function, began = block.ready.function(name), perf_counter()
-            function(tables.address, self.begin, self.end)
-            if block.times is not None:
-                block.times.seconds += perf_counter() - began
-            for some in block.ready.together[block.population.name, block.compiler.name, stage]:
-                self._call(some)
-        if tables.crowded[0]:
+            function(lane.address, self.begin, self.end)
+            if self.times is not None:
+                self.times.seconds += perf_counter() - began
+            some = block.ready.together[block.population.name, block.compiler.name, stage]
+            if some:
+                self._calls(some)
+        crowded, *counts = lane.counts.tolist()
+        if crowded:
             return False
-        for each in block.code.requests:
-            rows = self._enter(each.scope)
-            if len(rows):
-                began = perf_counter()
-                self._made(each, rows)
-                self._took(began, [each], [len(rows)])
-        self._gifts()
+        for number, count in enumerate(counts):
+            if count:
+                each = block.code.lists[number]
+                asked(each, [column[:count].copy() for column in lane.columns[number]], self.effects)
         self._faults()
         return True
 
     def _took(self, began: float, some: list[Instruction], rows: list[int]) -> None:
         """Calls have come to their end; each has its share of the time by the rows that it was made for."""
-        if self.block.times is not None:
+        if self.times is not None:
             each_row = (perf_counter() - began) / sum(rows)
             for each, count in zip(some, rows, strict=True):
-                self.block.times.called(each, count * each_row)
-
-    def _gifts(self) -> None:
-        """What agents have given to items."""
-        for instruction, slot in self.block.code.gives:
-            there, item, gone = (self.block.tables.arrays[slot, part] for part in range(3))
-            rows = np.flatnonzero(there[: self.end - self.begin])
-            if len(rows):
-                assert isinstance(instruction.what, ir.Give)
-                self.effects.gives.append(GiveEntry(instruction.what, item[rows], gone[rows]))
+                self.times.called(each, count * each_row)
 
     def _faults(self) -> None:
         """Values that were refused."""
-        notes = self.block.tables.notes
+        notes = self.lane.notes
         for k in range(int(notes[0])):
             row, told = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
             refused, span = self.block.code.faults[told >> WIDTH]
@@ -113,7 +153,7 @@ class Chunk:
     def _rows_of(self, slot: int) -> NDArray[np.intp]:
         """Rows, counted within the chunk, for which a mask holds."""
         if slot not in self._picked:
-            self._picked[slot] = np.flatnonzero(self.block.tables.arrays[slot, 0][: self.end - self.begin])
+            self._picked[slot] = np.flatnonzero(self.lane.arrays[slot, 0][: self.end - self.begin])
         return self._picked[slot]
 
     def _enter(self, scope: Scope) -> NDArray[np.intp]:
@@ -125,7 +165,7 @@ class Chunk:
     def _operand(self, slot: int, rows: NDArray[np.intp]) -> Any:
         """What a stage has left for some rows, or what is the same for all."""
         source = self.block.code.schedule.slot(slot)
-        array = self.block.tables.arrays.get((source, 0))
+        array = self.lane.arrays.get((source, 0))
         if array is not None:
             return array.take(rows)
         return self._known()[source]
@@ -137,6 +177,14 @@ class Chunk:
             v[slot] = self._operand(slot, rows)
         self.block.ready.calls[each](v)
         return v[each.out]
+
+    def _calls(self, every: list[list[Instruction]]) -> None:
+        """Make the calls at the end of a stage that somebody needs."""
+        nobody = {each for each, need in zip(self.block.code.needs, self.lane.needs.tolist(), strict=False) if not need}
+        for some in every:
+            needed = [each for each in some if each not in nobody]
+            if needed:
+                self._call(needed)
 
     def _call(self, some: list[Instruction]) -> None:
         """Make a call, or several of one sense with one name at once: who asks is named as often as it asks."""
@@ -168,6 +216,6 @@ class Chunk:
     def _leave(self, each: Instruction, rows: NDArray[np.intp], found: Any) -> None:
         """Put the results of a call where the next stage looks for them."""
         for part, value in enumerate(found if isinstance(found, tuple) else (found,)):
-            array = self.block.tables.arrays.get((each.out, part))
+            array = self.lane.arrays.get((each.out, part))
             if array is not None:
                 array[rows] = value

@@ -60,18 +60,16 @@ class _Maker:
     paired: set[int] = field(default_factory=set)  # slots over pairs that calls need
 
 
-def schedule(
-    compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly: Callable[[ir.Node], bool], asking: frozenset[str]
-) -> Schedule:
+def schedule(compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly: Callable[[ir.Node], bool]) -> Schedule:
     """The stages of a block. `lowers` says whether a node has machine code, `costly` whether one that is kept for the step has to
-    be kept by machine code too, rather than worked out again; `asking`: requests that have machine code."""
+    be kept by machine code too, rather than worked out again."""
     maker = _Maker(compiler, lowers, costly, frozenset(compiler.uniforms.values()))
     for instruction in _all(compiler.root):
         what = instruction.what
         if instruction.does is Does.REDUCE and isinstance(what, ir.Node) and not lowers(what):
             _paired(maker, instruction)
     _first(maker, compiler.root, 0)
-    return _wanted(maker, asking)
+    return _wanted(maker)
 
 
 def _all(scope: Scope) -> Iterator[Instruction]:
@@ -172,7 +170,7 @@ def operands_of(reduce: Instruction) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _wanted(maker: _Maker, asking: frozenset[str]) -> Schedule:
+def _wanted(maker: _Maker) -> Schedule:
     stages = 1 + max([*maker.first.values(), *maker.at.values(), *(k + 1 for k in maker.called)], default=0)
     calls = [maker.called.get(k, []) for k in range(stages)]
     called = {each for group in calls for each in group}
@@ -222,10 +220,7 @@ def _wanted(maker: _Maker, asking: frozenset[str]) -> Schedule:
             want((scope.rows,), stage, array=True)
             home[out] = stage + 1
         elif instruction.does is Does.STATEMENT:
-            stage = maker.at[instruction]
-            what = instruction.what
-            array = not isinstance(what, ir.Store | ir.Give) and not (isinstance(what, ir.Request) and what.op in asking)
-            want((*instruction.inputs, scope.rows), stage, array)
+            want((*instruction.inputs, scope.rows), maker.at[instruction])
         elif instruction in maker.native and out in wanted:
             what = instruction.what
             assert isinstance(what, ir.Node)

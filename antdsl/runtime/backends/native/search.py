@@ -1,8 +1,8 @@
 """Reductions over neighbours as machine code: one search of the cell grid for all that is asked of one species.
 
 For eight asking agents at a time the cells in reach are worked out side by side; candidates in them are measured, eight at a
-time, and those near enough written down as pairs of a place in the grid and an asking agent. Then eight pairs of any of the
-eight agents are tested, weighed and added to the sums of their agents. Who has very many neighbours is left to `crowds`.
+time, and those near enough written down, a list for each asking agent. Then the lists are gone through side by side: a pair of
+each of the eight agents is tested, weighed and added to its sums. Who has very many neighbours is left to `crowds`.
 
 Reductions of several regions are found in one search where what they need is known: the first region that asks has it made for
 its agents, those after it only for agents that have not asked yet. What nobody asks for then is found in vain, and not seen."""
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from antdsl import limits
+from antdsl.machine_code.emitter import Emitter
 from antdsl.machine_code.lanes import BOOL, F32, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
@@ -22,15 +23,15 @@ from antdsl.runtime.backends.native.block import BlockWriter, Near, Writer
 from antdsl.runtime.backends.native.cells import BEYOND, Rows, write_down
 from antdsl.runtime.backends.native.crowds import write_many
 from antdsl.runtime.backends.native.layout import KINDS
-from antdsl.runtime.backends.native.near import STRIDE, Search, measured
+from antdsl.runtime.backends.native.near import PLACE, STRIDE, Search, measured
 from antdsl.runtime.backends.native.schedule import operands_of
-from antdsl.runtime.backends.native.sets import PairValues, own_values, sets_of, tested
-from antdsl.runtime.backends.native.sums import Sums
+from antdsl.runtime.backends.native.sets import PairValues, own_values, sets_of, take
+from antdsl.runtime.backends.native.sums import Sum
 from antdsl.runtime.pairs import nearest_asked
 from antdsl.runtime.world import AXES
 
 MOST = 512  # candidates of one agent that are gone through here
-_LANE = 28  # bits of a place in the grid in what is written down; above them stands which of the eight asks
+_LIST = MOST + 2 * WIDTH  # numbers from one agent's list to that of the next
 
 
 @dataclass(slots=True, eq=False)
@@ -69,7 +70,7 @@ def neighbours(b: BlockWriter, instruction: Instruction) -> None:
         if any(each.scope is instruction.scope and each.what.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
             crowd = (e.get(e.field(group.out, STRIDE * k), I8) != 0) & mask
             with e.inside(e.some(crowd)):
-                e.do(f"store i64 1, ptr {b.base('crowded').name}")
+                e.do(f"store i64 1, ptr {b.base('counts').name}")
 
 
 def _group_of(b: BlockWriter, first: Instruction) -> Group:
@@ -124,7 +125,7 @@ def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
         stops = [chosen for chosen in near.reach if nearest_asked(plan, chosen) is None]
         near.stops = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
         read = needed(arg for node in near.nodes for arg in node.args[1:])
-        names = sorted({each.attrs[0] for each in read if each.op == "other" and each.kind is ir.Kind.F32})
+        names = sorted({each.attrs[0] for each in read if each.op == "other" and each.kind is ir.Kind.F32} - {*PLACE})
         near.beside = names if len(names) > 1 else []
         b.code.near.append(Near(near.other, list(near.reach)))
     for k, value in enumerate(values):
@@ -152,38 +153,38 @@ def _write(b: BlockWriter, near: Search) -> None:
     radius = {chosen: mine(k) for chosen, k in near.reach.items()}
     search = Rows(w, near.number, place, list(radius.values()), asks)
     search.note()
-    buffer, count, over = _candidates(w, near, search, asks)
+    buffer, number, over = _candidates(w, near, search, asks)
     heading = [e.load(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
-    sums = Sums(e, near.nodes)
-    with e.loop(count, WIDTH) as index:
-        there = (e.splat(index) + e.iota()) < e.splat(count)
-        packed = e.where(there, e.load(buffer, index, I32), e.constant(0, I32))
-        lane, at = packed >> _LANE, packed & ((1 << _LANE) - 1)
-        found = measured(w, near, at, [e.permuted(each, lane) for each in place], there)
+    sums = [Sum(e, node, many=False) for node in near.nodes]
+    for each in sums:
+        each.start()
+    itself = e.splat(e.convert(row, I32)) + e.convert(e.iota(), I32)
+    with e.loop(e.convert(e.greatest(number), I64)) as k:
+        there = e.convert(e.splat(k), I32) < number
+        found = measured(w, near, _across(e, buffer, k), place, there)
         if near.other == b.species:
-            found.there = there & (found.rows != lane + e.splat(e.convert(row, I32)))
+            found.there = there & (found.rows != itself)
 
         def inside(chosen: ir.Node) -> Lanes:
-            reached = found.there & (found.distance <= e.permuted(radius[chosen], lane))
+            reached = found.there & (found.distance <= radius[chosen])
             if chosen in near.view:
-                hx, hy, hz = (e.once(("heading", k), lambda each=each: e.permuted(each, lane)) for k, each in enumerate(heading))  # type: ignore[misc]
+                hx, hy, hz = heading
                 ahead = e.once("ahead", lambda: (found.dx * hx + found.dy * hy) + found.dz * hz)
-                reached = reached & (ahead >= e.permuted(mine(near.view[chosen]), lane) * found.distance)
+                reached = reached & (ahead >= mine(near.view[chosen]) * found.distance)
             return reached
 
-        pairs = PairValues(w, lambda node: e.permuted(mine(near.places[node]), lane), found.leaf, b.senses)
-        terms = []
-        for sum_, node in zip(sums.all, near.nodes, strict=True):
+        pairs = PairValues(w, lambda node: mine(near.places[node]), found.leaf, b.senses)
+        for each, node in zip(sums, near.nodes, strict=True):
             reached = e.once(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
-            terms.append(sum_.terms(*tested(node, pairs, reached), found.ids() if node.op == "reduce.agent" else None))
-        sums.scatter(lane, terms)
+            take(each, node, pairs, reached, found.ids)
     fits = asks & ~over
-    for k, (value, node) in enumerate(zip(sums.results(), near.nodes, strict=True)):
+    for result, (each, node) in enumerate(zip(sums, near.nodes, strict=True)):
+        value = each.result()
         stored = e.convert(value, I8) if KINDS[node.kind] == BOOL else value
-        start = e.field("%out", STRIDE * k)
+        start = e.field("%out", STRIDE * result)
         e.put(start, e.where(fits, stored, e.get(start, stored.kind)))
-    for k in near.stops.values():
-        start = e.field("%out", STRIDE * k)
+    for stop in near.stops.values():
+        start = e.field("%out", STRIDE * stop)
         e.put(start, e.where(fits, e.constant(0, I8), e.get(start, I8)))
     with e.inside(e.some(over)):
         bits = e.one(f"zext i8 {e.mask_bits(over).name} to i64", I64)
@@ -192,13 +193,22 @@ def _write(b: BlockWriter, near: Search) -> None:
     write_many(b, near)
 
 
+def _across(e: Emitter, buffer: Lanes, k: Lanes) -> Lanes:
+    """The number at a place of each of the eight agents' lists."""
+    first, value = e.address(buffer, k, I32), f"<{WIDTH} x i32> poison"
+    for lane in range(WIDTH):
+        single = e.get(e.field(first.name, 4 * _LIST * lane), I32, one=True)
+        value = e.op(f"insertelement {value}, {single.typed}, i64 {lane}", I32).typed
+    return Lanes(e, I32, value.rpartition(" ")[2])
+
+
 def _candidates(w: Writer, near: Search, search: Rows, asks: Lanes) -> tuple[Lanes, Lanes, Lanes]:
-    """Write down who may be in the widest radius of each of eight agents. Gives where, how many, and agents with too many
-    candidates, or perhaps more neighbours than the cap."""
+    """Write down who may be in the widest radius of each of eight agents, in a list of each. Gives where, how many each has, and
+    agents with too many candidates, or perhaps more neighbours than the cap, whose lists are not gone through."""
     e = w.e
-    buffer, zero = w.base("candidates"), e.constant(0, I64, one=True)
-    total, seen, found, first, number, beyond = e.slot(I64, one=True), *(e.slot(kind) for kind in (I32, I32, I32, I32, F32))
-    e.put(total, zero)
+    buffer = w.base("candidates")
+    seen, found, first, number, beyond = (e.slot(kind) for kind in (I32, I32, I32, I32, F32))
+    total = e.slot(I64, one=True)
     for slot in (seen, found):
         e.put(slot, e.constant(0, I32))
     e.put(beyond, (search.widest * search.widest) * np.float32(BEYOND) + np.float32(1e-30))
@@ -218,20 +228,30 @@ def _candidates(w: Writer, near: Search, search: Rows, asks: Lanes) -> tuple[Lan
                 start = e.convert(each_of(first, I32, lane), I64)
                 x, y, z = (e.splat(each_of(e.field(search.stack, 32 * k), F32, lane)) for k in range(3))
                 limit = e.splat(each_of(beyond, F32, lane))
-                shifted = e.one(f"shl i64 {lane.name}, {_LANE}", I64)
-                old = e.get(total, I64, one=True)
+                own = e.address(buffer, e.one(f"mul i64 {lane.name}, {_LIST}", I64), I32)
+                so_far = e.address(Lanes(e, PTR, found, one=True), lane, I32).name
+                e.put(total, e.convert(e.get(so_far, I32, one=True), I64))
                 with e.loop(many, WIDTH) as k:
                     at = e.one(f"add i64 {start.name}, {k.name}", I64)
                     dx, dy, dz = e.load(sx, at, F32) - x, e.load(sy, at, F32) - y, e.load(sz, at, F32) - z
                     inside = ((dx * dx + dy * dy) + dz * dz) <= limit
                     left = e.convert(e.one(f"sub i64 {many.name}, {k.name}", I64), I32)
                     inside = inside & (e.convert(e.iota(), I32) < e.splat(left))
-                    write_down(e, buffer, total, e.convert(e.one(f"or i64 {at.name}, {shifted.name}", I64), I32), inside)
-                new = e.convert(e.one(f"sub i64 {e.get(total, I64, one=True).name}, {old.name}", I64), I32)
-                more = e.one(f"add i32 {each_of(found, I32, lane).name}, {new.name}", I32)
-                e.put(e.address(Lanes(e, PTR, found, one=True), lane, I32).name, more)
+                    write_down(e, own, total, e.convert(at, I32), inside)
+                e.put(so_far, e.convert(e.get(total, I64, one=True), I32))
 
     search.each(through)
-    over = asks & ((e.get(seen, I32) > MOST) | (e.get(found, I32) > limits.NEIGHBOURS))
-    count = e.get(total, I64, one=True)
-    return buffer, count, over
+    counted = e.get(found, I32)
+    over = asks & ((e.get(seen, I32) > MOST) | (counted > limits.NEIGHBOURS))
+    counted = e.where(asks & ~over, counted, e.constant(0, I32))
+    e.put(number, counted)
+    most, nobody = e.greatest(counted), e.constant(0, I32)
+    with e.loop(e.constant(WIDTH, I64, one=True)) as lane:  # all lists go on to the end of the longest one
+        many = each_of(number, I32, lane)
+        own = e.address(buffer, e.one(f"mul i64 {lane.name}, {_LIST}", I64), I32)
+        end = e.address(own, e.convert(many, I64), I32)
+        short = e.convert(e.one(f"sub i32 {most.name}, {many.name}", I32), I64)
+        e.store(end, e.constant(0, I64, one=True), nobody)
+        with e.inside(e.one(f"icmp sgt i64 {short.name}, {WIDTH}", BOOL)), e.loop(short, WIDTH) as k:
+            e.store(end, k, nobody)
+    return buffer, counted, over

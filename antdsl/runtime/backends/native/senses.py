@@ -253,6 +253,15 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     return tuple(parts)
 
 
+def _clip_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    """From the table of the species' clips, where the last place is that of unknown ones."""
+    e: Emitter = w.e
+    last = e.constant(len(w.code.species.clips), I32)
+    number = e.where((args[0] >= 0) & (args[0] < last), args[0], last)
+    found: Lanes = e.gather(w.base("clip", node.attrs[0]), number, F32)
+    return found
+
+
 NATIVE: Mapping[str, Lower] = {
     "snap": _register,
     "load": _register,
@@ -269,6 +278,7 @@ NATIVE: Mapping[str, Lower] = {
     "item.alive": _item_alive,
     "field.value": _field_value,
     "field.strongest": _field_strongest,
+    "clip.value": _clip_value,
 }
 
 

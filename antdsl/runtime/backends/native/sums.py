@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code.emitter import Emitter
-from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes
+from antdsl.machine_code.lanes import F32, F64, I32, I64, WIDTH, Lanes
 from antdsl.numerics import exact_sums
 from antdsl.plan import ir
 
@@ -81,49 +81,6 @@ class Sum:
 
     def _put(self, place: str, value: Lanes) -> None:
         self.e.put(place, value)
-
-    def terms(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> list[Lanes]:
-        """What `scatter` takes in: a term of each of eight pairs, which changes nothing where a condition does not hold."""
-        e = self.e
-        match self.node.op:
-            case "reduce.sum":
-                assert body is not None
-                return [self._rounded(e.where(mask, body, e.constant(0.0, F32)))]
-            case "reduce.count" | "reduce.any":
-                return [e.convert(mask, I32)]
-            case "reduce.min" | "reduce.max":
-                assert body is not None
-                return [e.where(mask & (body == body), body, e.constant(START[self.node.op][0][1], F32))]
-        assert body is not None and label is not None
-        good = mask & (body == body)
-        return [e.where(good, body, e.constant(np.inf, F32)), e.where(good, label, e.constant(NO_LABEL, I64))]
-
-    def scatter(self, lane: Lanes, terms: list[Lanes]) -> None:
-        """Take in a single term of a single pair, of one of the eight asking agents (i64)."""
-        e, kinds = self.e, [row[0] for row in START[self.node.op] if row is not None]
-        place = e.address(Lanes(e, PTR, self.a, one=True), lane, kinds[0]).name
-        before = e.get(place, kinds[0], one=True)
-        term = terms[0].name
-        match self.node.op:
-            case "reduce.count":
-                after = e.one(f"add i32 {before.name}, {term}", I32)
-            case "reduce.any":
-                after = e.one(f"or i32 {before.name}, {term}", I32)
-            case "reduce.min" | "reduce.max":
-                word = "olt" if self.node.op == "reduce.min" else "ogt"
-                better = e.one(f"fcmp {word} float {term}, {before.name}", BOOL)
-                after = e.one(f"select i1 {better.name}, float {term}, float {before.name}", F32)
-            case _:
-                other = e.address(Lanes(e, PTR, self.b, one=True), lane, I64).name
-                whose, label = e.get(other, I64, one=True), terms[1].name
-                less = e.one(f"fcmp olt float {term}, {before.name}", BOOL)
-                same = e.one(f"fcmp oeq float {term}, {before.name}", BOOL)
-                first = e.one(f"icmp slt i64 {label}, {whose.name}", BOOL)
-                first = e.one(f"and i1 {same.name}, {first.name}", BOOL)
-                better = e.one(f"or i1 {less.name}, {first.name}", BOOL)
-                after = e.one(f"select i1 {better.name}, float {term}, float {before.name}", F32)
-                e.put(other, e.one(f"select i1 {better.name}, i64 {label}, i64 {whose.name}", I64))
-        e.put(place, after)
 
     def _rounded(self, body: Lanes) -> Lanes:
         """A term as a multiple of the quantum, as `exact_sums.rounded` gives it."""
@@ -201,78 +158,3 @@ START: dict[str, tuple[tuple[str, Any], tuple[str, Any] | None]] = {
     "reduce.agent": ((F32, np.inf), (I64, NO_LABEL)),
     "reduce.item": ((F32, np.inf), (I64, NO_LABEL)),
 }
-
-
-class Sums:
-    """Running values of several reductions, of eight agents each. Four sums of an agent lie side by side and are added to at
-    once."""
-
-    def __init__(self, e: Emitter, nodes: list[ir.Node]) -> None:
-        self.e, self.all = e, [Sum(e, node, many=False) for node in nodes]
-        added = [k for k, node in enumerate(nodes) if node.op == "reduce.sum"]
-        self._fours = [added[k : k + 4] for k in range(0, len(added), 4)]
-        self._places = [e.slot(F64, count=4) for _ in self._fours]
-        for place in self._places:
-            for k in range(4):
-                e.put(e.field(place, 64 * k), e.constant(0.0, F64))
-        for each in self.all:
-            if each.node.op != "reduce.sum":
-                each.start()
-
-    def scatter(self, lane: Lanes, terms: list[list[Lanes]]) -> None:
-        """Add eight terms of each reduction to the values of the agents that they belong to, lanes i32."""
-        e = self.e
-        lanes = e.slot(I32)
-        e.put(lanes, lane)
-        fours = [self._turned([terms[k][0] for k in some]) for some in self._fours]
-        stored = []
-        for sum_, some in zip(self.all, terms, strict=True):
-            slots = [e.slot(each.kind) for each in some] if sum_.node.op != "reduce.sum" else []
-            for slot, each in zip(slots, some, strict=False):
-                e.put(slot, each)
-            stored.append([(slot, each.kind) for slot, each in zip(slots, some, strict=False)])
-        for k in range(WIDTH):
-            at = e.get(e.one(f"getelementptr i32, ptr {lanes}, i64 {k}", PTR).name, I32, one=True)
-            whose = e.one(f"zext i32 {at.name} to i64", I64)
-            for place, turned in zip(self._places, fours, strict=True):
-                mine = e.one(f"getelementptr <4 x double>, ptr {place}, i64 {whose.name}", PTR).name
-                before = e.one(f"load <4 x double>, ptr {mine}", F64).name
-                after = e.one(f"fadd <4 x double> {before}, {turned[k]}", F64).name
-                e.do(f"store <4 x double> {after}, ptr {mine}")
-            for sum_, slots_ in zip(self.all, stored, strict=True):
-                if slots_:
-                    single = [
-                        e.get(e.one(f"getelementptr {kind}, ptr {slot}, i64 {k}", PTR).name, kind, one=True)
-                        for slot, kind in slots_
-                    ]
-                    sum_.scatter(whose, single)
-
-    def _turned(self, terms: list[Lanes]) -> list[str]:
-        """Of up to four times eight terms eight times four."""
-        e, found = self.e, []
-        four = [*(each.name for each in terms), *(e.constant(0.0, F64).name for _ in range(4 - len(terms)))]
-
-        def shuffled(a: str, b: str, of: str, order: list[int]) -> str:
-            text = ", ".join(f"i32 {k}" for k in order)
-            return e.op(f"shufflevector {of} {a}, {of} {b}, <{len(order)} x i32> <{text}>", F64).name
-
-        eight = f"<{WIDTH} x double>"
-        for k in range(WIDTH):
-            low = shuffled(four[0], four[1], eight, [k, k + WIDTH])
-            high = shuffled(four[2], four[3], eight, [k, k + WIDTH])
-            found.append(shuffled(low, high, "<2 x double>", [0, 1, 2, 3]))
-        return found
-
-    def results(self) -> list[Lanes]:
-        """The reductions of the eight agents."""
-        e = self.e
-        found = {}
-        for some, place in zip(self._fours, self._places, strict=True):
-            rows = [e.one(f"load <4 x double>, ptr {e.field(place, 32 * k)}", F64).name for k in range(WIDTH)]
-            for part, number in enumerate(some):
-                value = "poison"
-                for lane, row in enumerate(rows):
-                    single = e.one(f"extractelement <4 x double> {row}, i64 {part}", F64).name
-                    value = e.op(f"insertelement <{WIDTH} x double> {value}, double {single}, i64 {lane}", F64).name
-                found[number] = e.convert(Lanes(e, F64, value), F32)
-        return [found[k] if k in found else each.result() for k, each in enumerate(self.all)]
