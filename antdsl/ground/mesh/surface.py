@@ -246,9 +246,8 @@ class MeshGround:
         place, above, ahead, direction = np.empty((4, 3, n))
         gone, blocked = np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
-        around = Around(self._table, self._boxes, parts, self._scale, body, self._fast.packed)
         results = (*to, place, above, ahead, direction, gone, blocked)
-        done = self._fast.step(around, parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads, straight)
+        done = self._fast.step(parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads, straight)
         result = Move(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
         left = np.flatnonzero(~done)
         if left.size:
