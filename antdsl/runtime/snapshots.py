@@ -34,6 +34,7 @@ def snapshot(world: World) -> World:
 def _population(population: Population) -> Population:
     population.in_id_order()  # found once, for the world and for all that look at it
     found = copy(population)
+    found.rooms = {}
     found.ids, found.born, found.quarantined = population.ids.copy(), population.born.copy(), population.quarantined.copy()
     found.position, found.normal = population.position.copy(), population.normal.copy()
     # What is no value of one step only and has one array for its start and now never changes.

@@ -52,9 +52,9 @@ def crossed(table, link, sides, cuts, touch, f, place, up, way, side, length):  
         near = 0.0
         if back:
             near = max(soonest - OFF * touch / max(abs(towards), 1 / LEANING), 0.0)
-        b1, b2 = _weights(table, WIDTH * f, plus(place, times(way, near)))
+        b1, b2 = _landing(table, WIDTH * f, plus(place, times(way, near)))
         return f, b1, b2, (-1.0 if -dot(at(table, WIDTH * f + NORMAL), up) > 0 else 1.0), near, True
-    b1, b2 = _weights(table, row, plus(there, off))
+    b1, b2 = _landing(table, row, plus(there, off))
     return face, b1, b2, (-1.0 if towards > 0 else 1.0), gone, False
 
 
@@ -69,6 +69,13 @@ def _weights(table, row, place):  # type: ignore[no-untyped-def]
     """As `crossings.weights`."""
     c, s = _in_frame(table, row, place)
     return inside(c * table[row + RATE1] - s * table[row + SHEAR] + 0.0, s * table[row + RATE2] + 0.0)
+
+
+@inlined
+def _landing(table, row, place):  # type: ignore[no-untyped-def]
+    """The same as `Around._landing` gives them, which may move them by another rounding."""
+    b1, b2 = _weights(table, row, place)
+    return inside(b1 + 0.0, b2 + 0.0)
 
 
 @inlined

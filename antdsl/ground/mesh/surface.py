@@ -166,13 +166,13 @@ class MeshGround:
         known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
-    def near_rises(self, footing: Footing, place: Floats, reach: Floats) -> NDArray[np.bool_]:
-        """Whether for agents at places [n,3] a surface may rise within `reach` [n] mm: at an inner crease, or another piece, or a
-        mesh that moves. Never false where one does, and the same for an agent whoever else is asked for."""
+    def rising(self, footing: Footing, place: Floats, reach: Floats) -> Index:
+        """The rows, ascending, of agents at places [n,3] for whom a surface may rise within `reach` [n] mm, if that is over 0: at
+        an inner crease, another piece, or a mesh that moves. All for whom one does, and the same whoever else is asked for."""
         if self._rises is None:
             self._rises = RiseMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
-        face, known = self.on_faces(footing)
-        return self._rises.near(face, known, place, reach, [(low, high) for _, low, high in self.boxes()])
+        moving = [(low, high) for _, low, high in self.boxes()]
+        return self._rises.rising(footing.mesh, footing.face, self._first, place, reach, moving)
 
     def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
         """Meshes that move, where they are now: which faces are theirs, lowest and highest corner."""
