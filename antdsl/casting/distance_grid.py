@@ -54,7 +54,8 @@ class DistanceGrid:
             from antdsl.casting.distance_grid_compiled import at_least
 
             found = np.empty(len(x), np.float32)
-            if at_least(*compiled.plain(x, y, z), self._low, self._high, self._size, self._width, self._least, found):
+            cells = (self._low, self._high, self._size, self._width)
+            if at_least(compiled.plain(x, y, z), cells, self._least, found):
                 return found
         flat: NDArray[np.int64] | int = 0
         outside: NDArray[Any] | float = 0.0

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, kernel
+
+Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin and end, how many along each axis, and how wide
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def at_least(x, y, z, low, high, size, width, least, found):  # type: ignore[no-untyped-def]
+@kernel
+def at_least(places: Columns, cells: Cells, least: Array1[F32], found: Array1[F32]) -> BOOL:
     """Writes the distances; False where a place is no place."""
+    low, high, size, width = cells
     part = 1.0 / width
-    for n in range(x.size):
+    for n in range(found.size):
         flat, outside = 0, 0.0
         for axis in range(3):
-            place = np.float64(x[n] if axis == 0 else y[n] if axis == 1 else z[n])
+            place = np.float64(places[axis][n])
             if not abs(place) < np.inf:
                 return False
             inside = min(max(place, low[axis]), high[axis])

@@ -75,7 +75,7 @@ class GrowingCells(SurfaceCells):
         """Make some rows of a table of the nearest anew, compiled."""
         from antdsl.fields.growing_compiled import nearest
 
-        nearest(self._direct, self._voxels, self._keys, self._size, self.position, cells, k, len(self), table)
+        nearest(self._direct, (self._voxels, self._keys), self._size, self.position, cells, k, len(self), table)
 
     def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
         if self._direct is None or not compiled.wanted(len(points)):

@@ -5,27 +5,18 @@ The same bits as `pheromone.PheromoneField.strongest` gives with NumPy. Imported
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def strongest(
-    own: NDArray[np.int32],
-    block: NDArray[np.int32],
-    held: NDArray[np.float64],
-    best: NDArray[np.int64],
-    value: NDArray[np.float64],
-) -> None:
+@kernel
+def strongest(own: Array1[I32], block: Array2[I32], held: Array1[F64], best: Array1[I64], value: Array1[F64]) -> None:
     """For own cells [n] (-1: none), the first of the cells in their row of `block` [cells, k] that hold most, and how much.
 
     `held` [cells + 1] has 0 for no cell; where nothing is held, `best` is the own cell and `value` 0.
     """
-    none = np.int64(held.size - 1)
+    none = held.size - 1
     for n in range(own.size):
-        cell = np.int64(own[n])
+        cell = own[n]
         where, most = cell, 0.0
         if cell < 0:
             where = none
@@ -33,5 +24,5 @@ def strongest(
             for k in range(block.shape[1]):
                 at = block[cell, k]
                 if held[at] > most:
-                    where, most = np.int64(at), held[at]
+                    where, most = at, held[at]
         best[n], value[n] = where, most

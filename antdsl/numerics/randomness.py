@@ -91,6 +91,5 @@ def word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArra
 
 def _drawn(loop: Kernel, found: NDArray[Any], shared: Counters, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
     """Draws by a compiled loop."""
-    numbers = (np.uint64(number) for number in (*shared[0], *shared[1]))
-    loop(*compiled.plain(ids.astype(np.int64, copy=False)), *numbers, index & 3, found)
+    loop(*compiled.plain(ids.astype(np.int64, copy=False)), (*shared[0], *shared[1]), index & 3, found)
     return found

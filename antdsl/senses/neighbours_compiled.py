@@ -11,34 +11,42 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, called, inlined, kernel
 
 Floats = NDArray[np.float32]
+Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
+# Places x, y, z, rows, ids and keys of the agents sorted by cell, the table of starts; then low, width and size of the cells
+Grid = tuple[
+    Columns, Array1[I64], Array1[I64], Array1[I64], Array1[I32], tuple[F64, F64, F64], tuple[F64, F64, F64], tuple[I64, I64, I64]
+]
+# Places x, y, z and along the fast, middle and slow axis, ids, radius, heading and the cosine of the field of view
+Query = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
+Found = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 _SLACK = 1.0 + 1e-6  # as in `neighbours`
 _INWARD = 1.0 - 1e-6
 _BEYOND = np.float32(1.0 + 1e-5)  # a squared distance over this many squared radii has a root over the radius
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _lower(q: float, low: float, width: float, size: int) -> int:
     """Cell of the lower end of a span, at least 0 and at most `size`."""
     return math.floor(min(max((q - low) / width, 0.0), float(size)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _upper(q: float, low: float, width: float, size: int) -> int:
     """Cell of the upper end of a span, at least -1 and below `size`."""
     return math.floor(min(max((q - low) / width, -1.0), size - 1.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _off(q: float, cell: int, low: float, width: float) -> float:
     """Least distance along an axis from q to a cell, rounded down."""
     edge = low + cell * width
     return max(max(edge - q, q - (edge + width)), 0.0) * _INWARD
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _before(starts: NDArray[np.int32], keys: NDArray[np.int64], key: int) -> int:
     """How many sorted agents lie in cells before `key`; by bisection where there is no table."""
     if starts.size:
@@ -53,7 +61,7 @@ def _before(starts: NDArray[np.int32], keys: NDArray[np.int64], key: int) -> int
     return a
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _spans(
     a: float,
     b: float,
@@ -99,26 +107,17 @@ def _spans(
     return number, total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _fill(
-    grid: tuple[Any, ...],
-    query: tuple[Any, ...],
-    most: int,
-    spans: NDArray[np.int64],
-    near: NDArray[np.intp],
-    pairs: tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats, Floats, Floats],
-    k: int,
-    used: int,
-) -> tuple[int, int, int, int]:
+    grid: Grid, query: Query, most: I64, spans: Array1[I64], near: Array1[I64], pairs: Found, k: I64, used: I64
+) -> tuple[I64, I64, I64, I64]:
     """Go on with query k, with so many pairs found before it, until an array is too short.
 
     Gives the query come to, the pairs found, and how long `spans` and `near` must be to go on (-1: a query has more than `most`).
     """
-    sx, sy, sz, rows, names, keys, starts, axes, low, width, size = grid
-    qx, qy, qz, who, radius, hx, hy, hz, cosine = query
+    (sx, sy, sz), rows, names, keys, starts, low, width, size = grid
+    (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
     i, j, dx, dy, dz, distance = pairs
-    along = (qx, qy, qz)
-    fast, middle, slow = along[axes[0]], along[axes[1]], along[axes[2]]
     own, limited = who.size > 0, cosine.size > 0
     while k < qx.size:
         reach, x, y, z = radius[k], qx[k], qy[k], qz[k]
@@ -177,17 +176,21 @@ def find(grid: tuple[Any, ...], query: tuple[Any, ...], most: int) -> tuple[NDAr
     radius; heading x, y, z and cosine, empty where all round is asked about: else these give each query's field of view, and
     only pairs within it count.
     """
-    m = query[0].size
-    spans, near = np.empty(64, np.int64), np.empty(1024, np.intp)
-    kinds = (np.intp, np.intp, np.float32, np.float32, np.float32, np.float32)
+    x, y, z, rows, names, keys, starts, axes, low, width, size = grid
+    places, (who, radius, hx, hy, hz, cosine) = query[:3], query[3:]
+    ordered = ((x, y, z), rows, names, keys, starts, low, width, size)
+    asking = (places, tuple(places[axis] for axis in axes), who, radius, (hx, hy, hz), cosine)
+    m = radius.size
+    spans, near = np.empty(64, np.int64), np.empty(1024, np.int64)
+    kinds = (np.int64, np.int64, np.float32, np.float32, np.float32, np.float32)
     pairs = tuple(np.empty(max(8 * m, 1024), kind) for kind in kinds)
-    k, used, along, wide = _fill(grid, query, most, spans, near, pairs, 0, 0)
+    k, used, along, wide = _fill(ordered, asking, most, spans, near, pairs, 0, 0)
     while k < m:
         if wide < 0:
             return None
         if along > spans.size or wide > near.size:
-            spans, near = np.empty(2 * along, np.int64), np.empty(2 * wide, np.intp)
+            spans, near = np.empty(2 * along, np.int64), np.empty(2 * wide, np.int64)
         else:
             pairs = tuple(np.concatenate([a[:used], np.empty(a.size + near.size, a.dtype)]) for a in pairs)
-        k, used, along, wide = _fill(grid, query, most, spans, near, pairs, k, used)
+        k, used, along, wide = _fill(ordered, asking, most, spans, near, pairs, k, used)
     return tuple(a[:used] for a in pairs)

@@ -33,7 +33,6 @@ LIBRARIES = frozenset(["scipy", "skimage", "trimesh"])
 # Where one of these is used all the same, and why no state differs by it.
 ALLOWED = {
     "runtime/moving/advance.py": {"cos": "only tells who surely turns by less; the rest is done with our own"},
-    "runtime/moving/advance_compiled.py": {"cos": "the same"},
     "senses/overlaps.py": {"scipy": "a measure beside the state"},
     "runtime/binding/spacing.py": {"scipy": "a tree that says which places to measure"},
     "ground/mesh/creases.py": {"scipy": "trees of places and filters of whole numbers, compiled for all x86-64 processors alike"},

@@ -28,7 +28,7 @@ from antdsl.ground.mesh.face_table import (
 from antdsl.ground.mesh.surroundings import LIFT
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walk import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, independent, inlined, kernel
 from antdsl.numerics.vectors_compiled import inside as _inside
 
 # `packed` faces, `link` and `forked` of the topology, the first face of each mesh.
@@ -42,7 +42,6 @@ Moved = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array1[F64]]
 # What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, REALS = range(12)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, EVENT, EDGE, WHOLES = range(9)
-_FETCHED = 16  # agents whose rows are fetched at once
 AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the border; over one already
 
 
@@ -76,11 +75,10 @@ def walk_all(
     wish, heading, up = vectors
     to_mesh, to_face, to_b1, to_b2, to_over = placed
     place, above, ahead, direction, gone = moved
-    waiting = 0
-    for i in range(begin, end):
-        if (i - begin) % _FETCHED == 0:
-            gone[i] = _touch(table, mesh, face, first, i, min(i + _FETCHED, end))
+    for i in independent(begin, end):
+        slot = i - begin
         done[i] = False
+        wholes[EVENT, slot] = 0
         if mesh[i] < 0 or face[i] < 0:
             continue
         f = first[mesh[i]] + face[i]
@@ -107,10 +105,9 @@ def walk_all(
         if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
             continue
         if event:
-            wholes[AGENT, waiting], wholes[SPENT, waiting], wholes[BLOCKED, waiting] = i, 0, 0
-            wholes[NEAR, waiting] = high > 0
-            _keep(reals, wholes, waiting, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length)
-            waiting += 1
+            wholes[AGENT, slot], wholes[SPENT, slot], wholes[BLOCKED, slot] = i, 0, 0
+            wholes[NEAR, slot] = high > 0
+            _keep(reals, wholes, slot, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length)
             continue
         done[i] = True
         row = WIDTH * f
@@ -118,6 +115,14 @@ def walk_all(
         to_mesh[i], to_face[i] = on, f - first[on]
         to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
         _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
+    waiting = 0
+    for k in range(0, end - begin):
+        if wholes[EVENT, k] != 0:
+            for row in range(0, REALS):
+                reals[row, waiting] = reals[row, k]
+            for row in range(0, WHOLES):
+                wholes[row, waiting] = wholes[row, k]
+            waiting += 1
     return waiting
 
 
@@ -293,18 +298,6 @@ def _hung(table, link, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _touch(table, mesh, face, first, start, stop):  # type: ignore[no-untyped-def]
-    """Reads what the next agents will need of the table. These reads wait for memory all at once, and not one after another."""
-    total = 0.0
-    for i in range(start, stop):
-        if mesh[i] >= 0 and face[i] >= 0:
-            row = WIDTH * (first[mesh[i]] + face[i])
-            for k in range(0, WIDTH, 8):
-                total += table[row + k]
-    return total
-
-
-@inlined
 def _laid_down(table, row, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
     c = table[row + AXIS1] * x + table[row + AXIS1 + 1] * y + table[row + AXIS1 + 2] * z
     s = table[row + AXIS2] * x + table[row + AXIS2 + 1] * y + table[row + AXIS2 + 2] * z
@@ -333,9 +326,10 @@ def _walk(  # type: ignore[no-untyped-def]
     `looked`."""
     event, edge, length = 0, 0, 0.0
     while turn < CROSSINGS and left > 0:
-        if turn >= STUCK and turn % STUCK == 0 and not looked:
-            b1 = b1 * (1 - GRAIN) + GRAIN / 3
-            b2 = b2 * (1 - GRAIN) + GRAIN / 3
+        if turn >= STUCK:  # noqa: SIM102  # asked first: hardly anybody comes to it, and the rest of a division is dear
+            if turn % STUCK == 0 and not looked:
+                b1 = b1 * (1 - GRAIN) + GRAIN / 3
+                b2 = b2 * (1 - GRAIN) + GRAIN / 3
         row = WIDTH * f
         rate1 = c * table[row + RATE1] - s * table[row + SHEAR]
         rate2 = s * table[row + RATE2]

@@ -120,10 +120,8 @@ def _compiled_pairs(bricks: Bricks, centres: Floats, radii: Floats, rows: Index,
 
     room = int(((2 * steps + 2) ** 3).sum())
     nodes, values, balls = np.empty(room, np.int64), np.empty(room, np.float32), np.empty(room, np.int64)
-    count = reached(
-        bricks.table, bricks.values, bricks.origin, bricks.voxel, np.array(bricks.shape), bricks.least, np.float32(bricks.most),
-        centres, radii, rows, steps, nodes, values, balls,
-    )  # fmt: skip
+    tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.least, bricks.most)
+    count = reached(tables, (centres, radii), rows, steps, (nodes, values, balls))
     return nodes[:count], values[:count], balls[:count]
 
 
@@ -187,11 +185,9 @@ def _compiled_write(bricks: Bricks, at: Index, reached: Reached, count: int) -> 
 
     before = bricks.values.take(at)
     lost = np.zeros(count, np.int64)
-    bricks.mark += int(
-        write(
-            bricks.values, at, reached.nodes, reached.values, reached.values.view(np.uint32), before, before.view(np.uint32),
-            reached.balls, np.float32(1.0 / bricks.voxel), lost,
-        )
-    )  # fmt: skip
+    best = np.full(1 << (2 * at.size - 1).bit_length(), -1, np.int32)
+    bits = (reached.values.view(np.uint32), before.view(np.uint32))
+    found = (reached.nodes, reached.values, reached.balls)
+    bricks.mark += write(bricks.values, at, found, before, bits, 1.0 / bricks.voxel, best, lost)
     bricks.mark &= WHOLE
     return lost

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from antdsl.ground.solid.bricks import STEPS
-from antdsl.numerics.kernel_cache import njit
+from antdsl.machine_code.kernels import F32, F64, I32, I64, U32, U64, Array1, Array2, inlined, kernel
 
-Array = NDArray[Any]
+# Table, values, origin, voxel, shape, and the least and the greatest distance of the bricks
+Bricks = tuple[Array1[I32], Array1[F32], Array1[F64], F64, tuple[I64, I64, I64], F64, F32]
+Balls = tuple[Array2[F64], Array1[F64]]  # centres and radii
+Reached = tuple[Array1[I64], Array1[F32], Array1[I64]]  # nodes, new distances, and the balls that they are of
 
 _M1, _M2, _M3 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _SCATTER = np.uint64(0x9E3779B97F4A7C15)
 _FULL = np.float32(STEPS)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def reached(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    table, values, origin, voxel, shape, least, most, centres, radii, rows, steps, nodes, news, balls
-):  # fmt: skip
-    """Fill `nodes`, `news` and `balls` with what each of the balls `rows` changes within `steps` voxels; gives how many."""
+@kernel
+def reached(bricks: Bricks, all_balls: Balls, rows: Array1[I64], steps: Array1[I64], found: Reached) -> I64:
+    """Fill `found` with what each of the balls `rows` changes within `steps` voxels; gives how much."""
+    table, values, origin, voxel, shape, least, most = bricks
+    centres, radii = all_balls
+    nodes, news, balls = found
     count = 0
     for row in range(rows.size):
         ball = rows[row]
@@ -51,7 +52,7 @@ def reached(  # type: ignore[no-untyped-def]  # numba takes the types from the c
                     value = min(np.float32(radius - np.sqrt(away)), most)
                     brick = line + (k >> 4)
                     place = local + (k & 15)
-                    if value > values[(np.int64(table[brick]) << 12) + place]:
+                    if value > values[(table[brick] << 12) + place]:
                         nodes[count] = (brick << 12) + place
                         news[count] = value
                         balls[count] = ball
@@ -59,13 +60,22 @@ def reached(  # type: ignore[no-untyped-def]  # numba takes the types from the c
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def write(values, at, nodes, news, news_bits, before, before_bits, balls, scale, lost):  # type: ignore[no-untyped-def]
-    """Put the greatest new value in each place, count what balls took in `lost`, and give the change of the bricks' mark."""
-    room = 1
-    while room < 2 * at.size:
-        room *= 2
-    best = np.full(room, -1, np.int32)
+@kernel
+def write(
+    values: Array1[F32],
+    at: Array1[I64],
+    found: Reached,
+    before: Array1[F32],
+    bits: tuple[Array1[U32], Array1[U32]],
+    scale: F32,
+    best: Array1[I32],
+    lost: Array1[I64],
+) -> U64:
+    """Put the greatest new value in each place `at`, count what balls took in `lost`, and give the change of the bricks' mark.
+    `bits`: of the new distances and those `before`; `best`: a table of places, -1 all over, of a power of two of rows."""
+    nodes, news, balls = found
+    news_bits, before_bits = bits
+    room = best.size
     for row in range(at.size):
         slot = np.int64((np.uint64(at[row]) * _SCATTER) >> np.uint64(32)) & (room - 1)
         while best[slot] >= 0 and at[best[slot]] != at[row]:
@@ -83,14 +93,14 @@ def write(values, at, nodes, news, news_bits, before, before_bits, balls, scale,
     return mark
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _filled(distance, scale):  # type: ignore[no-untyped-def]
     part = np.float32(0.5) - distance * scale
     part = min(max(part, np.float32(0)), np.float32(1))
     return np.int64(np.rint(part * _FULL))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _mixed(node, bits):  # type: ignore[no-untyped-def]
     x = (np.uint64(node) << np.uint64(32)) ^ np.uint64(bits)
     x *= _M1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +59,7 @@ def _compiled_distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Float
     from antdsl.ground.solid import trilinear_compiled
 
     found = np.empty(np.size(x))
-    trilinear_compiled.distance(
-        bricks.table, bricks.values, bricks.origin, 1.0 / bricks.voxel, bricks.shape, *_whole(x, y, z), found
-    )
+    trilinear_compiled.distance(_tables(bricks), _whole(x, y, z), found)
     return found
 
 
@@ -68,10 +67,12 @@ def _compiled_field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Fl
     from antdsl.ground.solid import trilinear_compiled
 
     d, gx, gy, gz = (np.empty(np.size(x)) for _ in range(4))
-    trilinear_compiled.field(
-        bricks.table, bricks.values, bricks.origin, 1.0 / bricks.voxel, bricks.shape, *_whole(x, y, z), d, gx, gy, gz
-    )
+    trilinear_compiled.field(_tables(bricks), _whole(x, y, z), d, (gx, gy, gz))
     return d, gx, gy, gz
+
+
+def _tables(bricks: Bricks) -> tuple[Any, ...]:
+    return bricks.table, bricks.values, bricks.origin, 1.0 / bricks.voxel, bricks.shape
 
 
 def _whole(*columns: Floats) -> list[Floats]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Floats, Footing, Index, Move
 from antdsl.ground.solid.bricks import Bricks
-from antdsl.ground.solid.projecting import CLOSE, FLAT, SETTLING, settle
+from antdsl.ground.solid.projecting import CLOSE, settle
 from antdsl.ground.solid.trilinear import LEAN, distance, field, smooth
 from antdsl.ground.solid.volume import Volume
 from antdsl.numerics import compiled
@@ -30,7 +30,6 @@ DONE = 1e-6  # voxels of way left that are none
 CROSSINGS = 400  # steps of one move
 STANCE = 0.4  # of a body: how far around its place the normal that it stands by looks, each way
 THIN = 0.1  # length of that gradient below which it says nothing: the normal of the place itself is taken
-RULES = (STRIDE, LEAST, NEWTON, BISECTIONS, OFF, FARTHER, EDGE, BACK, DONE, CROSSINGS, SETTLING, FLAT, LEAN, THIN)
 
 
 @dataclass(slots=True)
@@ -119,10 +118,8 @@ def _moved_compiled(bricks: Bricks, columns: list[Floats], close: Floats, lean: 
 
     vectors, gone = np.empty((4, 3, close.size)), np.empty(close.size)
     blocked, lost = np.empty(close.size, bool), np.empty(close.size, bool)
-    walk_all(
-        bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, RULES,
-        *columns, np.ascontiguousarray(close), np.ascontiguousarray(lean), *vectors, gone, blocked, lost,
-    )  # fmt: skip
+    grid = (bricks.table, bricks.values, *bricks.origin, bricks.voxel, *bricks.shape)
+    walk_all(grid, *columns, np.ascontiguousarray(close), np.ascontiguousarray(lean), vectors, gone, blocked, lost)
     place, stood, head, way = (v.T for v in vectors)
     return Move(Footing.on_solids(number, place), place, stood, head, way, gone, blocked, lost)
 

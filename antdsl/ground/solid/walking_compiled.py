@@ -4,19 +4,36 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.numerics.kernel_cache import njit
+from antdsl.ground.solid.projecting import FLAT, SETTLING
+from antdsl.ground.solid.trilinear import LEAN
+from antdsl.ground.solid.walking import BACK, BISECTIONS, CROSSINGS, DONE, EDGE, FARTHER, LEAST, NEWTON, OFF, STRIDE, THIN
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, called, inlined, kernel
+from antdsl.numerics.vectors_compiled import cross, dot
+
+Bricks = tuple[Array1[I32], Array1[F32], F64, F64, F64, F64, I64, I64, I64]  # table, values, origin, voxel and shape
+Vectors = Array2[F64]
 
 _AHEAD = 16  # agents whose cells are fetched from memory at once
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    table, values, origin, voxel, shape, rules, points, steps, heading, up, close, lean,
-    place, above, ahead, direction, gone, blocked, lost,
-):  # fmt: skip
-    """Move all agents. The bricks come first, and `RULES` of `walking`; then (3, n) where agents stand, their steps, headings
-    and up, how near to stay and how far around their normals look; then where results go."""
-    grid = (origin[0], origin[1], origin[2], voxel, shape[0], shape[1], shape[2])
+@kernel
+def walk_all(
+    bricks: Bricks,
+    points: Vectors,
+    steps: Vectors,
+    heading: Vectors,
+    up: Vectors,
+    close: Array1[F64],
+    lean: Array1[F64],
+    found: Array3[F64],
+    gone: Array1[F64],
+    blocked: Array1[BOOL],
+    lost: Array1[BOOL],
+) -> None:
+    """Move all agents. (3, n) where they stand, their steps, headings and up, how near to stay and how far around their normals
+    look; then where results go: place, up, heading and direction (4, 3, n), how far, and whether blocked or lost."""
+    table, values = bricks[:2]
+    grid = bricks[2:]
     for i in range(gone.size):
         if i % _AHEAD == 0:
             gone[i] = _touch(table, values, grid, points, i, min(i + _AHEAD, gone.size))
@@ -26,21 +43,18 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
         wish = (steps[0, i], steps[1, i], steps[2, i])
         if not np.isfinite(wish[0] + wish[1] + wish[2]):
             wish = (0.0, 0.0, 0.0)
-        normal = _unit(_smooth(table, values, grid, rules[12], start), before)
+        normal = _unit(_smooth(table, values, grid, LEAN, start), before)
         wish = _turned(wish, before, normal, head)
-        p, n, way, gone[i], blocked[i], lost[i] = _walk(table, values, grid, rules, start, normal, wish, close[i])
+        p, n, way, gone[i], blocked[i], lost[i] = _walk(table, values, grid, start, normal, wish, close[i])
         slope = _smooth(table, values, grid, lean[i], p)
-        stood = _unit(slope, n) if _dot(slope, slope) > rules[13] * rules[13] else n
+        stood = _unit(slope, n) if dot(slope, slope) > THIN * THIN else n
         head, _ = _laid(_turned(head, before, stood, head), stood)
         way, _ = _laid(_turned(way, n, stood, way), stood)
         for k in range(3):
-            place[k, i] = p[k]
-            above[k, i] = stood[k]
-            ahead[k, i] = head[k]
-            direction[k, i] = way[k]
+            found[0, k, i], found[1, k, i], found[2, k, i], found[3, k, i] = p[k], stood[k], head[k], way[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _touch(table, values, grid, points, first, last):  # type: ignore[no-untyped-def]
     """Read around the places of some agents, one read not waiting for the other; the sum says nothing."""
     total = 0.0
@@ -50,41 +64,40 @@ def _touch(table, values, grid, points, first, last):  # type: ignore[no-untyped
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _walk(table, values, grid, rules, p, n, wish, close):  # type: ignore[no-untyped-def]
+@called
+def _walk(table, values, grid, p, n, wish, close):  # type: ignore[no-untyped-def]
     """All steps of one agent: its place, normal and way, how far it went, and whether it is blocked or lost."""
     voxel = grid[3]
-    longest, least, _, _, off, farther, edge, back, done, most, _, _, _, _ = rules
     way, flat = _laid(wish, n)
-    left = min(np.sqrt(_dot(wish, wish)), 2 * flat)
-    stride, walked = longest, 0.0
+    left = min(np.sqrt(dot(wish, wish)), 2 * flat)
+    stride, walked = STRIDE, 0.0
     settled, blocked = False, False
     if not left > 0:
-        found, p, after = _settle(table, values, grid, rules, p, n, close)
+        found, p, after = _settle(table, values, grid, p, n, close)
         if not found:
             return p, n, way, walked, False, True
         way = _turn(way, n, after)
         return p, after, way, walked, False, False
-    for _ in range(most):
+    for _ in range(CROSSINGS):
         if not left > 0:
             break
         length = min(left, stride * voxel)
-        q, g, d = _onto(table, values, grid, rules, p, n, way, length, close)
+        q, g, d = _onto(table, values, grid, p, n, way, length, close)
         after = _unit(g, n)
         middle = _distance(table, values, grid, ((p[0] + q[0]) * 0.5, (p[1] + q[1]) * 0.5, (p[2] + q[2]) * 0.5))
         went = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
-        far = farther * length
-        good = _dot(went, went) <= far * far and abs(d) <= close and abs(middle) <= off * voxel
-        if good and (length <= edge * voxel or _dot(after, n) > back):
+        far = FARTHER * length
+        good = dot(went, went) <= far * far and abs(d) <= close and abs(middle) <= OFF * voxel
+        if good and (length <= EDGE * voxel or dot(after, n) > BACK):
             way = _turn(way, n, after)
             p, n = q, after
             rest = left - length
-            left = rest if rest > done * voxel else 0.0
+            left = rest if rest > DONE * voxel else 0.0
             walked += length
-            stride = min(stride * 2, longest)
+            stride = min(stride * 2, STRIDE)
             settled, blocked = True, False
         elif not settled:
-            found, p, after = _settle(table, values, grid, rules, p, n, close)
+            found, p, after = _settle(table, values, grid, p, n, close)
             if not found:
                 return p, n, way, walked, blocked, True
             way = _turn(way, n, after)
@@ -92,31 +105,30 @@ def _walk(table, values, grid, rules, p, n, wish, close):  # type: ignore[no-unt
             settled = True
         else:
             stride = length * (0.5 / voxel)
-            if stride < least:
+            if stride < LEAST:
                 if blocked:
                     break
-                beyond = 2 * least * voxel
+                beyond = 2 * LEAST * voxel
                 _, g = _field(table, values, grid, (p[0] + way[0] * beyond, p[1] + way[1] * beyond, p[2] + way[2] * beyond))
                 after = _unit(g, n)
                 way = _turn(way, n, after)
                 n = after
-                stride, blocked = edge, True
+                stride, blocked = EDGE, True
     return p, n, way, walked, blocked, False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _onto(table, values, grid, rules, p, n, way, length, close):  # type: ignore[no-untyped-def]
+@called
+def _onto(table, values, grid, p, n, way, length, close):  # type: ignore[no-untyped-def]
     voxel = grid[3]
-    _, _, newton, bisections, _, _, _, _, _, _, _, _, _, _ = rules
     far = (p[0] + way[0] * length, p[1] + way[1] * length, p[2] + way[2] * length)
     q = far
     d, g = _field(table, values, grid, q)
     beyond = d > 0
     limit = 0.5 * voxel
-    for _ in range(newton):
+    for _ in range(NEWTON):
         if not abs(d) > close:
             return q, g, d
-        square = max(_dot(g, g), 1e-4)
+        square = max(dot(g, g), 1e-4)
         step = -d / square
         size = abs(step) * np.sqrt(square)
         if size > limit:
@@ -128,7 +140,7 @@ def _onto(table, values, grid, rules, p, n, way, length, close):  # type: ignore
         depth = (-part if beyond else part) * length
         near = (p[0] + depth * n[0], p[1] + depth * n[1], p[2] + depth * n[2])
         if (_distance(table, values, grid, near) > 0) != beyond:
-            for _ in range(bisections):
+            for _ in range(BISECTIONS):
                 q = ((near[0] + far[0]) * 0.5, (near[1] + far[1]) * 0.5, (near[2] + far[2]) * 0.5)
                 d, g = _field(table, values, grid, q)
                 if not abs(d) > close:
@@ -142,22 +154,22 @@ def _onto(table, values, grid, rules, p, n, way, length, close):  # type: ignore
     return q, g, d
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _settle(table, values, grid, rules, p, hint, close):  # type: ignore[no-untyped-def]
+@called
+def _settle(table, values, grid, p, hint, close):  # type: ignore[no-untyped-def]
     """As `projecting.settle`: whether the surface was found, the place and the normal; those given where not."""
     voxel = grid[3]
     q = p
     if not np.isfinite(p[0] + p[1] + p[2]):
         return False, p, hint
-    for turn in range(rules[10]):
+    for turn in range(SETTLING):
         d, g = _field(table, values, grid, q)
-        square = _dot(g, g)
+        square = dot(g, g)
         if abs(d) <= close:
             if square > 0:
                 size = np.sqrt(square)
                 return True, q, (g[0] / size, g[1] / size, g[2] / size)
             return True, q, hint
-        flat = square < rules[11] or turn % 3 == 2
+        flat = square < FLAT or turn % 3 == 2
         step = -d if flat else -d / square
         length = abs(step) * np.sqrt(square)
         if not (flat or length <= voxel):
@@ -167,22 +179,22 @@ def _settle(table, values, grid, rules, p, hint, close):  # type: ignore[no-unty
     return False, p, hint
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _turn(way, before, after):  # type: ignore[no-untyped-def]
     way, _ = _laid(_turned(way, before, after, way), after)
     return way
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _turned(v, before, after, way):  # type: ignore[no-untyped-def]
-    cosine = _dot(before, after)
+    cosine = dot(before, after)
     if cosine < -1 + 1e-9:
-        hinge = _cross(before, way)
-        twice = 2 * _dot(hinge, v)
+        hinge = cross(before, way)
+        twice = 2 * dot(hinge, v)
         return (twice * hinge[0] - v[0], twice * hinge[1] - v[1], twice * hinge[2] - v[2])
-    axis = _cross(before, after)
-    part = _dot(axis, v) / (1.0 + cosine)
-    swept = _cross(axis, v)
+    axis = cross(before, after)
+    part = dot(axis, v) / (1.0 + cosine)
+    swept = cross(axis, v)
     return (
         cosine * v[0] + swept[0] + part * axis[0],
         cosine * v[1] + swept[1] + part * axis[1],
@@ -190,40 +202,30 @@ def _turned(v, before, after, way):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _laid(v, normal):  # type: ignore[no-untyped-def]
-    along = _dot(v, normal)
+    along = dot(v, normal)
     flat = (v[0] - along * normal[0], v[1] - along * normal[1], v[2] - along * normal[2])
-    size = np.sqrt(_dot(flat, flat))
+    size = np.sqrt(dot(flat, flat))
     if size > 1e-9:
         return (flat[0] / size, flat[1] / size, flat[2] / size), size
     axis = (0.0, 1.0, 0.0) if abs(normal[0]) > 0.9 else (1.0, 0.0, 0.0)
-    off = _dot(axis, normal)
+    off = dot(axis, normal)
     side = (axis[0] - off * normal[0], axis[1] - off * normal[1], axis[2] - off * normal[2])
-    size = np.sqrt(_dot(side, side))
+    size = np.sqrt(dot(side, side))
     return (side[0] / size, side[1] / size, side[2] / size), 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _unit(v, otherwise):  # type: ignore[no-untyped-def]
-    size = np.sqrt(_dot(v, v))
+    size = np.sqrt(dot(v, v))
     if not size > 1e-6:
         return otherwise
     over = 1.0 / size
     return (v[0] * over, v[1] * over, v[2] * over)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _cross(a, b):  # type: ignore[no-untyped-def]
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _smooth(table, values, grid, lean, p):  # type: ignore[no-untyped-def]
     a = lean * grid[3]
     scale = 0.5 / a
@@ -235,24 +237,23 @@ def _smooth(table, values, grid, lean, p):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _rim(place, low, over, nodes):  # type: ignore[no-untyped-def]
     """The node below a place along one axis, and how far it is beyond."""
     at = (place - low) * over
     at = at if at >= 0.0 else 0.0
     at = min(at, nodes - 1.0)
-    node = min(np.int32(at), np.int32(nodes - 2))
+    node = min(np.int64(at), nodes - 2)
     return node, at - node
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _corners(table, values, grid, p):  # type: ignore[no-untyped-def]
     over = 1.0 / grid[3]
     i, fx = _rim(p[0], grid[0], over, grid[4] * 16)
     j, fy = _rim(p[1], grid[1], over, grid[5] * 16)
     k, fz = _rim(p[2], grid[2], over, grid[6] * 16)
     i1, j1, k1 = i + 1, j + 1, k + 1
-    # Unsigned: an index that may be negative costs a question each time.
     bx0, bx1 = (i >> 4) * grid[5] * grid[6], (i1 >> 4) * grid[5] * grid[6]
     by0, by1 = (j >> 4) * grid[6], (j1 >> 4) * grid[6]
     bz0, bz1 = k >> 4, k1 >> 4
@@ -270,12 +271,12 @@ def _corners(table, values, grid, p):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _node(table, values, brick, place):  # type: ignore[no-untyped-def]
-    return np.float64(values[np.uint64((np.int64(table[np.uint64(brick)]) << 12) + place)])
+    return np.float64(values[(table[brick] << 12) + place])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def _distance(table, values, grid, p):  # type: ignore[no-untyped-def]
     a, b, f = _corners(table, values, grid, p)
     v00, v01 = a[0] + (a[1] - a[0]) * f[2], a[2] + (a[3] - a[2]) * f[2]
@@ -284,7 +285,7 @@ def _distance(table, values, grid, p):  # type: ignore[no-untyped-def]
     return v0 + (v1 - v0) * f[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@called
 def _field(table, values, grid, p):  # type: ignore[no-untyped-def]
     a, b, f = _corners(table, values, grid, p)
     d00, d01, d10, d11 = a[1] - a[0], a[3] - a[2], b[1] - b[0], b[3] - b[2]

@@ -4,180 +4,21 @@ from __future__ import annotations
 
 import ast
 import builtins
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any
 
+from antdsl.machine_code.kernels.elements import Elements
 from antdsl.machine_code.kernels.functions import WRITTEN, scratch
-from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED, Scalar
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, Scalar
 from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves
 
-_FOLDED: dict[type[ast.operator], Callable[[int, int], int]] = {
-    ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b, ast.FloorDiv: lambda a, b: a // b,
-    ast.Mod: lambda a, b: a % b, ast.LShift: lambda a, b: a << b, ast.RShift: lambda a, b: a >> b, ast.BitAnd: lambda a, b: a & b,
-    ast.BitOr: lambda a, b: a | b, ast.BitXor: lambda a, b: a ^ b,
-}  # fmt: skip
-_FLOATS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
-_WHOLES = {
-    ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.LShift: "shl", ast.BitAnd: "and", ast.BitOr: "or", ast.BitXor: "xor",
-}  # fmt: skip
 _COMPARED = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 
 
-class NotInSubset(Exception):
-    """A kernel's text has what kernels cannot have, which is our mistake; the message has the place."""
-
-
-class Text:
-    """The text of one function as it is written."""
-
-    def __init__(self, place: str) -> None:
-        self.place = place
-        self.allocas: list[str] = []
-        self.lines: list[str] = []
-        self.declared: dict[str, str] = {}
-        self._numbers = 0
-
-    def name(self, stem: str = "v") -> str:
-        self._numbers += 1
-        return f"%{stem}{self._numbers}"
-
-    def op(self, text: str, kind: str) -> Number:
-        name = self.name()
-        self.lines.append(f"  {name} = {text}")
-        return Number(kind, name)
-
-    def do(self, text: str) -> None:
-        self.lines.append(f"  {text}")
-
-    def slot(self, kind: str) -> str:
-        name = self.name("a")
-        self.allocas.append(f"  {name} = alloca {LLVM.get(kind, kind)}")
-        return name
-
-    def label(self, stem: str) -> str:
-        self._numbers += 1
-        return f"{stem}{self._numbers}"
-
-    def begin(self, label: str) -> None:
-        self.lines.append(f"{label}:")
-
-    def jump(self, label: str) -> None:
-        self.do(f"br label %{label}")
-
-    def branch(self, condition: Number, then: str, other: str) -> None:
-        self.do(f"br {condition.typed}, label %{then}, label %{other}")
-
-    def intrinsic(self, stem: str, kind: str, *values: Number) -> Number:
-        suffix = "f64" if kind == DOUBLE else "f32"
-        name = f"llvm.{stem}.{suffix}"
-        self.declared[name] = f"declare {LLVM[kind]} @{name}({', '.join([LLVM[kind]] * len(values))})"
-        return self.op(f"call {LLVM[kind]} @{name}({', '.join(each.typed for each in values)})", kind)
-
-    def fail(self, node: ast.AST, why: str) -> NoReturn:
-        raise NotInSubset(f"{self.place}, line {getattr(node, 'lineno', 0)} of the function: {why}")
-
-
-class Arithmetic(Text):
-    """Operations on numbers."""
-
-    def convert(self, value: Number, kind: str) -> Number:
-        """As a cast of NumPy does; of a float that no whole number of 64 bits is near to, some number."""
-        if value.kind == kind:
-            return value
-        if value.known is not None and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
-            found = constant(float(value.known) if kind == DOUBLE else int(value.known))
-            return Number(kind, found.name, found.known)
-        source, target = LLVM[value.kind], LLVM[kind]
-        if kind == TRUTH:
-            zero = "0" if source == "i64" else "0.0"
-            return self.op(f"{'icmp ne' if source == 'i64' else 'fcmp une'} {value.typed}, {zero}", TRUTH)
-        if value.kind == TRUTH:
-            return self.op(f"{'zext' if target == 'i64' else 'uitofp'} {value.typed} to {target}", kind)
-        if source == target:
-            return Number(kind, value.name)
-        if source == "i64":
-            return self.op(f"{'uitofp' if value.kind == UNSIGNED else 'sitofp'} {value.typed} to {target}", kind)
-        if target != "i64":
-            return self.op(f"{'fpext' if kind == DOUBLE else 'fptrunc'} {value.typed} to {target}", kind)
-        name = f"llvm.fpto{'u' if kind == UNSIGNED else 's'}i.sat.i64.{'f64' if value.kind == DOUBLE else 'f32'}"
-        self.declared[name] = f"declare i64 @{name}({source})"
-        return self.op(f"call i64 @{name}({value.typed})", kind)
-
-    def floating(self, value: Number) -> Number:
-        return value if value.kind in (DOUBLE, FLOAT) else self.convert(value, DOUBLE)
-
-    def paired(self, a: Number, b: Number) -> tuple[Number, Number]:
-        """Two numbers of one kind: that which NumPy gives to what becomes of two arrays of theirs."""
-        kinds = {a.kind, b.kind}
-        if len(kinds) == 1:
-            return (a, b) if a.kind != TRUTH else (self.convert(a, INT), self.convert(b, INT))
-        if kinds <= {INT, UNSIGNED, TRUTH}:
-            kind = UNSIGNED if UNSIGNED in kinds and (a.known is not None or b.known is not None) else INT
-            if UNSIGNED in kinds and kind == INT:
-                raise NotInSubset(f"{self.place}: a signed and an unsigned whole number")
-        else:
-            kind = DOUBLE if kinds != {FLOAT, TRUTH} else FLOAT
-        return self.convert(a, kind), self.convert(b, kind)
-
-    def arithmetic(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
-        word = type(operator)
-        if a.known is not None and b.known is not None and word in _FOLDED and DOUBLE not in (a.kind, b.kind):
-            found = constant(_FOLDED[word](int(a.known), int(b.known)))
-            return Number(UNSIGNED, found.name, found.known) if UNSIGNED in (a.kind, b.kind) else found
-        if a.kind == b.kind == TRUTH and word in (ast.BitAnd, ast.BitOr, ast.BitXor):
-            return self.op(f"{_WHOLES[word]} {a.typed}, {b.name}", TRUTH)
-        if word is ast.Div:
-            a, b = self.floating(a), self.floating(b)
-        a, b = self.paired(a, b)
-        if a.kind in (DOUBLE, FLOAT):
-            if word not in _FLOATS:
-                self.fail(node, "no such operation of floats")
-            return self.op(f"{_FLOATS[word]} {a.typed}, {b.name}", a.kind)
-        if word is ast.RShift:
-            return self.op(f"{'lshr' if a.kind == UNSIGNED else 'ashr'} {a.typed}, {b.name}", a.kind)
-        if word in _WHOLES:
-            return self.op(f"{_WHOLES[word]} {a.typed}, {b.name}", a.kind)
-        if word not in (ast.FloorDiv, ast.Mod):
-            self.fail(node, "no such operation of whole numbers")
-        if a.kind == UNSIGNED:
-            return self.op(f"{'udiv' if word is ast.FloorDiv else 'urem'} {a.typed}, {b.name}", a.kind)
-        rest = self.op(f"srem {a.typed}, {b.name}", INT)
-        other = self.op(f"icmp slt i64 {self.op(f'xor {rest.typed}, {b.name}', INT).name}, 0", TRUTH)
-        down = self.op(f"and i1 {other.name}, {self.op(f'icmp ne {rest.typed}, 0', TRUTH).name}", TRUTH)
-        if word is ast.Mod:
-            return self.op(f"add {rest.typed}, {self.select(down, b, constant(0)).name}", INT)
-        quotient = self.op(f"sdiv {a.typed}, {b.name}", INT)
-        return self.op(f"sub {quotient.typed}, {self.convert(down, INT).name}", INT)
-
-    def negated(self, a: Number) -> Number:
-        if a.known is not None:
-            return constant(-a.known)
-        if a.kind in (DOUBLE, FLOAT):
-            return self.op(f"fneg {a.typed}", a.kind)
-        return self.op(f"sub i64 0, {self.convert(a, INT).name}", INT)
-
-    def compare(self, word: str, a: Number, b: Number) -> Number:
-        if a.known is not None and b.known is not None:
-            x, y = a.known, b.known
-            held = {"lt": x < y, "le": x <= y, "gt": x > y, "ge": x >= y, "eq": x == y, "ne": x != y}
-            return constant(held[word])
-        a, b = self.paired(a, b)
-        if a.kind in (DOUBLE, FLOAT):
-            return self.op(f"fcmp {'u' if word == 'ne' else 'o'}{word} {a.typed}, {b.name}", TRUTH)
-        sign = "" if word in ("eq", "ne") else "u" if a.kind == UNSIGNED else "s"
-        return self.op(f"icmp {sign}{word} {a.typed}, {b.name}", TRUTH)
-
-    def select(self, condition: Number, then: Number, other: Number) -> Number:
-        if condition.known is not None:
-            return then if condition.known else other
-        if then.kind != other.kind:
-            then, other = self.paired(then, other)
-        return self.op(f"select {condition.typed}, {then.typed}, {other.typed}", then.kind)
-
-
-class Expressions(Arithmetic):
+class Expressions(Elements):
     """Expressions of Python; `variables` has what a name stands for, `world` the names of the function's module."""
 
     world: dict[str, Any]
@@ -227,12 +68,12 @@ class Expressions(Arithmetic):
     def _unary(self, node: ast.expr, operator: ast.unaryop, operand: ast.expr) -> Number:
         if isinstance(operator, ast.Not):
             value = self.truth(operand)
-            return constant(not value.known) if value.known is not None else self.op(f"xor {value.typed}, true", TRUTH)
+            return constant(not value.known) if value.known is not None else self.inverted(value)
         value = self.number(operand)
         if isinstance(operator, ast.USub):
             return self.negated(value)
         if isinstance(operator, ast.Invert):
-            return self.op(f"xor {value.typed}, {'true' if value.kind == TRUTH else '-1'}", value.kind)
+            return self.inverted(self.convert(value, INT) if value.known is not None else value)
         self.fail(node, "no such operator")
 
     def _compared(self, parts: list[ast.expr], operators: list[ast.cmpop]) -> Number:
@@ -242,7 +83,7 @@ class Expressions(Arithmetic):
             if type(operator) not in _COMPARED:
                 self.fail(parts[0], "no such comparison")
             held = self.compare(_COMPARED[type(operator)], a, b)
-            found = held if found is None else self.op(f"and {found.typed}, {held.name}", TRUTH)
+            found = held if found is None else self.both(found, held)
         assert found is not None
         return found
 
@@ -253,11 +94,13 @@ class Expressions(Arithmetic):
             return first
         if first.known is not None:
             return self._both(every, parts[1:])
+        if self.mask is not None:
+            return self._both_wide(first, every, parts[1:])
         place, more, done = self.slot(TRUTH), self.label("more"), self.label("both")
         self.do(f"store {first.typed}, ptr {place}")
         self.branch(first, *((more, done) if every else (done, more)))
         self.begin(more)
-        self.do(f"store {self._both(every, parts[1:]).typed}, ptr {place}")
+        self.put(place, self._both(every, parts[1:]))
         self.jump(done)
         self.begin(done)
         return self.op(f"load i1, ptr {place}", TRUTH)
@@ -266,6 +109,8 @@ class Expressions(Arithmetic):
         condition = self.truth(test)
         if condition.known is not None:
             return self.value(then if condition.known else other)
+        if condition.wide:
+            return self._chosen_wide(node, condition, then, other)
         yes, no, done = self.label("yes"), self.label("no"), self.label("chosen")
         self.branch(condition, yes, no)
         self.begin(yes)
@@ -274,17 +119,16 @@ class Expressions(Arithmetic):
         self.begin(no)
         second = self.value(other)
         kinds = [a.kind if a.kind == b.kind else self._common(a, b) for a, b in zip(leaves(first), leaves(second), strict=True)]
-        places = [self.slot(kind) for kind in kinds]
-        self._stored(second, kinds, places)
+        wide = [a.wide or b.wide for a, b in zip(leaves(first), leaves(second), strict=True)]
+        places = [self.slot(kind, each) for kind, each in zip(kinds, wide, strict=True)]
+        self._stored(second, kinds, wide, places)
         self.jump(done)
         rest, self.lines = self.lines[before:], self.lines[:before]
-        self._stored(first, kinds, places)
+        self._stored(first, kinds, wide, places)
         self.jump(done)
         self.lines += rest
         self.begin(done)
-        loaded = iter(
-            Number(kind, self.op(f"load {LLVM[kind]}, ptr {place}", kind).name) for kind, place in zip(kinds, places, strict=True)
-        )
+        loaded = iter([self.load(place, kind, each) for kind, place, each in zip(kinds, places, wide, strict=True)])
 
         def again(item: Item) -> Item:
             if isinstance(item, Array):
@@ -297,9 +141,65 @@ class Expressions(Arithmetic):
         kinds = {a.kind, b.kind}
         return DOUBLE if DOUBLE in kinds else FLOAT if kinds == {FLOAT, TRUTH} else DOUBLE if FLOAT in kinds else INT
 
-    def _stored(self, item: Item, kinds: list[str], places: list[str]) -> None:
-        for number, kind, place in zip(leaves(item), kinds, places, strict=True):
-            self.do(f"store {self.convert(number, kind).typed}, ptr {place}")
+    def _stored(self, item: Item, kinds: list[str], wide: list[bool], places: list[str]) -> None:
+        for number, kind, each, place in zip(leaves(item), kinds, wide, places, strict=True):
+            value = self.convert(number, kind)
+            self.put(place, self.widened(value) if each else value)
+
+    def count(self, array: Array) -> Number:
+        """How many elements an array has."""
+        found = array.lengths[0]
+        for each in array.lengths[1:]:
+            found = self.op(f"mul {found.typed}, {each.name}", INT)
+        return found
+
+    def inverted(self, value: Number) -> Number:
+        """Of a condition whether it does not hold, of a number its bits the other way."""
+        ones = "true" if value.kind == TRUTH else "-1"
+        ones = f"splat ({LLVM[value.kind]} {ones})" if value.wide else ones
+        return self.op(f"xor {value.typed}, {ones}", value.kind, value.wide)
+
+    def both(self, a: Number, b: Number) -> Number:
+        """Whether two conditions hold."""
+        for one, other in ((a, b), (b, a)):
+            if one.known is not None:
+                return other if one.known else constant(False)
+        a, b = self.alike(a, b)
+        return self.op(f"and {a.typed}, {b.name}", TRUTH, a.wide)
+
+    @contextmanager
+    def where(self, condition: Number) -> Iterator[None]:
+        """What is written within counts for those of the turns side by side for which a condition holds."""
+        before = self.mask
+        assert before is not None
+        self.mask = self.both(before, condition)
+        yield
+        self.mask = before
+
+    def _both_wide(self, first: Number, every: bool, parts: list[ast.expr]) -> Number:
+        first = self.widened(first)
+        with self.where(first if every else self.inverted(first)):
+            rest = self._both(every, parts)
+        if every:
+            return self.both(first, rest)
+        a, b = self.alike(first, rest)
+        return self.op(f"or {a.typed}, {b.name}", TRUTH, True)
+
+    def _chosen_wide(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> Item:
+        with self.where(condition):
+            first = self.value(then)
+        with self.where(self.inverted(condition)):
+            second = self.value(other)
+
+        def chosen(a: Item, b: Item) -> Item:
+            if isinstance(a, tuple):
+                return tuple(chosen(x, y) for x, y in zip(a, b, strict=True))
+            if isinstance(a, Array):
+                self.fail(node, "arrays cannot be chosen between")
+            kind = a.kind if a.kind == b.kind else self._common(a, b)
+            return self.select(condition, self.convert(a, kind), self.convert(b, kind))
+
+        return chosen(first, second)
 
     def _attribute(self, node: ast.expr, of: ast.expr, attribute: str) -> Item:
         if isinstance(of, ast.Name) and isinstance(self.world.get(of.id), ModuleType):
@@ -308,31 +208,15 @@ class Expressions(Arithmetic):
         if isinstance(value, Array) and attribute == "shape":
             return value.lengths
         if isinstance(value, Array) and attribute == "size":
-            found = value.lengths[0]
-            for each in value.lengths[1:]:
-                found = self.op(f"mul {found.typed}, {each.name}", INT)
-            return found
+            return self.count(value)
         self.fail(node, f"no `{attribute}`")
 
-    def element(self, node: ast.AST, array: Array, index: ast.expr) -> str:
-        """The address of an element."""
+    def at(self, node: ast.AST, array: Array, index: ast.expr) -> Number:
+        """How many elements an index is behind the first one of an array."""
         parts = index.elts if isinstance(index, ast.Tuple) else [index]
-        numbers = [self.number(part) for part in parts]
-        if len(numbers) != len(array.lengths):
+        if len(parts) != len(array.lengths):
             self.fail(node, "an index for each axis is wanted")
-        for each in numbers:
-            if LLVM[each.kind] != "i64" or (each.known is not None and each.known < 0):
-                self.fail(node, "an index is a whole number that is not negative")
-        if array.steps is not None:
-            terms = [self.op(f"mul {a.typed}, {b.name}", INT) for a, b in zip(numbers, array.steps, strict=True)]
-            place = terms[0]
-            for term in terms[1:]:
-                place = self.op(f"add {place.typed}, {term.name}", INT)
-        else:
-            place = numbers[0]
-            for number, length in zip(numbers[1:], array.lengths[1:], strict=True):
-                place = self.op(f"add i64 {self.op(f'mul {place.typed}, {length.name}', INT).name}, {number.name}", INT)
-        return self.op(f"getelementptr {array.of.stored}, ptr {array.address}, i64 {place.name}", "ptr").name
+        return self.offset(node, array, [self.number(part) for part in parts])
 
     def _indexed(self, node: ast.expr, of: Item, index: ast.expr) -> Item:
         if isinstance(of, tuple) and isinstance(index, ast.Slice):
@@ -345,24 +229,8 @@ class Expressions(Arithmetic):
         if not isinstance(of, Array):
             self.fail(node, "only arrays and tuples have elements")
         if not isinstance(index, ast.Tuple) and len(of.lengths) > 1:
-            return self._row(node, of, self.number(index))
-        place, scalar = self.element(node, of, index), of.of
-        found = self.op(f"load {scalar.stored}, ptr {place}{self.access()}", scalar.kind)
-        if scalar.kind == TRUTH:
-            return self.op(f"icmp ne i8 {found.name}, 0", TRUTH)
-        if scalar.kind == INT and scalar.stored != "i64":
-            word = "zext" if scalar.name.startswith("U") else "sext"
-            return self.op(f"{word} {scalar.stored} {found.name} to i64", INT)
-        return found
-
-    def _row(self, node: ast.AST, of: Array, index: Number) -> Array:
-        """What lies at an index of the first axis, an array with one axis less."""
-        step = constant(1) if of.steps is None else of.steps[0]
-        for each in of.lengths[1:] if of.steps is None else ():
-            step = self.arithmetic(node, ast.Mult(), step, each)
-        place = self.arithmetic(node, ast.Mult(), index, step)
-        address = self.op(f"getelementptr {of.of.stored}, ptr {of.address}, i64 {place.name}", "ptr").name
-        return Array(of.of, address, of.lengths[1:], None if of.steps is None else of.steps[1:], of.origin)
+            return self.row(node, of, self.number(index))
+        return self.fetch(of, self.at(node, of, index))
 
     def _of_text(self, node: ast.AST, number: ast.expr | None) -> int | None:
         if number is None:
@@ -371,10 +239,6 @@ class Expressions(Arithmetic):
         if not isinstance(known, int):
             self.fail(node, "whole numbers of the text are wanted here")
         return known
-
-    def access(self) -> str:
-        """What is written behind a load or a store."""
-        return ""
 
     def _called(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> Item:
         if node.keywords:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.values import Number, constant
+from antdsl.machine_code.kernels.values import Number, constant, text_type
 
 if TYPE_CHECKING:
     from antdsl.machine_code.kernels.statements import Writer
@@ -72,7 +72,7 @@ def _finite(w: Writer, a: Number) -> Number:
 
 
 def _nan(w: Writer, a: Number) -> Number:
-    return w.op(f"fcmp uno {a.typed}, {a.name}", TRUTH)
+    return w.op(f"fcmp uno {a.typed}, {a.name}", TRUTH, a.wide)
 
 
 def _to(kind: str) -> Callable[..., Number]:
@@ -84,19 +84,20 @@ def _floored(w: Writer, a: Number) -> Number:
 
 
 def _bits(w: Writer, a: Number) -> Number:
-    return w.op(f"bitcast {w.convert(a, DOUBLE).typed} to i64", INT)
+    return w.op(f"bitcast {w.convert(a, DOUBLE).typed} to {text_type(INT, a.wide)}", INT, a.wide)
 
 
 def _float(w: Writer, a: Number) -> Number:
-    return w.op(f"bitcast {a.typed} to double", DOUBLE)
+    return w.op(f"bitcast {a.typed} to {text_type(DOUBLE, a.wide)}", DOUBLE, a.wide)
 
 
 def _narrowed(bits: int, signed: bool) -> Callable[..., Number]:
     """To fewer bits and back, as a cast does."""
 
     def write(w: Writer, a: Number) -> Number:
-        small = w.op(f"trunc {w.convert(a, INT).typed} to i{bits}", INT)
-        return w.op(f"{'sext' if signed else 'zext'} i{bits} {small.name} to i64", INT)
+        small, type = f"i{bits}", text_type(INT, a.wide)
+        name = w.op(f"trunc {w.convert(a, INT).typed} to {text_type(small, a.wide)}", small, a.wide)
+        return w.op(f"{'sext' if signed else 'zext'} {name.typed} to {type}", INT, a.wide)
 
     return write
 

@@ -16,10 +16,10 @@ from weakref import ref
 
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.kernels.statements import written
+from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit, result_type
-from antdsl.machine_code.kernels.values import Array, Item, Number, leaves, type_name
+from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
 from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.memory import address
 
@@ -90,7 +90,7 @@ class Kernel:
         numbers = iter(range(100_000))
         inputs = [_argument(each, words, body, numbers) for each in types]
         name, result = written(unit, self.part, inputs)
-        arguments = ", ".join(f"{type_name(each)} {each.name}" for item in inputs for each in leaves(item))
+        arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
         found = list(leaves(result))
         if len(found) > _RESULTS:
             raise TypeError(f"{self.__name__} gives back more than {_RESULTS} numbers")
@@ -111,7 +111,7 @@ class Kernel:
             body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
         module = Module(target)
         text = entry(module, self.__name__, "\n".join(body))
-        lines += [*unit.declared.values(), module.text(), *unit.functions, text, *unit.metadata]
+        lines += [*unit.declared.values(), module.text(), *unit.functions, text]
         return "\n".join(lines) + "\n", types, result, unit.written
 
 
@@ -123,14 +123,18 @@ def kernel(function: Function) -> Kernel:
 def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
     """What an annotation names: a Scalar, an ArrayType, or a tuple of these."""
     if isinstance(node, ast.Name):
-        found = world.get(node.id, tuple)
-        return tuple(found.__args__) if isinstance(found, GenericAlias) else found
+        return _spread(world.get(node.id, tuple))
     if isinstance(node, ast.Subscript):
         inner = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         of = [_type(each, world) for each in inner]
         base = _type(node.value, world)
         return tuple(of) if base is tuple else base[of[0]]
     raise TypeError("an argument of a kernel has a type of `kernels`")
+
+
+def _spread(named: Any) -> Any:
+    """What a name stands for, where that may be `tuple[..]` of others."""
+    return tuple(_spread(each) for each in named.__args__) if isinstance(named, GenericAlias) else named
 
 
 def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> Item:

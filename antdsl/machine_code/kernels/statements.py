@@ -8,9 +8,9 @@ from typing import Any
 
 from antdsl.machine_code.kernels.expressions import Expressions
 from antdsl.machine_code.kernels.functions import independent
-from antdsl.machine_code.kernels.types import INT, LLVM, TRUTH
+from antdsl.machine_code.kernels.types import INT, TRUTH
 from antdsl.machine_code.kernels.units import Loop, Unit, Variable, result_type
-from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves, renamed, type_name, types_of
+from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves, types_of
 
 _WRITTEN_OUT = 4  # turns of a loop whose numbers the text names
 
@@ -32,11 +32,21 @@ class Writer(Expressions):
         names = [each.arg for each in self.definition.args.args]
         if len(names) != len(inputs):
             self.fail(self.definition, f"{len(inputs)} arguments for {len(names)}")
+        changed = {
+            each.id for each in ast.walk(self.definition) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
+        }
         for name, item in zip(names, inputs, strict=True):
-            self.assign(self.definition, name, item)
+            if name in changed:
+                self.assign(self.definition, name, item)
+            else:
+                self.variables[name] = item
         self.block(self.definition.body)
+        self.end()
+
+    def end(self) -> None:
+        """The body has been written."""
         if self.open:
-            self._return(self.definition, ())
+            self.give_back(self.definition, ())
 
     def read(self, name: str) -> Item:
         if name not in self.variables:
@@ -54,7 +64,7 @@ class Writer(Expressions):
         if isinstance(item, tuple):
             return tuple(self._loaded(each) for each in item)
         if isinstance(item, Variable):
-            return self.op(f"load {LLVM[item.kind]}, ptr {item.place}", item.kind)
+            return self.load(item.place, item.kind, item.wide)
         return item
 
     # --- assignment ----------------------------------------------------------------------------------------------------
@@ -68,7 +78,11 @@ class Writer(Expressions):
     def _room(self, item: Item) -> Any:
         if isinstance(item, tuple):
             return tuple(self._room(each) for each in item)
-        return item if isinstance(item, Array) else Variable(item.kind, self.slot(item.kind))
+        return item if isinstance(item, Array) else self.variable(item)
+
+    def variable(self, item: Number) -> Variable:
+        """Room for a number."""
+        return Variable(item.kind, self.slot(item.kind, item.wide), item.wide)
 
     def _put(self, node: ast.AST, name: str, room: Any, item: Item) -> None:
         if isinstance(room, tuple) and isinstance(item, tuple) and len(room) == len(item):
@@ -79,9 +93,13 @@ class Writer(Expressions):
                 self.fail(node, f"`{name}` is {room.kind}, and is given {item.kind}")
             if room.kind == INT and item.kind in ("double", "float"):
                 self.fail(node, f"`{name}` is a whole number, and is given a float")
-            self.do(f"store {self.convert(item, room.kind).typed}, ptr {room.place}")
+            self.change(node, room, self.convert(item, room.kind))
         elif not (isinstance(room, Array) and item == room):
             self.fail(node, f"`{name}` is given a value of another type")
+
+    def change(self, node: ast.AST, room: Variable, value: Number) -> None:
+        """Give a variable another value."""
+        self.put(room.place, value)
 
     def _to(self, node: ast.AST, target: ast.expr, item: Item) -> None:
         match target:
@@ -100,30 +118,24 @@ class Writer(Expressions):
                 array = self.value(of)
                 if not isinstance(array, Array) or not isinstance(item, Number):
                     self.fail(node, "only numbers are put into arrays")
-                self._store(array, self.element(node, array, index), item)
+                self._store(array, self.at(node, array, index), item)
             case _:
                 self.fail(node, "cannot be assigned to")
 
-    def _store(self, array: Array, place: str, item: Number) -> None:
+    def _store(self, array: Array, at: Number, item: Number) -> None:
         self.unit.written.add(array.origin)
-        value = self.convert(item, array.of.kind)
-        text, stored = value.name, array.of.stored
-        if value.kind == TRUTH:
-            text = self.op(f"zext {value.typed} to i8", INT).name
-        elif LLVM[value.kind] != stored:
-            text = self.op(f"trunc {value.typed} to {stored}", INT).name
-        self.do(f"store {stored} {text}, ptr {place}{self.access()}")
+        self.keep(array, at, item)
 
     def _fill(self, node: ast.AST, array: Item, item: Item) -> None:
         """`a[:] = number`."""
         if not isinstance(array, Array) or array.steps is not None or not isinstance(item, Number):
             self.fail(node, "`a[:] = number` of an array in one piece")
-        count = array.lengths[0]
-        for each in array.lengths[1:]:
-            count = self.op(f"mul {count.typed}, {each.name}", INT)
+        if self.mask is not None:
+            self.fail(node, "an array is filled by one turn")
+        count = self.count(array)
         whole = Array(array.of, array.address, (count,), None, array.origin)
         with_number = ast.Name(id="~k")
-        self._counted("~k", constant(0), count, 1, lambda: self._store(whole, self.element(node, whole, with_number), item))
+        self._counted("~k", constant(0), count, 1, lambda: self._store(whole, self.number(with_number), item))
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
@@ -155,20 +167,24 @@ class Writer(Expressions):
                     self.fail(node, "only an array's elements change")
                 before = self._indexed(target_of(node), array, index)
                 after = self.arithmetic(node, operator, before, self.number(value))
-                self._store(array, self.element(node, array, index), after)
+                self._store(array, self.at(node, array, index), after)
             case ast.If(test=test, body=then, orelse=other):
-                self._if(test, then, other)
+                self.if_(test, then, other)
             case ast.While(test=test, body=body, orelse=[]):
-                self._while(test, body)
+                self.while_(test, body)
             case ast.For(target=target, iter=over, body=body, orelse=[]):
                 self._for(node, target, over, body)
             case ast.Break() | ast.Continue():
-                self.jump(self.loops[-1].end if isinstance(node, ast.Break) else self.loops[-1].following)
-                self.open = False
+                self.leave(isinstance(node, ast.Break))
             case ast.Return(value=value):
-                self._return(node, () if value is None else self.value(value))
+                self.give_back(node, () if value is None else self.value(value))
             case _:
                 self.fail(node, f"`{ast.unparse(node).splitlines()[0]}` is not in the subset")
+
+    def leave(self, loop: bool) -> None:
+        """Go on behind the innermost loop, or with its next turn."""
+        self.jump(self.loops[-1].end if loop else self.loops[-1].following)
+        self.open = False
 
     def _augment(self, node: ast.stmt, name: ast.Name, operator: ast.operator, value: ast.expr) -> None:
         before = self.number(name)
@@ -177,7 +193,7 @@ class Writer(Expressions):
             node, name.id, self.convert(found, before.kind) if before.kind == "float" and found.kind == "double" else found
         )
 
-    def _if(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
+    def if_(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
         condition = self.truth(test)
         if condition.known is not None:
             self.block(then if condition.known else other)
@@ -199,7 +215,7 @@ class Writer(Expressions):
         if self.open:
             self.begin(done)
 
-    def _while(self, test: ast.expr, body: list[ast.stmt]) -> None:
+    def while_(self, test: ast.expr, body: list[ast.stmt]) -> None:
         head, inner, end = self.label("while"), self.label("body"), self.label("end")
         self.jump(head)
         self.begin(head)
@@ -229,14 +245,16 @@ class Writer(Expressions):
             if begin.known is not None and end.known is not None:
                 turns = range(int(begin.known), int(end.known), step)
                 if len(turns) <= _WRITTEN_OUT or getattr(known, "written_out", False):
-                    self._written_out(node, target, [constant(k) for k in turns], body)
+                    self.written_out(node, target, [constant(k) for k in turns], body)
                     return
-            free = known is independent
-            self._counted(target.id, begin, end, step, lambda: self.block(body), free)
+            if known is independent:
+                self.side_by_side(target.id, begin, end, body)
+            else:
+                self.counted(target.id, begin, end, step, body)
             return
         items = self.value(over)
         if isinstance(items, tuple):
-            self._written_out(node, target, list(items), body)
+            self.written_out(node, target, list(items), body)
             return
         if not isinstance(items, Array) or len(items.lengths) != 1:
             self.fail(node, "`for` goes over `range`, `independent`, a tuple or an array with one axis")
@@ -248,30 +266,35 @@ class Writer(Expressions):
 
         self._counted(at, constant(0), items.lengths[0], 1, turn)
 
-    def _written_out(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
+    def counted(self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt]) -> None:
+        """A loop over numbers."""
+        self._counted(name, begin, end, step, lambda: self.block(body))
+
+    def side_by_side(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
+        """A loop of which several turns can be done at once."""
+        raise NotImplementedError
+
+    def written_out(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
         end = self.label("end")
         for item in items:
             following = self.label("next")
-            before = {name: self.variables.get(name) for name in _names(target)}
-            for name in before:
-                self.variables.pop(name, None)
-            self._bind(node, target, item)
-            self._body(Loop(following, end, self.loops[-1].group if self.loops else ""), lambda: self.block(body))
+            self.bind(node, target, item)
+            self._body(Loop(following, end), lambda: self.block(body))
             self.begin(following)
         self.jump(end)
         self.begin(end)
 
-    def _bind(self, node: ast.AST, target: ast.expr, item: Item) -> None:
+    def bind(self, node: ast.AST, target: ast.expr, item: Item) -> None:
         """Names for what a turn of a loop that is written out is about: numbers of the text stay such."""
         if isinstance(target, ast.Name):
             self.variables[target.id] = item
         elif isinstance(target, ast.Tuple) and isinstance(item, tuple) and len(item) == len(target.elts):
             for part, each in zip(target.elts, item, strict=True):
-                self._bind(node, part, each)
+                self.bind(node, part, each)
         else:
             self.fail(node, "cannot be bound")
 
-    def _counted(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None], free: bool = False) -> None:
+    def _counted(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
         """A loop over numbers."""
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         number = self.slot(INT)
@@ -282,34 +305,25 @@ class Writer(Expressions):
         at = self.op(f"load i64, ptr {number}", INT)
         self.branch(self.op(f"icmp {'slt' if step > 0 else 'sgt'} {at.typed}, {end.name}", TRUTH), inner, done)
         self.begin(inner)
-        group = self.unit.number("distinct !{}") if free else (self.loops[-1].group if self.loops else "")
+        if isinstance(self.variables.get(name), Number):  # left behind by a loop that was written out
+            del self.variables[name]
         self.assign(self.definition, name, at)
-        self._body(Loop(following, done, group), write)
+        self._body(Loop(following, done), write)
         self.begin(following)
         self.do(f"store i64 {self.op(f'add {at.typed}, {step}', INT).name}, ptr {number}")
-        text = f"br label %{head}"
-        if free:
-            text += f", !llvm.loop {self._parallel(group)}"
-        self.do(text)
+        self.jump(head)
         self.begin(done)
 
-    def _parallel(self, group: str) -> str:
-        """What says that loads and stores of a loop do not get in each other's way from turn to turn."""
-        accesses = self.unit.number(f'!{{!"llvm.loop.parallel_accesses", {group}}}')
-        wanted = self.unit.number('!{!"llvm.loop.vectorize.enable", i1 true}')
-        place = len(self.unit.metadata)
-        return self.unit.number(f"distinct !{{!{place}, {accesses}, {wanted}}}")
-
-    def access(self) -> str:
-        group = self.loops[-1].group if self.loops else ""
-        return f", !llvm.access.group {group}" if group else ""
-
-    def _return(self, node: ast.AST, item: Item) -> None:
+    def give_back(self, node: ast.AST, item: Item) -> None:
         if self.returns and types_of(item) != types_of(self.result):
-            item = self._alike(node, item, self.result)
+            item = self.alike_to(node, item, self.result)
         if any(isinstance(each, Array) for each in (item if isinstance(item, tuple) else (item,))):
             self.fail(node, "arrays cannot be given back")
         self.result, self.returns, self.open = item if not self.returns else self.result, True, False
+        self.returned(item)
+
+    def returned(self, item: Item) -> None:
+        """Leave the function, which gives back an item."""
         numbers = list(leaves(item))
         if not numbers:
             self.do("ret void")
@@ -325,61 +339,22 @@ class Writer(Expressions):
             whole = name
         self.do(f"ret {type} {whole}")
 
-    def _alike(self, node: ast.AST, item: Item, other: Item) -> Item:
+    def alike_to(self, node: ast.AST, item: Item, other: Item) -> Item:
+        """An item as another one is that the function gives back."""
         if isinstance(item, tuple) and isinstance(other, tuple) and len(item) == len(other):
-            return tuple(self._alike(node, a, b) for a, b in zip(item, other, strict=True))
+            return tuple(self.alike_to(node, a, b) for a, b in zip(item, other, strict=True))
         if isinstance(item, Number) and isinstance(other, Number) and (item.known is not None or item.kind == other.kind):
             return self.convert(item, other.kind)
         self.fail(node, "gives back another type than before")
 
-    def called(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
-        part = getattr(function, "part", None)
-        if part is None:
-            self.fail(node, f"`{ast.unparse(node.func)}` is no function of kernels")
-        name, result = written(self.unit, part, inputs)
-        arguments = ", ".join(f"{type_name(each)} {each.name}" for item in inputs for each in leaves(item))
-        numbers = list(leaves(result))
-        if not numbers:
-            self.do(f"call void {name}({arguments})")
-            return ()
-        if len(numbers) == 1:
-            found = [self.op(f"call {type_name(numbers[0])} {name}({arguments})", numbers[0].kind).name]
-        else:
-            whole = self.op(f"call {result_type(result)} {name}({arguments})", "all").name
-            found = [
-                self.op(f"extractvalue {result_type(result)} {whole}, {k}", each.kind).name for k, each in enumerate(numbers)
-            ]
-        return renamed(result, iter(found))
 
-
-def target_of(node: ast.AugAssign) -> ast.expr:
-    return node.target
-
-
-def _names(target: ast.expr) -> Iterator[str]:
-    for each in ast.walk(target):
-        if isinstance(each, ast.Name):
+def stored_names(definition: ast.FunctionDef) -> Iterator[str]:
+    """The names that a function's text gives values, as often as it does."""
+    for each in ast.walk(definition):
+        if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store):
             yield each.id
 
 
-def written(unit: Unit, part: Any, inputs: list[Item]) -> tuple[str, Item]:
-    """The function of a part for items of these types, written once: its name, and what it gives back."""
-    key = (part, ",".join(types_of(each) for each in inputs))
-    if key not in unit.made:
-        definition, world = part.source()
-        name = f"@{definition.name}.{len(unit.made)}"
-        unit.made[key] = name, None
-        w = Writer(unit, definition, world)
-        numbers = iter(f"%x{k}" for k in range(100_000))
-        own = [renamed(each, numbers) for each in inputs]
-        arguments = ", ".join(f"{type_name(each)} {each.name}" for item in own for each in leaves(item))
-        w.run(own)
-        unit.declared |= w.declared
-        body = "\n".join((*w.allocas, *w.lines))
-        unit.functions.append(
-            f"define internal {result_type(w.result)} {name}({arguments}) {part.attribute} {{\nentry:\n{body}\n}}"
-        )
-        unit.made[key] = name, w.result
-    elif unit.made[key][1] is None:
-        raise RecursionError(f"{part} calls itself")
-    return unit.made[key]
+def target_of(node: ast.AugAssign) -> ast.expr:
+    """What such a statement changes."""
+    return node.target

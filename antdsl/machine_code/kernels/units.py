@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from antdsl.machine_code.kernels.values import Item, leaves, type_name
+from antdsl.machine_code.kernels.values import Item, leaves
 
 
 @dataclass(slots=True)
@@ -14,15 +14,15 @@ class Variable:
 
     kind: str
     place: str
+    wide: bool = False
 
 
 @dataclass(slots=True)
 class Loop:
-    """Where `continue` and `break` go to, and what loads and stores within are said to be free of, if anything."""
+    """Where `continue` and `break` go to."""
 
     following: str
     end: str
-    group: str = ""
 
 
 @dataclass(slots=True, eq=False)
@@ -34,14 +34,9 @@ class Unit:
     declared: dict[str, str] = field(default_factory=dict)
     made: dict[tuple[Any, str], tuple[str, Item]] = field(default_factory=dict)
     written: set[int] = field(default_factory=set)
-    metadata: list[str] = field(default_factory=list)
-
-    def number(self, text: str) -> str:
-        self.metadata.append(f"!{len(self.metadata)} = {text}")
-        return f"!{len(self.metadata) - 1}"
 
 
 def result_type(item: Item) -> str:
     """What a function that gives back an item has as its type."""
-    numbers = [type_name(each) for each in leaves(item)]
+    numbers = [each.type for each in leaves(item)]
     return "void" if not numbers else numbers[0] if len(numbers) == 1 else f"{{{', '.join(numbers)}}}"

@@ -12,17 +12,33 @@ from antdsl.machine_code.lanes import F32, F64, I64, literal
 Item = Any  # Number, Array, or a tuple of items
 
 
+WIDTH = 8  # turns of a loop that are done side by side
+
+
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number by its kind and its name in the text; `known` is its value where the text has it."""
+    """A number by its kind and its name in the text; `known` is its value where the text has it. `wide`: one for each of the
+    turns that are done side by side; `first` is that of the first turn where each has one more than the turn before."""
 
     kind: str
     name: str
     known: int | float | bool | None = None
+    wide: bool = False
+    first: str = ""
+
+    @property
+    def type(self) -> str:
+        return text_type(self.kind, self.wide)
 
     @property
     def typed(self) -> str:
-        return f"{LLVM[self.kind]} {self.name}"
+        return f"{self.type} {self.name}"
+
+
+def text_type(kind: str, wide: bool) -> str:
+    """A kind in LLVM's language."""
+    one = LLVM.get(kind, kind)
+    return f"<{WIDTH} x {one}>" if wide else one
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +90,7 @@ def types_of(item: Item) -> str:
         return "(" + ",".join(types_of(each) for each in item) + ")"
     if isinstance(item, Array):
         return f"[{item.of.name}{len(item.lengths)}{'s' if item.steps else ''}.{item.origin}]"
-    return str(item.kind)
+    return f"{item.kind}{WIDTH}" if item.wide else str(item.kind)
 
 
 def renamed(item: Item, names: Iterator[str]) -> Item:
@@ -86,9 +102,4 @@ def renamed(item: Item, names: Iterator[str]) -> Item:
         lengths = tuple(Number(INT, next(names)) for _ in item.lengths)
         steps = None if item.steps is None else tuple(Number(INT, next(names)) for _ in item.steps)
         return Array(item.of, address, lengths, steps, item.origin)
-    return Number(item.kind, next(names))
-
-
-def type_name(number: Number) -> str:
-    """Its type in LLVM's language."""
-    return "ptr" if number.kind == "ptr" else LLVM[number.kind]
+    return Number(item.kind, next(names), wide=item.wide)

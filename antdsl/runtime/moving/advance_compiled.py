@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, Array1, Array2, Strided2, called, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, Array1, Array2, Strided2, called, independent, inlined, kernel
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
@@ -40,8 +40,7 @@ def velocities(
     """Velocities after the push, within the limits of speed and turn, into `to` (3, n). `at_once` is the longest response that
     takes its whole time, `first`, in one substep; `dt` the time of others. `keeps`: whether `min_speed` and `heading` count. All
     float32, vectors three arrays."""
-    last, cosine = _ZERO, _ONE
-    for i in range(mass.size):
+    for i in independent(0, mass.size):
         u = (up[0][i], up[1][i], up[2][i])
         wish = _flat((push[0][i], push[1][i], push[2][i]), u)
         wish = times(wish, _ONE / _maximum(_length(wish), _ONE))
@@ -60,10 +59,8 @@ def velocities(
         if np.isfinite(max_turn[i]):
             most = _maximum(max_turn[i], _ZERO) * time
             turn = min(most, _PI)
-            if turn != last:
-                last, cosine = turn, cos_sin(turn)[0]
             both = _length(v) * _length(before)
-            if not (dot(v, before) > (cosine + _SURELY) * both and both > _TINY):
+            if not (dot(v, before) > (cos_sin(turn)[0] + _SURELY) * both and both > _TINY):
                 v = _turned(v, before, u, most)
         to[0, i], to[1, i], to[2, i] = v
 
@@ -141,7 +138,7 @@ def arrive(
     """
     place, above, ahead, direction, blocked = walked
     rate = _ONE / dt
-    for i in range(blocked.size):
+    for i in independent(0, blocked.size):
         u = (_F(above[0, i]), _F(above[1, i]), _F(above[2, i]))
         v = (velocity[0][i], velocity[1][i], velocity[2][i])
         v = times((_F(direction[0, i]), _F(direction[1, i]), _F(direction[2, i])), _length(v))

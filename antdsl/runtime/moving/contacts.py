@@ -205,13 +205,15 @@ def _apart(
     magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) + 1 - _FINE + 52)
     which, gone, looks = which.copy(), cut.copy(), effort.looks
     if compiled.wanted(len(near.i)):
-        from antdsl.runtime.moving.contacts_compiled import parted
+        from antdsl.runtime.moving.contacts_compiled import arrays, parted
 
         lost = np.empty(len(near.i), np.intp)
-        capsules = (near.middle, near.ahead, near.up, near.half, near.radius, near.i, near.j, near.gap, near.way)
-        limits = (light, heap, agents.normal, walked, most, room, cut, gone)
+        bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
+        pairs = (near.i, near.j, near.gap, near.way, which)
+        limits = (light, heap, agents.normal, walked, most, room, cut)
+        work = arrays(len(near.rows), len(near.i))
         while looks:
-            looks, count = parted(*capsules, which, *limits, magic, looks, effort.sweeps, share, lost)
+            looks, count = parted(bodies, pairs, limits, gone, magic, looks, effort.sweeps, share, lost, work)
             some = lost[:count]
             near.gap[some], near.way[:, some] = near.measured(gone, some)
         return gone

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from antdsl.numerics.kernel_cache import njit
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, called, inlined, kernel
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 from antdsl.runtime.moving.capsules_compiled import measured
 
@@ -12,43 +15,77 @@ _FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts` and `cutti
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 
+Bodies = tuple[Strided2[F64], Strided2[F64], Strided2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
+Pairs = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]  # i, j, gap, way, and which count
+# Light, heap, normal, walked, most, room and cut of rows, as `contacts` has them
+Limits = tuple[Array1[F64], Array1[F64], Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Strided2[F64]]
+# Room for work, of rows: two vectors, three numbers, three whole numbers and a condition; of pairs: six numbers, two vectors and
+# three whole numbers
+Room = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64]]
 
-@njit(inline="always")
+_WEIGHT, _LOCKED, _SPREAD = 0, 1, 2  # numbers of rows
+_NUMBER, _SOME, _CONTACTS = 0, 1, 2  # whole numbers of rows
+_DEAD_ZONE, _DEEP, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
+_CHOSEN, _FIRST, _SECOND = 0, 1, 2  # whole numbers of pairs
+
+
+def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
+    """Arrays for `parted` to work in."""
+    return (
+        np.empty((3, rows)), np.empty((3, rows)), np.empty((3, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
+        np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((3, pairs), np.int64),
+    )  # fmt: skip
+
+
+@inlined
 def _of(vectors, i):  # type: ignore[no-untyped-def]
     """One of vectors (3, k)."""
     return vectors[0, i], vectors[1, i], vectors[2, i]
 
 
-@njit(inline="always")
+@inlined
 def _put(vectors, i, v):  # type: ignore[no-untyped-def]
     vectors[0, i], vectors[1, i], vectors[2, i] = v
 
 
-@njit(inline="always")
+@inlined
 def _add(sums, i, v, magic):  # type: ignore[no-untyped-def]
     """Add to a sum of terms that are rounded to the quantum of `magic`."""
     for axis in range(3):
         sums[axis, i] += (v[axis] + magic) - magic
 
 
-@njit(inline="always")
+@inlined
 def _rounded(term):  # type: ignore[no-untyped-def]
     return (term + _MAGIC) - _MAGIC
 
 
-@njit(inline="always")
+@inlined
 def _negative(v):  # type: ignore[no-untyped-def]
     return -v[0], -v[1], -v[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def bent(i, j, way, free, walked, magic, step):  # type: ignore[no-untyped-def]
-    """As `cutting._bent`, into `step` (3, k)."""
+@kernel
+def bent(
+    i: Array1[I64],
+    j: Array1[I64],
+    way: Strided2[F64],
+    free: Array1[F64],
+    walked: Strided2[F64],
+    magic: F64,
+    sums: Array2[F64],
+    part: Array1[F64],
+    met: Array1[I64],
+    step: Array2[F64],
+) -> None:
+    """As `cutting._bent`, into `step` (3, k); `sums` (3, k), `part` and `met` (k) are room for work."""
     count, m = walked.shape[1], i.size
-    sums, met, part = np.empty((3, count)), np.empty(count, np.int64), np.ones(count)
-    step[:] = walked
+    part[:] = 1.0
+    for k in range(count):
+        _put(step, k, _of(walked, k))
     for _ in range(_BENDS):
-        sums[:], met[:] = 0.0, 0
+        sums[:] = 0.0
+        met[:] = 0
         found = False
         for pair in range(m):
             ways = _of(way, pair)
@@ -78,38 +115,50 @@ def bent(i, j, way, free, walked, magic, step):  # type: ignore[no-untyped-def]
         _put(step, k, times(_of(step, k), part[k]))
 
 
-@njit(error_model="numpy")
-def _share(i, j, deep, light, heap, level, share):  # type: ignore[no-untyped-def]
-    """As `contacts._shares`, into `share` (2, m)."""
-    locked, spread = np.zeros(light.size), np.empty(light.size)
-    deepest = deep.max()
-    for n in range(i.size):
+@inlined
+def _greatest(numbers, count):  # type: ignore[no-untyped-def]
+    most = numbers[0]
+    for k in range(1, count):
+        most = max(most, numbers[k])
+    return most
+
+
+@called
+def _share(m, some, count, room, light, heap):  # type: ignore[no-untyped-def]
+    """As `contacts._shares`, for the first `m` pairs of `room`, among the first `count` of `some` rows."""
+    locked, spread = room[2][_LOCKED], room[2][_SPREAD]
+    numbers, first, second = room[5], room[7][_FIRST], room[7][_SECOND]
+    deep = numbers[_DEEP]
+    deepest = _greatest(deep, m)
+    for k in range(count):
+        locked[k] = 0.0
+    for n in range(m):
         if deep[n] > 0:
             part = _rounded(deep[n] / deepest)
-            locked[i[n]] += part
-            locked[j[n]] += part
+            locked[first[n]] += part
+            locked[second[n]] += part
     for _ in range(_SPREADS):
-        spread[:] = locked
-        for n in range(i.size):
+        for k in range(count):
+            spread[k] = locked[k]
+        for n in range(m):
             if deep[n] > 0:
-                spread[i[n]] += locked[j[n]]
-                spread[j[n]] += locked[i[n]]
-        highest = spread.max()
-        for k in range(locked.size):
+                spread[first[n]] += locked[second[n]]
+                spread[second[n]] += locked[first[n]]
+        highest = _greatest(spread, count)
+        for k in range(count):
             locked[k] = _rounded(spread[k] / highest)
-    for n in range(i.size):
-        p, q = i[n], j[n]
-        first, second = locked[p], locked[q]
-        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap[p], heap[q])
-        outer = 0.5 + outward * (second - first) / max(first + second, 1e-300)
+    for n in range(m):
+        p, q = first[n], second[n]
+        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap[some[p]], heap[some[q]])
+        outer = 0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300)
         outer = min(max(outer, _LEAST), 1 - _LEAST)
-        one, other = light[p] * outer * level[0, n], light[q] * (1 - outer) * level[1, n]
-        total = one + other
-        share[0, n] = np.rint(one / max(total, 1e-300) * _SHARES) / _SHARES
-        share[1, n] = 1 - share[0, n] if total > 0 else 0.0
+        one = light[some[p]] * outer * numbers[_LEVEL, n]
+        total = one + light[some[q]] * (1 - outer) * numbers[_LEVEL + 1, n]
+        part = np.rint(one / max(total, 1e-300) * _SHARES) / _SHARES
+        numbers[_SHARE, n], numbers[_SHARE + 1, n] = part, 1 - part if total > 0 else 0.0
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _within(gone, middle, room):  # type: ignore[no-untyped-def]
     """As `contacts._within`, for one."""
     way = plus(middle, gone)
@@ -119,21 +168,29 @@ def _within(gone, middle, room):  # type: ignore[no-untyped-def]
     return gone
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def parted(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    middle, ahead, up, half, radius, i, j, gap, way, which, light, heap, normal, walked, most, room, cut, gone, magic, looks,
-    sweeps, slow, lost,
-):  # fmt: skip
+@kernel
+def parted(
+    bodies: Bodies,
+    pairs: Pairs,
+    limits: Limits,
+    gone: Array2[F64],
+    magic: F64,
+    looks: I64,
+    sweeps: I64,
+    slow: F64,
+    lost: Array1[I64],
+    room: Room,
+) -> tuple[I64, I64]:
     """As the looks of `contacts._apart`, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`.
     Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
-    least, changed = np.empty(i.size), np.empty(light.size, np.bool_)
+    middle, ahead, up, half, radius = bodies
+    i, j, gap, way, which = pairs
+    least, changed = room[5][_DEAD_ZONE], room[4]
     for pair in range(i.size):
         least[pair] = (radius[i[pair]] + radius[j[pair]]) * _DEAD
     for left in range(looks - 1, -1, -1):
         changed[:] = False
-        if not _look(
-            i, j, which, gap, way, least, light, heap, normal, walked, most, room, cut, gone, magic, sweeps, slow, changed
-        ):
+        if not _look(pairs, limits, gone, magic, sweeps, slow, room):
             break
         count = measured(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, lost)
         for pair in range(i.size):
@@ -143,12 +200,17 @@ def parted(  # type: ignore[no-untyped-def]  # numba takes the types from the ca
     return 0, 0
 
 
-@njit(error_model="numpy")
-def _look(  # type: ignore[no-untyped-def]
-    i, j, which, gap, way, least, light, heap, normal, walked, most, room, cut, gone, magic, sweeps, slow, changed
-):  # fmt: skip
-    """As `contacts._look`; says who has `changed`, and whether anybody has."""
-    number, m, count = np.zeros(light.size, np.intp), 0, 0  # of who touches 1, then of who is in a pair with one of these
+@called
+def _look(pairs, limits, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
+    """As `contacts._look`; says who has changed, and whether anybody has."""
+    i, j, gap, way, which = pairs
+    light, heap, normal, walked, most, far, cut = limits
+    led, sums, of_rows, wholes, changed, numbers, ways, indices = room
+    number, some, contacts = wholes[_NUMBER], wholes[_SOME], wholes[_CONTACTS]
+    weight, least = of_rows[_WEIGHT], numbers[_DEAD_ZONE]
+    chosen, first, second = indices[_CHOSEN], indices[_FIRST], indices[_SECOND]
+    number[:] = 0  # of who touches 1, then of who is in a pair with one of these
+    m, count = 0, 0
     for pair in range(i.size):
         if which[pair] and gap[pair] < -least[pair]:
             number[i[pair]] = number[j[pair]] = 1
@@ -157,48 +219,41 @@ def _look(  # type: ignore[no-untyped-def]
         return False
     m = 0
     for pair in range(i.size):
-        m += which[pair] and (number[i[pair]] == 1 or number[j[pair]] == 1)
-    pairs, first, second = np.empty(m, np.intp), np.empty(m, np.intp), np.empty(m, np.intp)
-    m = 0
-    for pair in range(i.size):
         if which[pair] and (number[i[pair]] == 1 or number[j[pair]] == 1):
-            pairs[m] = pair
+            chosen[m] = pair
             m += 1
-    some = np.empty(min(light.size, 2 * m), np.intp)
     number[:] = -1
     for n in range(m):
         for side in range(2):
-            k = j[pairs[n]] if side else i[pairs[n]]
+            k = j[chosen[n]] if side else i[chosen[n]]
             if number[k] < 0:
                 number[k], some[count] = count, k
                 count += 1
-        first[n], second[n] = number[i[pairs[n]]], number[j[pairs[n]]]
-    some = some[:count]
-    deep, level, share, ways = np.empty(m), np.empty((2, m)), np.empty((2, m)), np.empty((2, m, 3))
+        first[n], second[n] = number[i[chosen[n]]], number[j[chosen[n]]]
     for n in range(m):
-        pair = pairs[n]
-        deep[n] = -gap[pair] if gap[pair] < -least[pair] else 0.0
+        pair = chosen[n]
+        numbers[_DEEP, n] = -gap[pair] if gap[pair] < -least[pair] else 0.0
         v = _of(way, pair)
         for side in range(2):
             up = _of(normal, j[pair] if side else i[pair])
             along = minus(v, times(up, dot(v, up)))
             ways[side, n, 0], ways[side, n, 1], ways[side, n, 2] = along
-            level[side, n] = dot(along, along)
+            numbers[_LEVEL + side, n] = dot(along, along)
             v = _negative(v)
-    _share(first, second, deep, light[some], heap[some], level, share)
+    _share(m, some, count, room, light, heap)
     for side in range(2):
         for n in range(m):
-            factor = share[side, n] / max(level[side, n], _STEEPEST)
+            factor = numbers[_SHARE + side, n] / max(numbers[_LEVEL + side, n], _STEEPEST)
             for axis in range(3):
                 ways[side, n, axis] *= factor
-    led, sums, weight, contacts = np.zeros((3, count)), np.empty((3, count)), np.empty(count), np.empty(count, np.int64)
     for k in range(count):
         _put(led, k, _of(gone, some[k]))
     for _ in range(sweeps):
-        sums[:], weight[:], contacts[:] = 0.0, 0.0, 0
+        for k in range(count):
+            sums[0, k], sums[1, k], sums[2, k], weight[k], contacts[k] = 0.0, 0.0, 0.0, 0.0, 0
         touching = False
         for n in range(m):
-            pair, p, q = pairs[n], first[n], second[n]
+            pair, p, q = chosen[n], first[n], second[n]
             one, other = minus(_of(led, p), _of(gone, i[pair])), minus(_of(led, q), _of(gone, j[pair]))
             left = gap[pair] + dot(_of(way, pair), minus(one, other))
             if left < -least[pair]:
@@ -206,7 +261,7 @@ def _look(  # type: ignore[no-untyped-def]
                 for side in range(2):
                     k = q if side else p
                     _add(sums, k, times((ways[side, n, 0], ways[side, n, 1], ways[side, n, 2]), left * -slow), magic)
-                    weight[k] += share[side, n]
+                    weight[k] += numbers[_SHARE + side, n]
                     contacts[k] += 1
         if not touching:
             break
@@ -214,7 +269,7 @@ def _look(  # type: ignore[no-untyped-def]
             at = some[k]
             part = (1 + (_EAGER - 1) * heap[at] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
             asked = plus(_of(led, k), times(_of(sums, k), part))
-            asked = _within(asked, _negative(_of(cut, at)), room[at])
+            asked = _within(asked, _negative(_of(cut, at)), far[at])
             _put(led, k, _within(asked, _of(walked, at), most[at]))
     moved = False
     for k in range(count):

@@ -51,8 +51,8 @@ def _bent(near: Near, free: Floats, walked: Floats, way: Floats, magic: float) -
     if compiled.wanted(len(i)):
         from antdsl.runtime.moving.contacts_compiled import bent
 
-        step = np.empty_like(walked)
-        bent(i, j, way, free, walked, magic, step)
+        step = np.empty((3, count))
+        bent(i, j, way, free, walked, magic, np.empty((3, count)), np.empty(count), np.empty(count, np.int64), step)
         return step
     both, ways = np.concatenate([i, j]), np.concatenate([way, -way], axis=1)
     along = np.concatenate([both, both + count, both + 2 * count])

@@ -1,0 +1,313 @@
+"""Writes loops whose turns do not depend on each other: eight at once, what is over one by one.
+
+Each number of a turn becomes one of eight, each question a mask: what stands behind it is done where it holds for some of the
+turns, and counts for those. So do loops, until no turn is left in them, and functions, until all turns have given back a value
+(M. Pharr, W. R. Mark, ispc: A SPMD compiler for high-performance CPU programming, InPar 2012)."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from antdsl.machine_code.kernels.elements import ALL
+from antdsl.machine_code.kernels.statements import Writer, stored_names
+from antdsl.machine_code.kernels.types import INT, TRUTH
+from antdsl.machine_code.kernels.units import Unit, Variable, result_type
+from antdsl.machine_code.kernels.values import WIDTH, Item, Number, constant, leaves, renamed, types_of
+
+_LEAVES = (ast.Break, ast.Continue, ast.Return)
+
+
+@dataclass(slots=True)
+class Turns:
+    """Of a loop, or of a function: places of the turns that are in it, and of those that go on with what is written now."""
+
+    inside: str
+    now: str
+
+
+class SideBySide(Writer):
+    """Writes a function for one turn or for several."""
+
+    def __init__(self, unit: Unit, definition: ast.FunctionDef, world: dict[str, Any], mask: Number | None = None) -> None:
+        super().__init__(unit, definition, world)
+        self.turns: list[Turns] = []
+        self.results: list[Variable] = []
+        self.fresh: set[str] = set()  # places that no turn has written to yet
+        if mask is not None:
+            self.mask = mask
+            self._enter()
+
+    def _enter(self) -> Turns:
+        """A loop or a function begins for those who are here."""
+        assert self.mask is not None
+        turns = Turns(self.slot(TRUTH, True), self.slot(TRUTH, True))
+        self.put(turns.inside, self.mask)
+        self.put(turns.now, self.mask)
+        self.turns.append(turns)
+        return turns
+
+    # --- variables -----------------------------------------------------------------------------------------------------
+
+    def variable(self, item: Number) -> Variable:
+        if self.mask is None:
+            return super().variable(item)
+        place = self.slot(item.kind, True)
+        self.fresh.add(place)
+        return Variable(item.kind, place, True)
+
+    def assign(self, node: ast.AST, name: str, item: Item) -> None:
+        once = self.mask is not None and isinstance(item, Number) and bool(item.first)
+        if once and self.mask == ALL and name not in self.variables and list(stored_names(self.definition)).count(name) == 1:
+            self.variables[name] = item  # stays known to follow from turn to turn
+        else:
+            super().assign(node, name, item)
+
+    def change(self, node: ast.AST, room: Variable, value: Number) -> None:
+        if self.mask is None:
+            super().change(node, room, value)
+            return
+        if not room.wide:
+            self.fail(node, "what several turns would change at once belongs to none of them")
+        value = self.widened(value)
+        if self.mask.known is None and room.place not in self.fresh:
+            value = self.select(self.mask, value, self.load(room.place, room.kind, True))
+        self.fresh.discard(room.place)
+        self.put(room.place, value)
+
+    # --- statements ----------------------------------------------------------------------------------------------------
+
+    def _some(self, mask: Number) -> Number:
+        bits = self.op(f"bitcast {mask.typed} to i{WIDTH}", f"i{WIDTH}")
+        return self.op(f"icmp ne i{WIDTH} {bits.name}, 0", TRUTH)
+
+    def _within(self, mask: Number, write: Callable[[], None]) -> None:
+        """Write what is done where a mask holds for some of the turns."""
+        before, then, done = self.mask, self.label("then"), self.label("done")
+        if mask.known is None:
+            self.branch(self._some(mask), then, done)
+            self.begin(then)
+        self.mask = mask
+        write()
+        self.mask, self.open = before, True
+        if mask.known is None:
+            self.jump(done)
+            self.begin(done)
+
+    def if_(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
+        if self.mask is None:
+            super().if_(test, then, other)
+            return
+        condition = self.truth(test)
+        if condition.known is not None:
+            self.block(then if condition.known else other)
+            return
+        fresh = set(self.fresh)
+        condition = self.widened(condition)
+        here = self.mask
+        self._within(self.both(here, condition), lambda: self.block(then))
+        made = self.fresh - fresh
+        self.fresh &= fresh
+        if other:
+            self._within(self.both(here, self.inverted(condition)), lambda: self.block(other))
+        self.fresh -= made
+        self._again([*then, *other])
+
+    def _again(self, body: list[ast.stmt]) -> None:
+        """After what some turns may have left: who is still here."""
+        if any(isinstance(each, _LEAVES) for statement in body for each in ast.walk(statement)):
+            assert self.mask is not None
+            self.mask = self.both(self.mask, self.load(self.turns[-1].now, TRUTH, True))
+
+    def _clear(self, place: str) -> None:
+        assert self.mask is not None
+        left = self.op(f"and {self.load(place, TRUTH, True).typed}, {self.inverted(self.widened(self.mask)).name}", TRUTH, True)
+        self.put(place, left)
+
+    def leave(self, loop: bool) -> None:
+        if self.mask is None:
+            super().leave(loop)
+            return
+        self._clear(self.turns[-1].now)
+        if loop:
+            self._clear(self.turns[-1].inside)
+        self.open = False
+
+    def while_(self, test: ast.expr, body: list[ast.stmt]) -> None:
+        if self.mask is None:
+            super().while_(test, body)
+            return
+        before, turns = self.mask, self._enter()
+        head, inner, end = self.label("while"), self.label("body"), self.label("end")
+        self.jump(head)
+        self.begin(head)
+        self.mask = self.load(turns.inside, TRUTH, True)
+        here = self.both(self.mask, self.widened(self.truth(test)))
+        self.put(turns.inside, here)
+        self.put(turns.now, here)
+        self.branch(self._some(here), inner, end)
+        self.begin(inner)
+        self.mask = here
+        self.block(body)
+        self.jump(head)
+        self.begin(end)
+        self._left(before, body)
+
+    def _left(self, before: Number, body: list[ast.stmt]) -> None:
+        """Behind a loop: all are here again who have not left the function in it."""
+        self.turns.pop()
+        self.mask, self.open = before, True
+        if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
+            self.mask = self.both(before, self.load(self.turns[-1].now, TRUTH, True))
+
+    def counted(self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt]) -> None:
+        if self.mask is None:
+            super().counted(name, begin, end, step, body)
+            return
+        before, turns = self.mask, self._enter()
+        wide = begin.wide or end.wide
+        number = self.slot(INT, wide)
+        begin, end = self.convert(begin, INT), self.convert(end, INT)
+        begin, end = (self.widened(begin), self.widened(end)) if wide else (begin, end)
+        self.put(number, begin)
+        head, inner, done = self.label("for"), self.label("body"), self.label("end")
+        self.jump(head)
+        self.begin(head)
+        at = self.load(number, INT, wide)
+        here = self.both(self.load(turns.inside, TRUTH, True), self.compare("lt" if step > 0 else "gt", at, end))
+        here = self.widened(here)
+        self.put(turns.inside, here)
+        self.put(turns.now, here)
+        self.branch(self._some(here), inner, done)
+        self.begin(inner)
+        self.mask, self.variables[name] = here, at
+        self.block(body)
+        self.put(number, self.arithmetic(ast.Pass(), ast.Add(), at, constant(step)))
+        self.jump(head)
+        self.begin(done)
+        self._left(before, body)
+
+    def written_out(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
+        if self.mask is None:
+            super().written_out(node, target, items, body)
+            return
+        left = any(isinstance(each, _LEAVES) for statement in body for each in ast.walk(statement))
+        before, turns = self.mask, self._enter()
+        for item in items:
+            if left:
+                self.mask = self.load(turns.inside, TRUTH, True)
+                self.put(turns.now, self.mask)
+            self.bind(node, target, item)
+            self.block(body)
+            self.open = True
+        self._left(before, body)
+
+    def give_back(self, node: ast.AST, item: Item) -> None:
+        if self.mask is None:
+            super().give_back(node, item)
+            return
+        if self.returns and types_of(self._wide(item)) != types_of(self.result):
+            item = self.alike_to(node, item, self.result)
+        if not self.returns:
+            self.results = [self.variable(self.widened(each)) for each in leaves(item)]
+        self.result, self.returns, self.open = self._wide(item), True, False
+        for room, each in zip(self.results, leaves(item), strict=True):
+            self.change(node, room, each)
+        for turns in self.turns:
+            self._clear(turns.now)
+            self._clear(turns.inside)
+
+    def _wide(self, item: Item) -> Item:
+        return tuple(self._wide(each) for each in item) if isinstance(item, tuple) else self.widened(item)
+
+    def end(self) -> None:
+        """Give back, of a function for several turns, what they all give."""
+        if self.mask is None:
+            super().end()
+            return
+        self.result = self.result or ()
+        numbers = [self.load(each.place, each.kind, True) for each in self.results]
+        self.returned(renamed(self.result, iter([each.name for each in numbers])))
+
+    # --- loops and calls -----------------------------------------------------------------------------------------------
+
+    def side_by_side(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
+        if self.mask is not None:
+            self.counted(name, begin, end, 1, body)
+            return
+        begin, end = self.convert(begin, INT), self.convert(end, INT)
+        count = self.op(f"sub {end.typed}, {begin.name}", INT)
+        rest = self.op(f"and {count.typed}, {-WIDTH}", INT)
+        none = self.op(f"icmp slt {count.typed}, 0", TRUTH)
+        middle = self.select(none, begin, self.op(f"add {begin.typed}, {rest.name}", INT))
+        known, loops = dict(self.variables), self.loops
+        number = self.slot(INT)
+        self.put(number, begin)
+        head, inner, done = self.label("for"), self.label("body"), self.label("end")
+        self.jump(head)
+        self.begin(head)
+        at = self.load(number, INT)
+        self.branch(self.op(f"icmp slt {at.typed}, {middle.name}", TRUTH), inner, done)
+        self.begin(inner)
+        steps = Number(INT, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", wide=True)
+        lanes = self.op(f"add {self.widened(at).typed}, {steps.name}", INT, True)
+        self.mask, self.loops = ALL, []
+        self._enter()
+        self.variables[name] = Number(INT, lanes.name, None, True, at.name)
+        self.block(body)
+        self.turns.pop()
+        self.mask, self.open, self.variables, self.loops = None, True, known, loops
+        self.put(number, self.op(f"add {at.typed}, {WIDTH}", INT))
+        self.jump(head)
+        self.begin(done)
+        super().counted(name, middle, end, 1, body)
+
+    def called(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
+        part = getattr(function, "part", None)
+        if part is None:
+            self.fail(node, f"`{ast.unparse(node.func)}` is no function of kernels")
+        wide = self.mask is not None and any(each.wide for item in inputs for each in leaves(item))
+        name, result = written(self.unit, part, inputs, wide)
+        given = [each.typed for item in inputs for each in leaves(item)]
+        if wide:
+            assert self.mask is not None
+            given.append(self.mask.typed)
+        numbers, arguments = list(leaves(result)), ", ".join(given)
+        if not numbers:
+            self.do(f"call void {name}({arguments})")
+            return ()
+        if len(numbers) == 1:
+            found = [self.op(f"call {numbers[0].type} {name}({arguments})", numbers[0].kind).name]
+        else:
+            whole = self.op(f"call {result_type(result)} {name}({arguments})", "all").name
+            found = [
+                self.op(f"extractvalue {result_type(result)} {whole}, {k}", each.kind).name for k, each in enumerate(numbers)
+            ]
+        return renamed(result, iter(found))
+
+
+def written(unit: Unit, part: Any, inputs: list[Item], wide: bool = False) -> tuple[str, Item]:
+    """The function of a part for items of these types, written once: its name, and what it gives back. `wide`: for several turns
+    side by side; its last argument is the mask of those that it counts for."""
+    key = (part, ",".join(types_of(each) for each in inputs) + ("," if wide else ""))
+    if key not in unit.made:
+        definition, world = part.source()
+        name = f"@{definition.name}.{len(unit.made)}"
+        unit.made[key] = name, None
+        numbers = iter(f"%x{k}" for k in range(100_000))
+        own = [renamed(each, numbers) for each in inputs]
+        mask = Number(TRUTH, "%mask", wide=True) if wide else None
+        w = SideBySide(unit, definition, world, mask)
+        arguments = [each.typed for item in own for each in leaves(item)] + ([mask.typed] if mask else [])
+        w.run(own)
+        unit.declared |= w.declared
+        body = "\n".join((*w.allocas, *w.lines))
+        unit.functions.append(
+            f"define internal {result_type(w.result)} {name}({', '.join(arguments)}) {part.attribute} {{\nentry:\n{body}\n}}"
+        )
+        unit.made[key] = name, w.result
+    elif unit.made[key][1] is None:
+        raise RecursionError(f"{part} calls itself")
+    return unit.made[key]
