@@ -50,8 +50,7 @@ def move(world: World, population: Population, substep: int) -> None:
     wanted = vec.scale(velocity, dt)
     step = _no_slower(world, population, slide(world, population, wanted, up, now["radius"]), up, dt)
     if step is not wanted:
-        stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
-        velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
+        velocity = _slowed(population, wanted, step, velocity, _F(1) / dt)
     body = bodies(world, population, step, dt)
     going = body.paced(step, velocity)
     moved = world.ground.move(population.footing, going.wish, going.looking, going.up, going.size, world.options.threads)
@@ -64,6 +63,18 @@ def move(world: World, population: Population, substep: int) -> None:
         orient(world, population, *before)
         hasty[:] = True
     body.follow(hasty, came_from, dt)
+
+
+def _slowed(population: Population, wanted: Vector, step: Vector, velocity: Vector, rate: np.float32) -> Vector:
+    """Velocities, of those whose steps are not as wanted any more as these steps are."""
+    if compiled.wanted(len(population)):
+        from antdsl.runtime.moving.obstacles_compiled import slowed
+
+        found = population.room("slowed", (3, len(population)), np.float32)
+        slowed(wanted, step, velocity, rate, found)
+        return found[0], found[1], found[2]
+    stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
+    return vec.choose(stopped, vec.scale(step, rate), velocity)
 
 
 def _arrive(
