@@ -102,7 +102,8 @@ class Creases:
         for rung in range(asked.bit_length()):
             if asked >> rung & 1:
                 close(rows, rungs, rung, place, self._low, self._width, self._within(first + rung))
-        return rows[rungs == -1]
+        kept: Index = rows[rungs == -1]
+        return kept
 
     def _within(self, rung: int) -> NDArray[np.bool_]:
         """Cells within 2**rung mm of something of the kind."""

@@ -70,9 +70,9 @@ def _slowed(population: Population, wanted: Vector, step: Vector, velocity: Vect
     if compiled.wanted(len(population)):
         from antdsl.runtime.moving.obstacles_compiled import slowed
 
-        found = population.room("slowed", (3, len(population)), np.float32)
-        slowed(wanted, step, velocity, rate, found)
-        return found[0], found[1], found[2]
+        x, y, z = population.room("slowed", 3, (len(population),), np.float32)
+        slowed(wanted, step, velocity, rate, (x, y, z))
+        return x, y, z
     stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
     return vec.choose(stopped, vec.scale(step, rate), velocity)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, I64, Array1, Array2, kernel
+from antdsl.machine_code.kernels import F32, I64, Array1, kernel
 from antdsl.numerics.vectors_compiled import dot
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -36,9 +36,9 @@ def touching(
 
 
 @kernel
-def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, to: Array2[F32]) -> None:
-    """Velocities into `to` (3, n): of those whose steps are not as `wanted`, `rate` times their steps."""
+def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, to: Three) -> None:
+    """Velocities into `to`: of those whose steps are not as `wanted`, `rate` times their steps."""
     for i in range(wanted[0].size):
         stopped = step[0][i] != wanted[0][i] or step[1][i] != wanted[1][i] or step[2][i] != wanted[2][i]
         for k in range(3):
-            to[k, i] = step[k][i] * rate if stopped else velocity[k][i]
+            to[k][i] = step[k][i] * rate if stopped else velocity[k][i]

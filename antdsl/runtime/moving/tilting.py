@@ -145,12 +145,11 @@ class Bodies:
         from antdsl.runtime.moving.tilting_compiled import pace
 
         p, n = self.population, len(self.most)
-        steps, velocities = p.room("steps", (3, n), np.float32), p.room("velocities", (3, n), np.float32)
-        at_once, walk = p.room("at once", (n,), np.float32), p.room("walk", (3, 3, n), np.float64)
+        x, y, z, vx, vy, vz, at_once = p.room("paced", 7, (n,), np.float32)
+        walk = wish, looking, up = p.room("walk", 3, (3, n), np.float64)
         bodies = (self.up, self.looking, p.normal, self.most)
-        pace(state, step, velocity, *bodies, self._walls(), _F(_WAITING), steps, velocities, at_once, (*walk,))
-        wish, looking, up = walk
-        return Paced((*steps,), (*velocities,), at_once, wish.T, looking.T, up.T, p.rooms["lengths"][0])
+        pace(state, step, velocity, *bodies, self._walls(), _F(_WAITING), (x, y, z), (vx, vy, vz), at_once, walk)
+        return Paced((x, y, z), (vx, vy, vz), at_once, wish.T, looking.T, up.T, p.rooms["lengths"][0])
 
     def _follow_fast(self, hasty: NDArray[np.bool_], before: Floats, dt: np.float32, state: NDArray[np.int64]) -> None:
         from antdsl.runtime.moving.tilting_compiled import follow
@@ -188,13 +187,12 @@ def _bodies_fast(world: World, population: Population, step: Vector, dt: np.floa
     from antdsl.runtime.moving.tilting_compiled import stand
 
     now, n = population.now, len(population)
-    vectors, most = population.room("bodies", (3, 3, n), np.float32), population.room("most", (n,), np.float32)
-    lengths, state = population.room("lengths", (3, n), np.float64), population.room("state", (n,), np.int64)
+    vectors = up, heading, looking = population.room("bodies", 3, (3, n), np.float32)
+    lengths = _, half, reach = population.room("lengths", 3, (n,), np.float64)
+    (most,), (state,) = population.room("most", 1, (n,), np.float32), population.room("state", 1, (n,), np.int64)
     given = (now["max_speed"], now["size"], now["max_turn"])
     stands = (vec.named(now, "up"), vec.named(now, "heading"), population.normal)
-    stand(*stands, given, dt, WIDEST, (*vectors,), most, (*lengths,), state)
-    up, heading, looking = vectors
-    _, half, reach = lengths
+    stand(*stands, given, dt, WIDEST, vectors, most, lengths, state)
     found = rises(world, population, looking, step, (half, reach), state)
     return Bodies(population, up, heading, most, _NOBODY, found, looking, state)
 
@@ -237,7 +235,7 @@ def lay(population: Population) -> None:
     if compiled.wanted(n := len(population)):
         from antdsl.runtime.moving import tilting_compiled
 
-        found, lean = population.room("leaning", (n,), np.int64), population.room("laid", (3, 3, n), np.float32)
+        (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
         count = tilting_compiled.lay(population.normal, *_registers(start), *_registers(now), found, *lean)
         if count:
             population.laid = (found[:count], *(vectors[:, :count] for vectors in lean))

@@ -216,8 +216,8 @@ def pace(
     most: Array1[F32],
     walls: Walls,
     waiting: F32,
-    steps: Array2[F32],
-    velocities: Array2[F32],
+    steps: Three,
+    velocities: Three,
     at_once: Array1[F32],
     walk: tuple[Array2[F64], Array2[F64], Array2[F64]],
 ) -> None:
@@ -248,9 +248,9 @@ def pace(
             kept = _maximum(part, waiting)
         for k in range(3):
             pace = step[k][i] * part
-            steps[k, i] = pace
+            steps[k][i] = pace
             wish[k, i] = np.float64(pace)
-            velocities[k, i] = velocity[k][i] * kept
+            velocities[k][i] = velocity[k][i] * kept
             forward[k, i] = np.float64(looking[k, i])
             above[k, i] = np.float64(normal[i, k])
 
