@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import facing
 from antdsl.ground.protocol import Floats, Footing, Move
+from antdsl.numerics import compiled
 
 
 class Plane:
@@ -73,11 +74,18 @@ class Plane:
         straight: bool = False,
     ) -> Move:
         """Walk straight on."""
+        n, none = len(displacement), np.zeros(len(displacement), np.bool_)
+        if compiled.wanted(n):
+            from antdsl.ground.plane_compiled import straight_on
+
+            point, ahead, direction, travelled = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+            straight_on(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
+            above = np.broadcast_to(self._up, up.shape)
+            return Move(Footing.on_plane(point), point, above, ahead, direction, travelled, none, none)
         step = self._flat(displacement)
         travelled = np.sqrt((step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) + step[:, 2] * step[:, 2])
         heading = self._flat(heading)
         going = travelled > 0
         direction = np.where(going[:, None], step / np.where(going, travelled, 1.0)[:, None], heading)
         footing = Footing.on_plane(footing.point + step)
-        none = np.zeros(len(step), np.bool_)
         return Move(footing, footing.point, np.broadcast_to(self._up, up.shape), heading, direction, travelled, none, none)

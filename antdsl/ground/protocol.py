@@ -284,6 +284,6 @@ class Meshes(Ground, Protocol):
         """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface: their numbers, ascending, after what part of it,
         and the face's unit normal (3, k), by how it is wound."""
 
-    def near_rises(self, footing: Footing, place: Floats, reach: Floats) -> Flags:
-        """Whether for agents at places [n,3] a surface may rise within `reach` [n] mm: at an inner crease, or another piece, or a
-        mesh that moves. Never false where one does, and the same for an agent whoever else is asked for."""
+    def rising(self, footing: Footing, place: Floats, reach: Floats) -> Index:
+        """The rows, ascending, of agents at places [n,3] for whom a surface may rise within `reach` [n] mm, if that is over 0: at
+        an inner crease, another piece, or a mesh that moves. All for whom one does, and the same whoever else is asked for."""

@@ -106,7 +106,15 @@ class Population:
     next_id: int = 0
     normal: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), np.float32))  # of what the feet are on, its side
     laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
+    rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
+
+    def room(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
+        """So many arrays for what one step works out, kept for the next one, which writes over them."""
+        found = self.rooms.get(name)
+        if found is None or found[0].shape != shape:
+            found = self.rooms[name] = tuple(np.empty(shape, dtype) for _ in range(count))
+        return found
 
     @property
     def name(self) -> str:

@@ -157,6 +157,13 @@ def landed(table, f, side, c, s, heading_c, heading_s, to, to_side):  # type: ig
 
 
 @inlined
+def standing(table, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
+    """Place on a face, the way up there, and the direction of travel."""
+    row = WIDTH * f
+    return stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side), _in_space(table, row, c, s)
+
+
+@inlined
 def stand(table, row, b1, b2, side):  # type: ignore[no-untyped-def]
     """Place on a face."""
     return plus(plus(at(table, row + CORNER), times(at(table, row + EDGE1), b1)), times(at(table, row + EDGE2), b2))

@@ -7,7 +7,7 @@ import numpy as np
 
 from antdsl.ground.mesh.boxes import EDGE, FARTHEST, LEVEL, WIDE
 from antdsl.ground.mesh.face_table import CORNER, EDGE1, EDGE2, WIDTH
-from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, Strided2, called, kernel, scratch
+from antdsl.machine_code.kernels import F64, I64, Array1, Array2, called, scratch
 from antdsl.numerics.vectors_compiled import at, cross, dot, minus
 
 Tree = tuple[Array1[I64], Array1[I64], Array2[F64]]  # order, first and bounds of `Boxes`
@@ -75,28 +75,3 @@ def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no
         if hit and (t < part or (t == part and f < face)):
             face, part, b1, b2 = f, t, u, v
     return face, part, b1, b2
-
-
-@kernel
-def first_of_all(
-    table: Array1[F64],
-    pieces: Array1[I32],
-    boxes: Tree,
-    origin: Strided2[F64],
-    step: Strided2[F64],
-    fine: F64,
-    face: Array1[I64],
-    piece: Array1[I32],
-    found: Array1[I64],
-    met: Array1[I64],
-    part: Array1[F64],
-    b1: Array1[F64],
-    b2: Array1[F64],
-) -> None:
-    """As `boxes.first_met`, for ways (3, n), into the last four; `found` has room for all faces."""
-    for k in range(origin.shape[1]):
-        start, way = (origin[0, k], origin[1, k], origin[2, k]), (step[0, k], step[1, k], step[2, k])
-        long = 1.0 + min(fine / max(np.sqrt(dot(way, way)), 1e-300), FARTHEST)
-        end = (start[0] + way[0] * long, start[1] + way[1] * long, start[2] + way[2] * long)
-        count = gather(pieces, boxes, start, end, 0.0, face[k], piece[k], found)
-        met[k], part[k], b1[k], b2[k] = first_of(table, boxes, found, count, start, way, fine)

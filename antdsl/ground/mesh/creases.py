@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.topology import NO_LINK, Topology
+from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
+Ints = NDArray[np.int32]
 
 _SAMPLES = 5  # places along a crease from which distances are measured
 _PIECES = 64  # pieces of a ground above which each face counts as near another
@@ -76,8 +78,7 @@ class Creases:
         """Whether places (3, n) may have something of the kind within `reach` [n] mm: never false where there is, and the same
         for a place and a reach whoever else asks."""
         found = np.zeros(len(reach), np.bool_)
-        whole = float(self._shape.max()) * self._width
-        rung = np.frexp(np.clip(np.nan_to_num(reach), self._width, whole))[1]  # so many doublings of a mm
+        rung = np.frexp(np.clip(np.nan_to_num(reach), *self.reaches))[1]  # so many doublings of a mm
         for each in np.unique(rung):
             near = self._within(int(each))
             rows = np.flatnonzero(rung == each)
@@ -86,6 +87,23 @@ class Creases:
                 i, j, k = (np.clip(a, 0, n - 1).astype(np.int64) for a, n in zip(at, self._shape, strict=True))
                 found[rows] = near[i, j, k]
         return found
+
+    @property
+    def reaches(self) -> tuple[float, float]:
+        """The least and the greatest reach (mm) that are told apart: a cell and all of them."""
+        return self._width, float(self._shape.max()) * self._width
+
+    def keep(self, rows: Index, rungs: Index, asked: int, place: Floats) -> Index:
+        """Of some rows at places (n, 3), those near: of rung -1, or by the grid of their rung over that of a cell; `asked` has a
+        bit for each such rung that there is."""
+        from antdsl.ground.mesh.creases_compiled import close
+
+        first = int(np.frexp(self._width)[1])
+        for rung in range(asked.bit_length()):
+            if asked >> rung & 1:
+                close(rows, rungs, rung, place, self._low, self._width, self._within(first + rung))
+        kept: Index = rows[rungs == -1]
+        return kept
 
     def _within(self, rung: int) -> NDArray[np.bool_]:
         """Cells within 2**rung mm of something of the kind."""
@@ -152,23 +170,26 @@ class RiseMap:
         self._size: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
         self._creases = Creases(corners, table, still)
 
-    def near(
-        self,
-        face: Index,
-        known: NDArray[np.bool_],
-        place: Floats,
-        reach: Floats,
-        moving: Sequence[tuple[Floats, Floats]],
-    ) -> NDArray[np.bool_]:
-        """As `MeshGround.near_rises`, for agents who stand on faces if that is `known`, with the lowest and highest corner of
-        each mesh that moves."""
+    def rising(
+        self, mesh: Ints, local: Ints, first: Index, place: Floats, reach: Floats, moving: Sequence[tuple[Floats, Floats]]
+    ) -> Index:
+        """As `MeshGround.rising`, for agents on a face of a mesh (-1: nowhere), which count from the `first` of each on, with the
+        lowest and highest corner of each mesh that moves."""
+        if compiled.wanted(len(reach)) and not moving:
+            from antdsl.ground.mesh.creases_compiled import candidates
+
+            rows, faces, rungs = np.empty((3, len(reach)), np.int64)
+            on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
+            count, asked = candidates(*on, rows, faces, rungs)
+            return self._creases.keep(rows[:count], rungs[:count], asked, place) if count else rows[:0]
+        known = (local >= 0) & (mesh >= 0) & (mesh < len(first) - 1) & (reach > 0)
+        face = np.where(known, first.take(np.where(known, mesh, 0)) + local, 0)
         rows = np.flatnonzero(known & (self._clear.take(face) <= reach))
-        found = np.zeros(len(reach), np.bool_)
-        if rows.size:
-            at = place.take(rows, axis=0)
-            found[rows] = True
-            wide = np.flatnonzero(self._size.take(face.take(rows)) > reach[rows])  # of such a face only a part is near
-            found[rows[wide]] = self._creases.near(at[wide].T, reach[rows[wide]])
-            for low, high in moving:
-                found[rows] |= ((at >= low - reach[rows, None]) & (at <= high + reach[rows, None])).all(axis=1)
-        return found
+        if not rows.size:
+            return rows
+        at, found = place.take(rows, axis=0), np.ones(rows.size, np.bool_)
+        wide = np.flatnonzero(self._size.take(face.take(rows)) > reach[rows])  # of such a face only a part is near
+        found[wide] = self._creases.near(at[wide].T, reach[rows[wide]])
+        for low, high in moving:
+            found |= ((at >= low - reach[rows, None]) & (at <= high + reach[rows, None])).all(axis=1)
+        return rows[found]

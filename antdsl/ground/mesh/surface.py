@@ -172,13 +172,13 @@ class MeshGround:
         known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
-    def near_rises(self, footing: Footing, place: Floats, reach: Floats) -> NDArray[np.bool_]:
-        """Whether for agents at places [n,3] a surface may rise within `reach` [n] mm: at an inner crease, or another piece, or a
-        mesh that moves. Never false where one does, and the same for an agent whoever else is asked for."""
+    def rising(self, footing: Footing, place: Floats, reach: Floats) -> Index:
+        """The rows, ascending, of agents at places [n,3] for whom a surface may rise within `reach` [n] mm, if that is over 0: at
+        an inner crease, another piece, or a mesh that moves. All for whom one does, and the same whoever else is asked for."""
         if self._rises is None:
             self._rises = RiseMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
-        face, known = self.on_faces(footing)
-        return self._rises.near(face, known, place, reach, [(low, high) for _, low, high in self.boxes()])
+        moving = [(low, high) for _, low, high in self.boxes()]
+        return self._rises.rising(footing.mesh, footing.face, self._first, place, reach, moving)
 
     def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
         """Meshes that move, where they are now: which faces are theirs, lowest and highest corner."""
@@ -252,9 +252,8 @@ class MeshGround:
         place, above, ahead, direction = np.empty((4, 3, n))
         gone, blocked = np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
-        around = Around(self._table, self._boxes, parts, self._scale, body, self._fast.packed)
         results = (*to, place, above, ahead, direction, gone, blocked)
-        done = self._fast.step(around, parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads, straight)
+        done = self._fast.step(parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads, straight)
         result = Move(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
         left = np.flatnonzero(~done)
         if left.size:

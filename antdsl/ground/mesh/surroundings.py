@@ -45,18 +45,10 @@ class Scale:
 
 
 class Around:
-    """Looks of walkers with a `body` (mm) each: straight ways against all faces, which lie in `boxes`; by a compiled loop where
-    the table is `packed` for it."""
+    """Looks of walkers with a `body` (mm) each: straight ways against all faces, which lie in `boxes`."""
 
-    def __init__(
-        self, table: Topology, boxes: Boxes, parts: Parts, scale: Scale, body: Floats, packed: Floats | None = None
-    ) -> None:
+    def __init__(self, table: Topology, boxes: Boxes, parts: Parts, scale: Scale, body: Floats) -> None:
         self._table, self._boxes, self._parts, self._scale, self._body = table, boxes, parts, scale, body
-        self._packed = packed
-
-    def of(self, agents: Index) -> Around:
-        """The same for some of the agents, whose numbers count from 0."""
-        return Around(self._table, self._boxes, self._parts, self._scale, self._body.take(agents), self._packed)
 
     def near(self, walkers: Walkers, rows: Index | slice, length: Floats) -> NDArray[np.bool_]:
         """Who of `rows` may meet another piece of surface within `length`."""
@@ -206,14 +198,6 @@ class Around:
         n = origin.shape[1]
         none = np.full(n, -1, np.int32)
         passed, beside = none.astype(np.int64) if face is None else face, none if piece is None else piece
-        if self._packed is not None:
-            from antdsl.ground.mesh.boxes_compiled import first_of_all
-
-            boxes = (self._boxes.order, self._boxes.first, self._boxes.bounds)
-            met, room = np.empty(n, np.int64), np.empty(self._boxes.order.size, np.int64)
-            part, b1, b2 = np.empty((3, n))
-            first_of_all(self._packed, self._table.piece, boxes, origin, step, fine, passed, beside, room, met, part, b1, b2)
-            return met, part, b1, b2
         return first_met(self._boxes, self._table, origin, step, fine, passed, beside)
 
     def _leads(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:

@@ -1,13 +1,13 @@
 """The walk of `walk` and `ground` as one loop over agents: same operations in the same order and so the same bits. Who may meet
-anything but the next face of its own surface waits for a second loop, and of these who walks on what its own piece cuts for
-`walk_events`."""
+anything but the next face of its own surface waits for a second loop."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from antdsl.ground.mesh.around_compiled import beyond, landed, other_ahead
+from antdsl.ground.mesh.around_compiled import beyond, landed, other_ahead, standing
 from antdsl.ground.mesh.boxes_compiled import Tree
+from antdsl.ground.mesh.crossings_compiled import crossed
 from antdsl.ground.mesh.face_table import (
     AXIS1,
     CORNER,
@@ -49,9 +49,9 @@ Placed = tuple[Array1[I32], Array1[I32], Array1[F64], Array1[F64], Array1[F64]] 
 Moved = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array1[F64]]
 # What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, REALS = range(12)
-AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, LOOKED, EVENT, EDGE, WHOLES = range(10)
+AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, EVENT, EDGE, WHOLES = range(9)
 _FETCHED = 64  # agents whose rows are brought near at once: as many as a processor's nearest memory holds
-AHEAD, BORDER, HANG, MET = 1, 2, 3, 4  # something may be in the way, or beyond the border; over one already; decided elsewhere
+AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the border; over one already
 
 
 @kernel
@@ -153,9 +153,10 @@ def walk_on(
     surface: Surface,
     near: Clearances,
     sides: tuple[Array1[I32], Array2[I32]],
-    cuts: Array1[I64],
+    cuts: tuple[Array1[I64], Array1[I64]],
     boxes: Tree,
     scale: tuple[F64, F64, F64],
+    touch: F64,
     straight: BOOL,
     found: Array1[I64],
     body: Array1[F64],
@@ -168,20 +169,18 @@ def walk_on(
     begin: I64,
     end: I64,
 ) -> None:
-    """The same for agents that wait, from `begin` to before `end`: until they are done, or `EVENT` says that they may come to
-    what their own piece cuts.
+    """The same for agents that wait, from `begin` to before `end`.
 
-    `sides` are `piece` and `way` of the topology and `cuts` the first of its cuts, `boxes` the arrays of `Boxes`, `scale` least,
-    fine and under of `Scale`; ways end at open borders if they are to be `straight`; `found` has room for all faces.
+    `sides` are `piece` and `way` of the topology and `cuts` the arrays of its cuts, `boxes` those of `Boxes`, `scale` least, fine
+    and under of `Scale`, and its `touch`; ways end at open borders if they are to be `straight`; `found` has room for all faces.
     """
     table, link, forked, first = surface
     sub_first, sub_count, clear, reach, noise = near
+    first_cut, _ = cuts
     to_mesh, to_face, to_b1, to_b2, to_over = placed
     place, above, ahead, direction, gone = moved
     for k in range(begin, end):
         event = wholes[EVENT, k]
-        if event == 0:
-            continue
         i = wholes[AGENT, k]
         size = body[i]
         high = _margin(noise, size) if wholes[NEAR, k] != 0 else -np.inf
@@ -200,21 +199,26 @@ def walk_on(
             reals[GONE, k],
             reals[OVER, k],
             wholes[TURN, k],
-            wholes[LOOKED, k] != 0,
+            False,
             wholes[EDGE, k],
             reals[LENGTH, k],
         )
-        wholes[EVENT, k], wholes[LOOKED, k] = 0, 0
         while event:
-            to, side2, level, gap = -1, side, 0.0, 0.0
+            to, one, two, side2, level, gap, shut = -1, 0.0, 0.0, side, 0.0, 0.0, False
             if event == AHEAD:
-                if cuts[f + 1] > cuts[f]:
-                    break
                 looked = True
                 if length > 0:
-                    to, one, two, side2, gap = other_ahead(
-                        table, sides, boxes, scale, found, size, f, b1, b2, side, c, s, left, length
+                    gap = length
+                    if first_cut[f + 1] > first_cut[f]:
+                        at_place, up, way_on = standing(table, f, b1, b2, side, c, s)
+                        to, one, two, side2, gap, shut = crossed(
+                            table, link, sides, cuts, touch, f, at_place, up, way_on, side, length
+                        )  # fmt: skip
+                    nearer, nearer1, nearer2, nearer_side, nearer_gap = other_ahead(
+                        table, sides, boxes, scale, found, size, f, b1, b2, side, c, s, left, gap
                     )  # fmt: skip
+                    if nearer >= 0:
+                        to, one, two, side2, gap, shut = nearer, nearer1, nearer2, nearer_side, nearer_gap, False
                 if to >= 0:
                     looked = False
                     turn += 1
@@ -251,7 +255,7 @@ def walk_on(
                 left = max(left - gap, 0.0)
                 way += gap
                 wholes[SPENT, k] += 1
-                if wholes[SPENT, k] >= HOPS:
+                if shut or wholes[SPENT, k] >= HOPS:
                     left = 0.0
                     wholes[BLOCKED, k] = 1
             f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
@@ -260,9 +264,6 @@ def walk_on(
             )  # fmt: skip
             looked = False
         if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
-            continue
-        if event:
-            _keep(reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length)
             continue
         done[i] = True
         row = WIDTH * f
@@ -295,7 +296,7 @@ def _keep(  # type: ignore[no-untyped-def]
         heading_s,
     )
     reals[LEFT, k], reals[GONE, k], reals[OVER, k], reals[LENGTH, k] = left, way, over, length
-    wholes[FACE, k], wholes[TURN, k], wholes[LOOKED, k], wholes[EVENT, k], wholes[EDGE, k] = f, turn, 0, event, edge
+    wholes[FACE, k], wholes[TURN, k], wholes[EVENT, k], wholes[EDGE, k] = f, turn, event, edge
 
 
 @inlined

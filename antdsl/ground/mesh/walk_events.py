@@ -1,5 +1,4 @@
-"""The compiled walk in rounds: loops over all agents until each is done or may come to what its own piece cuts, then the cuts of
-all who wait at once."""
+"""The compiled walk: a loop over all agents, and one over those of whom it has found that they may come to something else."""
 
 from __future__ import annotations
 
@@ -12,9 +11,8 @@ from antdsl.ground.mesh import walk_compiled as loop
 from antdsl.ground.mesh.boxes import Boxes
 from antdsl.ground.mesh.face_table import pack, packed
 from antdsl.ground.mesh.surface_clearance import Parts
-from antdsl.ground.mesh.surroundings import Around, Scale
+from antdsl.ground.mesh.surroundings import Scale
 from antdsl.ground.mesh.topology import Topology
-from antdsl.ground.mesh.walk import Walkers, climb
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
@@ -34,7 +32,6 @@ class Walk:
 
     def step(
         self,
-        around: Around,
         parts: Parts,
         boxes: Boxes,
         scale: Scale,
@@ -61,29 +58,13 @@ class Walk:
         reals, wholes = (np.concatenate(half, axis=1) for half in zip(*compiled.in_parts(part, n, threads), strict=True))
         topology = self._table
         sides, tree = (topology.piece, topology.way), (boxes.order, boxes.first, boxes.bounds)
-        known = (sides, topology.cuts.first, tree, (scale.least, scale.fine, scale.under))
+        cuts = (topology.cuts.first, topology.cuts.other)
+        known = (sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch)
 
         def further(begin: int, end: int) -> None:
             found = np.empty(boxes.order.size, np.int64)
             loop.walk_on(table, near, *known, straight, found, body, reals, wholes, done, placed, moved, blocked, begin, end)
 
         if wholes.size:
-            asking = around.of(wholes[loop.AGENT])
             compiled.in_parts(further, wholes.shape[1], threads)
-            while wholes[loop.EVENT].any():
-                self._meet(asking, reals, wholes)
-                compiled.in_parts(further, wholes.shape[1], threads)
         return done
-
-    def _meet(self, around: Around, reals: Floats, wholes: NDArray[np.int64]) -> None:
-        """Look what those who wait come to, and do with them what `walk` does."""
-        columns: Any = (wholes[loop.FACE], *reals[: loop.GONE + 1], wholes[loop.BLOCKED], reals[loop.OVER])
-        w = Walkers(*columns)
-        near: Any = wholes[loop.NEAR]
-        spent: Any = wholes[loop.SPENT]
-        looking = np.flatnonzero(wholes[loop.EVENT] == loop.AHEAD)
-        met = climb(self._table, w, looking, near, reals[loop.LENGTH].take(looking), spent, around)
-        looked = np.ones(looking.size, bool) if met is None else ~met
-        wholes[loop.LOOKED, looking] = looked
-        wholes[loop.TURN, looking[~looked]] += 1
-        wholes[loop.EVENT, looking] = loop.MET

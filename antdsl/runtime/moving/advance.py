@@ -19,6 +19,7 @@ from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.falling import in_the_air
 from antdsl.runtime.moving.obstacles import slide
 from antdsl.runtime.moving.orienting import orient
+from antdsl.runtime.moving.rises import FACE
 from antdsl.runtime.moving.tilting import bodies
 from antdsl.runtime.moving.walks import is_led, led
 from antdsl.runtime.world import AXES, Population, World
@@ -29,7 +30,7 @@ _BOUNCE = np.float32(0.3)  # of the speed into the border of an open surface tha
 _F = np.float32
 _BEYOND = _F(1.005)  # times the greatest turn, up to which rounding may bring one
 _LEVEL = _F(1e-3)  # sine of the angle to the body's up below which a way to face says nothing
-FACE, LEAST = "~face.x", "min_speed"  # registers of those species alone that ask for them
+LEAST = "min_speed"  # a register of those species alone that ask for it
 _TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)
 
 
@@ -49,29 +50,31 @@ def move(world: World, population: Population, substep: int) -> None:
     wanted = vec.scale(velocity, dt)
     step = _no_slower(world, population, slide(world, population, wanted, up, now["radius"]), up, dt)
     if step is not wanted:
-        stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
-        velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
+        velocity = _slowed(population, wanted, step, velocity, _F(1) / dt)
     body = bodies(world, population, step, dt)
-    step, kept = body.paced(step)
-    if kept is not None:
-        velocity = vec.scale(velocity, kept)
-    moved = world.ground.move(
-        population.footing,
-        vec.rows(step),
-        body.looking.T.astype(np.float64, order="K"),
-        vec.rows(up),
-        now["size"].astype(np.float64),
-        world.options.threads,
-    )
+    going = body.paced(step, velocity)
+    moved = world.ground.move(population.footing, going.wish, going.looking, going.up, going.size, world.options.threads)
     if world.solids:
         moved = in_the_air(world, population, moved, dt)
-    hasty = _arrive(population, velocity, step, moved, body.at_once(), dt, _F(world.dt))
-    went = moved.position - population.position
+    hasty = _arrive(population, going.velocity, going.step, moved, going.at_once, dt, _F(world.dt))
+    came_from = population.position
     population.footing, population.position = moved.footing, moved.position
     if before is not None:
         orient(world, population, *before)
         hasty[:] = True
-    body.follow(hasty, went, dt)
+    body.follow(hasty, came_from, dt)
+
+
+def _slowed(population: Population, wanted: Vector, step: Vector, velocity: Vector, rate: np.float32) -> Vector:
+    """Velocities, of those whose steps are not as wanted any more as these steps are."""
+    if compiled.wanted(len(population)):
+        from antdsl.runtime.moving.obstacles_compiled import slowed
+
+        x, y, z = population.room("slowed", 3, (len(population),), np.float32)
+        slowed(wanted, step, velocity, rate, (x, y, z))
+        return x, y, z
+    stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
+    return vec.choose(stopped, vec.scale(step, rate), velocity)
 
 
 def _arrive(

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
+from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
@@ -60,12 +61,20 @@ def _along(
     clear: NDArray[np.float32],
     threads: int,
 ) -> Vector:
-    size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
-    near = np.flatnonzero((size > _F(1e-9)) & may_touch(clear, size + margin))
+    if compiled.wanted(len(radius)):
+        from antdsl.runtime.moving.obstacles_compiled import touching
+
+        rows, lengths = np.empty(len(radius), np.int64), np.empty((2, len(radius)), np.float32)
+        count = touching(step, radius, clear, rows, *lengths)
+        near, (size, margin) = rows[:count], lengths[:, :count]
+    else:
+        size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
+        near = np.flatnonzero((size > _F(1e-9)) & may_touch(clear, size + margin))
+        size, margin = size[near], margin[near]
     if not len(near):
         return step
     place, up, clear = vec.take(place, near), vec.take(up, near), clear[near]
-    bent = _bent(scene, place, vec.take(step, near), up, size[near], margin[near], clear, threads)
+    bent = _bent(scene, place, vec.take(step, near), up, size, margin, clear, threads)
     result = vec.copy(step)
     for component, value in zip(result, bent, strict=True):
         component[near] = value

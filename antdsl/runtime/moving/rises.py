@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Meshes
 from antdsl.numerics import elementary
+from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot, stacked_cross
 from antdsl.runtime.moving.heads import RAISED
 from antdsl.runtime.world import Population, World
@@ -16,10 +18,11 @@ from antdsl.runtime.world import Population, World
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
+FACE = "~face.x"  # a register of those species alone that ask for it
 _STEEP = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
 _EYE = 0.03  # of a body: how high above the feet a ray looks for walls
 _ASIDE = 0.97  # cosine of the angle between look and way above which one ray tells of both
-_WIDEST = 3.0  # half bodies before a wall within which a body tilts, at most
+WIDEST = 3.0  # half bodies before a wall within which a body tilts, at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,27 +97,37 @@ class Rises:
         return found
 
 
+def reaches(size: NDArray[np.float32]) -> tuple[Floats, Floats]:
+    """Half of bodies' sizes (mm), 0 of what is none, and how far before it they look out for walls."""
+    long = np.maximum(size, np.float32(0)).astype(np.float64)
+    half = np.where(np.isfinite(long), long / 2, 0.0)
+    return half, WIDEST * half
+
+
 def rises(
     world: World,
     population: Population,
     looking: NDArray[np.float32],
     step: Vector,
-    faced: NDArray[np.bool_] | None = None,
+    lengths: tuple[Floats, Floats],
+    state: NDArray[np.int64] | None = None,
 ) -> Rises:
     """What rises before whom who looks along `looking` (3, n) over its ground and is about to make a step (mm): of what lies in
-    the two directions that for which it has to tilt further. Of those who face a way of their own (`faced`), who walks
-    backward has no head where it goes.
+    the two directions that for which it has to tilt further. Of those who face a way of their own, who walks backward has no head
+    where it goes. `lengths` are `reaches`; in `state`, if it is given, those get the number of their wall.
 
     The body of length L tilts over a way of L before a wall, linearly: so its head, L/2 before its feet, keeps out of a wall that
     rises by up to a right angle, and of one that hangs over if the way is longer by angle / sine."""
     meshes = world.ground.meshes
     if meshes is None:
         return Rises.none()
-    size = np.maximum(population.now["size"], np.float32(0)).astype(np.float64)
-    half = np.where(np.isfinite(size), size / 2, 0.0)
-    rows = np.flatnonzero(meshes.near_rises(population.footing, population.position, _WIDEST * half) & (half > 0))
+    half, reach = lengths
+    rows = meshes.rising(population.footing, population.position, reach)
     if not len(rows):
         return Rises.none()
+    if state is not None:
+        return _rises_fast(world, meshes, population, rows, half, looking, step, state)
+    faced = _faced(population.now)
     half, normal, look = half[rows], population.normal[rows].T.astype(np.float64), looking[:, rows].astype(np.float64)
     way = np.stack([component[rows] for component in step]).astype(np.float64)
     way -= normal * dot(way, normal)
@@ -134,11 +147,49 @@ def rises(
     return found.take(first)
 
 
+def _faced(now: dict[str, NDArray[Any]]) -> NDArray[np.bool_] | None:
+    """Who faces a way of its own, and may walk backward; None where nobody can."""
+    if FACE not in now:
+        return None
+    found: NDArray[np.bool_] = (now["~face.x"] != 0) | (now["~face.y"] != 0) | (now["~face.z"] != 0)
+    return found
+
+
+def _rises_fast(
+    world: World,
+    meshes: Meshes,
+    population: Population,
+    rows: Rows,
+    half: Floats,
+    looking: NDArray[np.float32],
+    step: Vector,
+    state: NDArray[np.int64],
+) -> Rises:
+    """As `rises` for the `rows` near something that rises, to the same bits."""
+    from antdsl.runtime.moving.rises_compiled import look, walls
+
+    now, most = population.now, 2 * len(rows)
+    which, halves, sizes = np.empty(most, np.int64), np.empty(most), np.empty(most)
+    ahead, normal, origin, ray = np.empty((4, 3, most))
+    looks = (which, halves, sizes, ahead, normal)
+    face = vec.named(now, "~face") if FACE in now else step
+    count = look(
+        rows, half, population.position, population.normal, looking, step, FACE in now, face, looks, origin, ray
+    )  # fmt: skip
+    hit, part, wall = meshes.faced(origin[:, :count].T, ray[:, :count].T, world.options.threads)
+    if not len(hit):
+        return Rises.none()
+    own, lengths, vectors = np.empty(len(hit), np.int64), np.empty((4, len(hit))), np.empty((2, 3, len(hit)))
+    count = walls(len(rows), looks, hit, part, wall, own, *vectors, *lengths, state)
+    found, ways = (each[:, :count] for each in vectors)
+    return Rises(own[:count], found, ways, *(each[:count] for each in lengths))
+
+
 def _seen(
     meshes: Meshes, threads: int, rows: Rows, place: Floats, ahead: Floats, normal: Floats, half: Floats, step: Floats
 ) -> Rises:
     """Walls that rays along `ahead` (3, k) meet from just above the ground, so near that the body tilts within a `step` (mm)."""
-    high, reach = 2 * _EYE * half, _WIDEST * half
+    high, reach = 2 * _EYE * half, WIDEST * half
     hit, part, wall = meshes.faced((place + normal * high).T, (ahead * reach).T, threads)
     rows, half, step, high, reach = rows.take(hit), half.take(hit), step.take(hit), high.take(hit), reach.take(hit)
     ahead, normal = ahead.take(hit, axis=1), normal.take(hit, axis=1)
@@ -146,7 +197,7 @@ def _seen(
     cosine, across = dot(normal, wall), stacked_cross(normal, wall)
     sine = np.maximum(np.sqrt(dot(across, across)), 1e-6)
     angle = elementary.atan2(sine.astype(np.float32), cosine.astype(np.float32)).astype(np.float64)
-    over = half * np.clip(angle / sine, 2.0, _WIDEST)
+    over = half * np.clip(angle / sine, 2.0, WIDEST)
     far = np.maximum(part * reach - high * cosine / sine, 0.0)
     who = np.flatnonzero((cosine < _STEEP) & (far < over + 2 * step))
     return Rises(rows[who], wall[:, who], ahead[:, who], angle[who], far[who], over[who], half[who])

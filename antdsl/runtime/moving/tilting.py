@@ -20,7 +20,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import unit
 from antdsl.numerics.vectors import Vector, dot, stacked_cross
 from antdsl.runtime.moving.heads import RAISED
-from antdsl.runtime.moving.rises import Rises, rises
+from antdsl.runtime.moving.rises import WIDEST, Rises, reaches, rises
 from antdsl.runtime.world import AXES, Population, World
 
 Floats = NDArray[np.float64]
@@ -31,6 +31,7 @@ _RIGHT_ANGLE = _F(np.pi / 2)
 _LEAST = _F(np.pi / 4)  # rad/s that a body tilts at least: who turns slower still comes round an edge
 _OPPOSITE = 0.05  # sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
 _WAITING = 0.05
+_NOBODY: Rows = np.empty(0, np.intp)
 
 
 def limits(now: dict[str, NDArray[Any]], dt: np.float32) -> NDArray[np.float32]:
@@ -42,10 +43,26 @@ def limits(now: dict[str, NDArray[Any]], dt: np.float32) -> NDArray[np.float32]:
     return most
 
 
+@dataclass(frozen=True, slots=True)
+class Paced:
+    """What the bodies of a species are about to do: steps (mm) and velocities, by what angle those may tilt `at_once` that stand
+    as their feet do (0 of others, which `follow` turns), and what a walk is told in float64: steps, headings along the ground and
+    its up (n, 3), and sizes (mm)."""
+
+    step: Vector
+    velocity: Vector
+    at_once: NDArray[np.float32]
+    wish: Floats
+    looking: Floats
+    up: Floats
+    size: Floats
+
+
 @dataclass(slots=True)
 class Bodies:
     """The bodies of a species as a step begins: `up` and `heading` (3, n) float32 of all, the `most` (radians) that each may
-    tilt, who leans (stands otherwise than its feet), and what rises before whom."""
+    tilt, who leans (stands otherwise than its feet), and what rises before whom. For kernels, who leans is in the `state` of
+    each: see `tilting_compiled`."""
 
     population: Population
     up: NDArray[np.float32]
@@ -54,39 +71,39 @@ class Bodies:
     leaning: Rows
     rises: Rises
     looking: NDArray[np.float32]  # (3, n): headings laid along the ground that the feet are on
+    state: NDArray[np.int64] | None = None
 
-    def at_once(self) -> NDArray[np.float32]:
-        """By what angle bodies may tilt that stand as their feet do: 0 of others, which `follow` turns."""
-        found = self.most.copy()
-        found[self.leaning] = 0
-        found[self.rises.rows] = 0
-        return found
-
-    def paced(self, step: Vector) -> tuple[Vector, NDArray[np.float32] | None]:
-        """Steps (mm) as long as the bodies can follow, and the share of its speed that each keeps (None: all keep all)."""
+    def paced(self, step: Vector, velocity: Vector) -> Paced:
+        """What bodies are about to do, with steps (mm) and velocities such that they can follow."""
+        if self.state is not None:
+            return self._paced_fast(step, velocity, self.state)
         chosen = np.zeros(len(self.most), np.bool_)
         chosen[self.leaning] = True
         chosen[self.rises.rows] = True
+        at_once = np.where(chosen, _F(0), self.most)
         rows = np.flatnonzero(chosen)
-        if not len(rows):
-            return step, None
-        if compiled.wanted(len(self.most)):
-            return self._paced_fast(rows, step)
-        share = np.ones(len(self.most), np.float64)
-        way = np.stack([component[rows] for component in step]).astype(np.float64)
-        size = np.sqrt(dot(way, way))
-        stood = self.up[:, rows].astype(np.float64)
-        normal = self._feet(rows)
-        wanted = self.rises.tilted(rows, normal, np.zeros((3, len(rows))))
-        free = np.minimum(1.0, 2.0 * np.maximum(dot(stood, wanted), 0.0))  # as a way that leads off the ground by as much
-        far = self.rises.room(rows, stood, way / np.maximum(size, 1e-300), self.most[rows].astype(np.float64))
-        share[rows] = np.minimum(free, np.clip(far / np.maximum(size, 1e-300), 0.0, 1.0))
-        part = share.astype(np.float32)
-        return vec.scale(step, part), np.maximum(part, _F(_WAITING))
+        if len(rows):
+            share = np.ones(len(self.most), np.float64)
+            way = np.stack([component[rows] for component in step]).astype(np.float64)
+            size = np.sqrt(dot(way, way))
+            stood = self.up[:, rows].astype(np.float64)
+            normal = self._feet(rows)
+            wanted = self.rises.tilted(rows, normal, np.zeros((3, len(rows))))
+            free = np.minimum(1.0, 2.0 * np.maximum(dot(stood, wanted), 0.0))  # as a way that leads off the ground by as much
+            far = self.rises.room(rows, stood, way / np.maximum(size, 1e-300), self.most[rows].astype(np.float64))
+            share[rows] = np.minimum(free, np.clip(far / np.maximum(size, 1e-300), 0.0, 1.0))
+            part = share.astype(np.float32)
+            step, velocity = vec.scale(step, part), vec.scale(velocity, np.maximum(part, _F(_WAITING)))
+        looking = self.looking.T.astype(np.float64, order="K")
+        up = self.population.normal.astype(np.float64)
+        return Paced(step, velocity, at_once, vec.rows(step), looking, up, self.population.now["size"].astype(np.float64))
 
-    def follow(self, hasty: NDArray[np.bool_], went: Floats, dt: np.float32) -> None:
+    def follow(self, hasty: NDArray[np.bool_], before: Floats, dt: np.float32) -> None:
         """Turn the bodies of those who lean, would tilt too fast or have something rise before them; all others stand as their
-        feet do already. The population's up and heading are those of its feet, which `went` (n, 3) mm."""
+        feet do already. The population's up and heading are those of its feet, which were at places `before` (n, 3)."""
+        if self.state is not None:
+            self._follow_fast(hasty, before, dt, self.state)
+            return
         chosen = hasty.copy()
         chosen[self.leaning] = True
         chosen[self.rises.rows] = True
@@ -94,22 +111,19 @@ class Bodies:
         if not len(rows):
             return
         now = self.population.now
-        if compiled.wanted(len(self.most)):
-            self._follow_fast(rows, went, dt)
-            return
-        before, ahead = self.up[:, rows].astype(np.float64), self.heading[:, rows].astype(np.float64)
-        ahead = _across(ahead, before)
+        stood, ahead = self.up[:, rows].astype(np.float64), self.heading[:, rows].astype(np.float64)
+        ahead = _across(ahead, stood)
         normal = np.stack([now[f"up.{axis}"][rows] for axis in AXES]).astype(np.float64)
         looking = np.stack([now[f"heading.{axis}"][rows] for axis in AXES]).astype(np.float64)
-        gone = went[rows].T
+        gone = (self.population.position[rows] - before[rows]).T
         wanted = self.rises.tilted(rows, normal, gone)
         most = self.most[rows]
-        axis, cosine, sine = _axis(before, wanted, ahead)
+        axis, cosine, sine = _axis(stood, wanted, ahead)
         whole = elementary.atan2(sine.astype(np.float32), cosine.astype(np.float32))
         there = whole <= most
         angle = np.where(there, whole, most)
         c, s = (np.where(there, exact, part) for exact, part in ((cosine, elementary.cos(most)), (sine, elementary.sin(most))))
-        up = np.where(there, wanted, unit(_rotated(before, axis, c, s).T).T)
+        up = np.where(there, wanted, unit(_rotated(stood, axis, c, s).T).T)
         one = _across(_rotated(ahead, axis, c, s), up)
         other = _laid(_laid(looking, normal, wanted), wanted, up)
         turn = now["max_turn"][rows]
@@ -127,28 +141,28 @@ class Bodies:
             for axis_name, component in zip(AXES, value, strict=True):
                 now[f"{name}.{axis_name}"][rows] = component
 
-    def _paced_fast(self, rows: Rows, step: Vector) -> tuple[Vector, NDArray[np.float32]]:
-        from antdsl.runtime.moving.tilting_compiled import shares
+    def _paced_fast(self, step: Vector, velocity: Vector, state: NDArray[np.int64]) -> Paced:
+        from antdsl.runtime.moving.tilting_compiled import pace
 
-        part, r = np.ones(len(self.most), np.float32), self.rises
-        walls = (r.wall, r.ahead, r.angle, r.far, r.over)
-        shares(rows, self._walls(rows), step, self.up, self.population.normal, self.most, walls, part)
-        return vec.scale(step, part), np.maximum(part, _F(_WAITING))
+        p, n = self.population, len(self.most)
+        x, y, z, vx, vy, vz, at_once = p.room("paced", 7, (n,), np.float32)
+        walk = wish, looking, up = p.room("walk", 3, (3, n), np.float64)
+        bodies = (self.up, self.looking, p.normal, self.most)
+        pace(state, step, velocity, *bodies, self._walls(), _F(_WAITING), (x, y, z), (vx, vy, vz), at_once, walk)
+        return Paced((x, y, z), (vx, vy, vz), at_once, wish.T, looking.T, up.T, p.rooms["lengths"][0])
 
-    def _follow_fast(self, rows: Rows, went: Floats, dt: np.float32) -> None:
+    def _follow_fast(self, hasty: NDArray[np.bool_], before: Floats, dt: np.float32, state: NDArray[np.int64]) -> None:
         from antdsl.runtime.moving.tilting_compiled import follow
 
-        now, r = self.population.now, self.rises
-        walls = (r.wall, r.ahead, r.angle, r.far, r.over)
-        up, heading = (tuple(now[f"{name}.{axis}"] for axis in AXES) for name in ("up", "heading"))
-        most = (self.most, now["max_turn"], dt)
-        follow(rows, self._walls(rows), self.up, self.heading, went, *most, walls, r.half, RAISED, up, heading)
+        p = self.population
+        ways = (self.up, self.heading, before, p.position)
+        most = (self.most, p.now["max_turn"], dt)
+        up, heading = (vec.named(p.now, name) for name in ("up", "heading"))
+        follow(state, hasty, *ways, *most, self._walls(), self.rises.half, RAISED, up, heading)
 
-    def _walls(self, rows: Rows) -> Rows:
-        """The number of the wall of each of some rows, -1 for none."""
-        found = np.full(len(rows), -1, np.intp)
-        found[np.searchsorted(rows, self.rises.rows)] = np.arange(len(self.rises.rows))
-        return found
+    def _walls(self) -> tuple[Floats, ...]:
+        r = self.rises
+        return r.wall, r.ahead, r.angle, r.far, r.over
 
     def _feet(self, rows: Rows) -> Floats:
         return self.population.normal[rows].T.astype(np.float64)
@@ -157,29 +171,37 @@ class Bodies:
 def bodies(world: World, population: Population, step: Vector, dt: np.float32) -> Bodies:
     """The bodies of a species about to make steps (mm) in a time."""
     now = population.now
+    if compiled.wanted(len(population)):
+        return _bodies_fast(world, population, step, dt)
     up, heading = (np.stack([now[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
     leaning = _leaning(population)
     looking = heading
     if len(leaning):
         looking = heading.copy()
         looking[:, leaning] = _laid_down(leaning, heading, up, population.normal)
-    found = rises(world, population, looking, step, _faced(now))
+    found = rises(world, population, looking, step, reaches(now["size"]))
     return Bodies(population, up, heading, limits(now, dt), leaning, found, looking)
 
 
-def _faced(now: dict[str, NDArray[Any]]) -> NDArray[np.bool_] | None:
-    """Who faces a way of its own, and may walk backward; None where nobody can."""
-    if "~face.x" not in now:
-        return None
-    found: NDArray[np.bool_] = (now["~face.x"] != 0) | (now["~face.y"] != 0) | (now["~face.z"] != 0)
-    return found
+def _bodies_fast(world: World, population: Population, step: Vector, dt: np.float32) -> Bodies:
+    from antdsl.runtime.moving.tilting_compiled import stand
+
+    now, n = population.now, len(population)
+    vectors = up, heading, looking = population.room("bodies", 3, (3, n), np.float32)
+    lengths = _, half, reach = population.room("lengths", 3, (n,), np.float64)
+    (most,), (state,) = population.room("most", 1, (n,), np.float32), population.room("state", 1, (n,), np.int64)
+    given = (now["max_speed"], now["size"], now["max_turn"])
+    stands = (vec.named(now, "up"), vec.named(now, "heading"), population.normal)
+    stand(*stands, given, dt, WIDEST, vectors, most, lengths, state)
+    found = rises(world, population, looking, step, (half, reach), state)
+    return Bodies(population, up, heading, most, _NOBODY, found, looking, state)
 
 
 def settle(world: World, population: Population, rows: Rows) -> None:
     """Let the bodies of those who begin stand tilted as far as what rises before them asks, their heads out of it, at once."""
     now, start = population.now, population.start
     looking, rest = np.stack([now[f"heading.{axis}"] for axis in AXES]), np.zeros(len(population), np.float32)
-    found = rises(world, population, looking, (rest, rest, rest))
+    found = rises(world, population, looking, (rest, rest, rest), reaches(now["size"]))
     who = found.rows
     if not len(who):
         return
@@ -202,12 +224,6 @@ def _laid_down(
     rows: Rows, heading: NDArray[np.float32], up: NDArray[np.float32], normal: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Headings (3, k) of some rows, laid from across up (3, n) to across the normal (n, 3) of the ground."""
-    if compiled.wanted(len(normal)):
-        from antdsl.runtime.moving.tilting_compiled import laid
-
-        found = np.empty((3, len(rows)), np.float32)
-        laid(rows, heading, up, normal, found)
-        return found
     return _laid(*(v[:, rows].astype(np.float64) for v in (heading, up, normal.T))).astype(np.float32)
 
 
@@ -215,8 +231,16 @@ def lay(population: Population) -> None:
     """Show programs the heading and up of the feet, along the ground, while a step is made: a push ahead leads on, over whatever
     edge the body tilts just then."""
     start, now = population.start, population.now
-    rows = _leaning(population)
     population.laid = None
+    if compiled.wanted(n := len(population)):
+        from antdsl.runtime.moving import tilting_compiled
+
+        (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
+        count = tilting_compiled.lay(population.normal, *_registers(start), *_registers(now), found, *lean)
+        if count:
+            population.laid = (found[:count], *(vectors[:, :count] for vectors in lean))
+        return
+    rows = _leaning(population)
     if not len(rows):
         return
     up, heading = (np.stack([start[f"{name}.{axis}"].take(rows) for axis in AXES]) for name in ("up", "heading"))
@@ -233,11 +257,20 @@ def stand_up(population: Population) -> None:
         return
     rows, up, heading, along = population.laid
     population.laid = None
+    if compiled.wanted(len(population)):
+        from antdsl.runtime.moving import tilting_compiled
+
+        tilting_compiled.stand_up(rows, up, heading, along, *_registers(population.start), *_registers(population.now))
+        return
     told = np.stack([population.now[f"heading.{axis}"][rows] for axis in AXES])
     kept = np.where((told == along).all(axis=0), heading, told)
     for k, axis in enumerate(AXES):
         population.start[f"up.{axis}"][rows] = population.now[f"up.{axis}"][rows] = up[k]
         population.start[f"heading.{axis}"][rows], population.now[f"heading.{axis}"][rows] = heading[k], kept[k]
+
+
+def _registers(values: dict[str, NDArray[Any]]) -> tuple[Vector, Vector]:
+    return vec.named(values, "up"), vec.named(values, "heading")
 
 
 def _across(v: Floats, up: Floats) -> Floats:

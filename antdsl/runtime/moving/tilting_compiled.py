@@ -1,10 +1,12 @@
-"""The passes of `tilting` over few agents as loops: the same operations in the same order, and so the same bits."""
+"""The passes of `tilting` as loops over all agents: the same operations in the same order, and so the same bits.
+
+The `state` of a body is the number of the wall before it, or LEANS or STANDS, as its feet do."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, called, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, inlined, kernel
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
@@ -12,7 +14,10 @@ Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 # Of walls: normal and way ahead (3, k), angle, how far, over how much.
 Walls = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array1[F64]]
 _F = np.float32
+LEANS, STANDS = -1, -2
 _OPPOSITE, _STEEP = 0.05, 0.9  # as `tilting` and `vectors`
+_ZERO, _ONE, _PI = _F(0), _F(1), _F(np.pi)
+_RIGHT_ANGLE, _LEAST = _F(np.pi / 2), _F(np.pi / 4)  # as `tilting`
 
 
 @inlined
@@ -40,6 +45,29 @@ def _across(v, up):  # type: ignore[no-untyped-def]
     axis = (0.0, 1.0, 0.0) if abs(up[0]) > _STEEP else (1.0, 0.0, 0.0)
     side = minus(axis, times(up, dot(axis, up)))
     return times(side, 1 / np.sqrt(dot(side, side)))
+
+
+@inlined
+def _row(vectors, i):  # type: ignore[no-untyped-def]
+    """One of vectors (n, 3), in float64."""
+    return np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
+
+
+@inlined
+def _column(vectors, i):  # type: ignore[no-untyped-def]
+    """One of vectors (3, n), in float64."""
+    return np.float64(vectors[0, i]), np.float64(vectors[1, i]), np.float64(vectors[2, i])
+
+
+@inlined
+def _leaning(up, normal, i):  # type: ignore[no-untyped-def]
+    return up[0][i] != normal[i, 0] or up[1][i] != normal[i, 1] or up[2][i] != normal[i, 2]
+
+
+@inlined
+def _maximum(a, b):  # type: ignore[no-untyped-def]
+    """As np.maximum of a number that may be NaN and one that is not."""
+    return b if a <= b else a
 
 
 @called
@@ -83,54 +111,158 @@ def _tilted(n, wall, ahead, angle, far, over, gone):  # type: ignore[no-untyped-
 
 
 @kernel
-def laid(rows: Array1[I64], heading: Array2[F32], up: Array2[F32], normal: Array2[F32], to: Array2[F32]) -> None:
-    """Headings of some rows of (3, n) float32, laid from across `up` to across `normal` (n, 3), into `to` (3, k)."""
-    for k in range(rows.size):
-        i = rows[k]
-        found = _laid(_of(heading, i), _of(up, i), (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2])))
-        to[0, k], to[1, k], to[2, k] = _F(found[0]), _F(found[1]), _F(found[2])
+def stand(
+    up: Three,
+    heading: Three,
+    normal: Array2[F32],
+    limits: tuple[Array1[F32], Array1[F32], Array1[F32]],
+    dt: F32,
+    widest: F64,
+    vectors: tuple[Array2[F32], Array2[F32], Array2[F32]],
+    most: Array1[F32],
+    lengths: tuple[Array1[F64], Array1[F64], Array1[F64]],
+    state: Array1[I64],
+) -> None:
+    """Bodies as a step begins, from `max_speed`, `size` and `max_turn` (`limits`): up, heading, and heading along the ground into
+    `vectors` (3, n); by how much (radians) each tilts at `most` in a time; size, half of it and `widest` times that (`reaches`)
+    into `lengths`; and their `state`, without walls."""
+    max_speed, size, max_turn = limits
+    to_up, to_heading, looking = vectors
+    whole, half, reach = lengths
+    for i in range(most.size):
+        to_up[0, i], to_up[1, i], to_up[2, i] = up[0][i], up[1][i], up[2][i]
+        to_heading[0, i], to_heading[1, i], to_heading[2, i] = heading[0][i], heading[1][i], heading[2][i]
+        walking = _maximum(max_speed[i], _ZERO) / (size[i] if size[i] > 0 else _ONE) * _RIGHT_ANGLE
+        rate = _maximum(max_turn[i], _ZERO)
+        if not rate < walking and rate == rate:
+            rate = walking
+        if walking != walking:
+            rate = walking
+        rate = _maximum(rate, _LEAST)
+        most[i] = (rate if np.isfinite(rate) else _PI / dt) * dt
+        whole[i] = np.float64(size[i])
+        long = np.float64(_maximum(size[i], _ZERO))
+        half[i] = long / 2 if np.isfinite(long) else 0.0
+        reach[i] = widest * half[i]
+        if _leaning(up, normal, i):
+            state[i] = LEANS
+            found = _laid(_of(heading, i), _of(up, i), _row(normal, i))
+            looking[0, i], looking[1, i], looking[2, i] = _F(found[0]), _F(found[1]), _F(found[2])
+        else:
+            state[i] = STANDS
+            looking[0, i], looking[1, i], looking[2, i] = heading[0][i], heading[1][i], heading[2][i]
 
 
 @kernel
-def shares(
+def lay(
+    normal: Array2[F32],
+    start_up: Three,
+    start_heading: Three,
+    now_up: Three,
+    now_heading: Three,
     rows: Array1[I64],
-    at: Array1[I64],
-    step: Three,
     up: Array2[F32],
+    heading: Array2[F32],
+    along: Array2[F32],
+) -> I64:
+    """As `tilting.lay`: how many lean, their rows, and up, heading and the heading shown (3, n) of these in that order."""
+    count = 0
+    for i in range(rows.size):
+        if not _leaning(now_up, normal, i):
+            continue
+        found = _laid(_of(start_heading, i), _of(start_up, i), _row(normal, i))
+        rows[count] = i
+        for k in range(3):
+            up[k, count], heading[k, count], along[k, count] = start_up[k][i], start_heading[k][i], _F(found[k])
+            start_up[k][i] = normal[i, k]
+            now_up[k][i] = normal[i, k]
+            start_heading[k][i] = _F(found[k])
+            now_heading[k][i] = _F(found[k])
+        count += 1
+    return count
+
+
+@kernel
+def stand_up(
+    rows: Array1[I64],
+    up: Strided2[F32],
+    heading: Strided2[F32],
+    along: Strided2[F32],
+    start_up: Three,
+    start_heading: Three,
+    now_up: Three,
+    now_heading: Three,
+) -> None:
+    """As `tilting.stand_up`."""
+    for j in range(rows.size):
+        i = rows[j]
+        told = now_heading[0][i] != along[0, j] or now_heading[1][i] != along[1, j] or now_heading[2][i] != along[2, j]
+        for k in range(3):
+            start_up[k][i] = up[k, j]
+            now_up[k][i] = up[k, j]
+            start_heading[k][i] = heading[k, j]
+            if not told:
+                now_heading[k][i] = heading[k, j]
+
+
+@kernel
+def pace(
+    state: Array1[I64],
+    step: Three,
+    velocity: Three,
+    up: Array2[F32],
+    looking: Array2[F32],
     normal: Array2[F32],
     most: Array1[F32],
     walls: Walls,
-    to: Array1[F32],
+    waiting: F32,
+    steps: Three,
+    velocities: Three,
+    at_once: Array1[F32],
+    walk: tuple[Array2[F64], Array2[F64], Array2[F64]],
 ) -> None:
-    """Into `to` [n] which part of its step each of `rows` can make; `at[k]` is the number of its wall, -1 for none."""
+    """As `Bodies.paced`: steps and velocities into `steps` and `velocities`, what bodies may tilt at once into `at_once`, and
+    steps, headings and up in float64 into `walk`, (3, n) each."""
     wall, ahead, angle, far, over = walls
+    wish, forward, above = walk
     zero = (0.0, 0.0, 0.0)
-    for k in range(rows.size):
-        i, j = rows[k], at[k]
-        way, stood = _of(step, i), _of(up, i)
-        size = np.sqrt(dot(way, way))
-        wanted = np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2])
-        room = np.inf
-        if j >= 0:
-            w, a = _of(wall, j), _of(ahead, j)
-            wanted = _tilted(wanted, w, a, angle[j], far[j], over[j], zero)
-            towards = _nearer(_over(way, max(size, 1e-300)), w, a)
-            across = cross(stood, w)
-            left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stood, w))))
-            tilt = angle[j] - left + np.float64(most[i])
-            free = max(over[j] * (tilt / angle[j] - 1.0) + far[j], 0.0)
-            room = free / max(towards, 0.05) if towards > 0.05 else np.inf
-        lag = min(1.0, 2.0 * max(dot(stood, wanted), 0.0))
-        to[i] = _F(min(lag, min(max(room / max(size, 1e-300), 0.0), 1.0)))
+    for i in range(state.size):
+        j, part, kept = state[i], _ONE, _ONE
+        at_once[i] = most[i] if j == STANDS else _ZERO
+        if j != STANDS:
+            way, stood = _of(step, i), _column(up, i)
+            size = np.sqrt(dot(way, way))
+            wanted = _row(normal, i)
+            room = np.inf
+            if j >= 0:
+                w, a = _column(wall, j), _column(ahead, j)
+                wanted = _tilted(wanted, w, a, angle[j], far[j], over[j], zero)
+                towards = _nearer(_over(way, max(size, 1e-300)), w, a)
+                across = cross(stood, w)
+                left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stood, w))))
+                tilt = angle[j] - left + np.float64(most[i])
+                free = max(over[j] * (tilt / angle[j] - 1.0) + far[j], 0.0)
+                room = free / max(towards, 0.05) if towards > 0.05 else np.inf
+            lag = min(1.0, 2.0 * max(dot(stood, wanted), 0.0))
+            part = _F(min(lag, min(max(room / max(size, 1e-300), 0.0), 1.0)))
+            kept = _maximum(part, waiting)
+        for k in range(3):
+            pace = step[k][i] * part
+            steps[k][i] = pace
+            wish[k, i] = np.float64(pace)
+            velocities[k][i] = velocity[k][i] * kept
+            forward[k, i] = np.float64(looking[k, i])
+            above[k, i] = np.float64(normal[i, k])
 
 
 @kernel
 def follow(
-    rows: Array1[I64],
-    at: Array1[I64],
+    state: Array1[I64],
+    hasty: Array1[BOOL],
     before_up: Array2[F32],
     before_heading: Array2[F32],
-    went: Strided2[F64],
+    before: Strided2[F64],
+    place: Strided2[F64],
     most: Array1[F32],
     max_turn: Array1[F32],
     dt: F32,
@@ -140,25 +272,28 @@ def follow(
     now_up: Three,
     now_heading: Three,
 ) -> None:
-    """As `Bodies.follow` for `rows`, whose walls are `at`; changes `now_up` and `now_heading`."""
+    """As `Bodies.follow` for whom there is anything to do, who have come from places `before` to `place`; changes `now_up` and
+    `now_heading`."""
     wall, ahead, angle, far, over = walls
-    for k in range(rows.size):
-        i, j = rows[k], at[k]
-        before = _of(before_up, i)
-        look = _across(_of(before_heading, i), before)
+    for i in range(state.size):
+        j = state[i]
+        if j == STANDS and not hasty[i]:
+            continue
+        stood = _column(before_up, i)
+        look = _across(_column(before_heading, i), stood)
         normal, looking = _of(now_up, i), _of(now_heading, i)
-        gone = (went[i, 0], went[i, 1], went[i, 2])
+        gone = (place[i, 0] - before[i, 0], place[i, 1] - before[i, 1], place[i, 2] - before[i, 2])
         wanted = normal
         if j >= 0:
-            wanted = _tilted(normal, _of(wall, j), _of(ahead, j), angle[j], far[j], over[j], gone)
-        axis, cosine, sine = _axis(before, wanted, look)
+            wanted = _tilted(normal, _column(wall, j), _column(ahead, j), angle[j], far[j], over[j], gone)
+        axis, cosine, sine = _axis(stood, wanted, look)
         whole = atan2(_F(sine), _F(cosine))
         if whole <= most[i]:
             tilt, c, s, up = whole, cosine, sine, wanted
         else:
             part = cos_sin(most[i])
             tilt, c, s = most[i], np.float64(part[0]), np.float64(part[1])
-            up = _unit(_rotated(before, axis, c, s))
+            up = _unit(_rotated(stood, axis, c, s))
         one = _across(_rotated(look, axis, c, s), up)
         other = _laid(_laid(looking, normal, wanted), wanted, up)
         room = 4.0
@@ -173,7 +308,7 @@ def follow(
             c32, s32 = cos_sin(most_yaw if yaw > 0 else -most_yaw)
             facing = _unit(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
         if j >= 0:
-            w, a = _of(wall, j), _of(ahead, j)
+            w, a = _column(wall, j), _column(ahead, j)
             middle = plus(times(up, 2 * raised * half[j]), times(a, _nearer(gone, w, a) - far[j]))
             with_turn = dot(plus(middle, times(facing, half[j])), w)
             without = dot(plus(middle, times(one, half[j])), w)

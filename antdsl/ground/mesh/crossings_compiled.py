@@ -1,0 +1,130 @@
+"""`crossings.crossed` for one walker at a time: same operations in the same order and so the same bits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.ground.mesh.crossings import LEANING, OFF, STEEP
+from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, NORMAL, RATE1, RATE2, SHEAR, WIDTH
+from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.machine_code.kernels import called, inlined
+from antdsl.numerics.vectors_compiled import at, dot, inside, minus, more, plus, times
+
+
+@called
+def crossed(table, link, sides, cuts, touch, f, place, up, way, side, length):  # type: ignore[no-untyped-def]
+    """As `crossings.crossed`: the face met (-1 for none), weights, side to walk on, way gone, and whether it ends there. `link`
+    is that of the topology, `sides` its `piece` and `way`, `cuts` are `first` and `other` of its cuts."""
+    first, others = cuts
+    face, best, gone, soonest = -1, np.inf, length, np.inf
+    for k in range(first[f], first[f + 1]):
+        other = others[k]
+        row = WIDTH * other
+        normal, corner = at(table, row + NORMAL), at(table, row + CORNER)
+        begins = dot(normal, minus(place, corner))
+        towards = dot(normal, way)
+        ends = begins + towards * length
+        if not (begins * ends <= 0 or (abs(ends) <= touch and abs(ends) < abs(begins))) or not abs(begins) > touch:
+            continue
+        rise = more(more(dot(up, at(table, row + EDGE1)), dot(up, at(table, row + EDGE2))), 0.0)
+        if not dot(up, minus(corner, place)) + rise > touch:
+            continue
+        before = min(max(begins / (begins - ends if begins != ends else 1.0), 0.0), 1.0) * length
+        there = plus(place, times(way, before))
+        if not _within(table, row, there, 4 * touch) or not _leads_through(table, link, f, side, other, begins, there, touch):
+            continue
+        leans = -dot(up, normal) / (towards if towards != 0 else 1.0)
+        late = before + OFF * touch * min(max(leans, -LEANING), LEANING)
+        soonest = min(soonest, before)
+        if late < best or (late == best and other < face):
+            face, best, gone = other, late, before
+    if face < 0:
+        return -1, 0.0, 0.0, 1.0, length, False
+    row = WIDTH * face
+    normal = at(table, row + NORMAL)
+    there, towards = plus(place, times(way, gone)), dot(normal, way)
+    steep = minus(up, times(normal, dot(up, normal)))
+    off = times(steep, OFF * touch / max(dot(steep, steep), STEEP))
+    pieces, ways = sides
+    back = pieces[f] == pieces[face] and ways[1 if side < 0 else 0, f] != ways[1 if towards > 0 else 0, face]
+    if back or _tight(table, cuts, face, f, there, off, touch):
+        # Up to where feet keep off what they come to, or, in a corner, not at all.
+        near = 0.0
+        if back:
+            near = max(soonest - OFF * touch / max(abs(towards), 1 / LEANING), 0.0)
+        b1, b2 = _landing(table, WIDTH * f, plus(place, times(way, near)))
+        return f, b1, b2, (-1.0 if -dot(at(table, WIDTH * f + NORMAL), up) > 0 else 1.0), near, True
+    b1, b2 = _landing(table, row, plus(there, off))
+    return face, b1, b2, (-1.0 if towards > 0 else 1.0), gone, False
+
+
+@inlined
+def _in_frame(table, row, place):  # type: ignore[no-untyped-def]
+    off = minus(place, at(table, row + CORNER))
+    return dot(at(table, row + AXIS1), off), dot(at(table, row + AXIS2), off)
+
+
+@inlined
+def _weights(table, row, place):  # type: ignore[no-untyped-def]
+    """As `crossings.weights`."""
+    c, s = _in_frame(table, row, place)
+    return inside(c * table[row + RATE1] - s * table[row + SHEAR] + 0.0, s * table[row + RATE2] + 0.0)
+
+
+@inlined
+def _landing(table, row, place):  # type: ignore[no-untyped-def]
+    """The same as `Around._landing` gives them, which may move them by another rounding."""
+    b1, b2 = _weights(table, row, place)
+    return inside(b1 + 0.0, b2 + 0.0)
+
+
+@inlined
+def _within(table, row, place, touch):  # type: ignore[no-untyped-def]
+    """As `crossings._inside`."""
+    c, s = _in_frame(table, row, place)
+    rate1, rate2, shear = table[row + RATE1], table[row + RATE2], table[row + SHEAR]
+    b1, b2 = c * rate1 - s * shear, s * rate2
+    over = touch * (abs(rate1) + abs(rate2) + abs(shear))
+    return b1 >= -over and b2 >= -over and b1 + b2 <= 1 + over
+
+
+@inlined
+def _lowest(table, face, other, sign):  # type: ignore[no-untyped-def]
+    row, there = WIDTH * face, WIDTH * other
+    up = times(at(table, there + NORMAL), sign)
+    first = dot(up, minus(at(table, row + CORNER), at(table, there + CORNER)))
+    return first + min(min(dot(up, at(table, row + EDGE1)), dot(up, at(table, row + EDGE2))), 0.0)
+
+
+@inlined
+def _leads_through(table, link, f, side, other, begins, there, touch):  # type: ignore[no-untyped-def]
+    sign = -1.0 if begins < 0 else 1.0
+    if not _lowest(table, f, other, sign) >= -touch:
+        return True
+    b1, b2 = _weights(table, WIDTH * f, there)
+    edge, least = 0, 1.0 - b1 - b2
+    if b1 < least:
+        edge, least = 1, b1
+    if b2 < least:
+        edge = 2
+    beyond = link[1 if side < 0 else 0, 3 * f + edge]
+    if beyond == NO_LINK:
+        return True
+    return _lowest(table, beyond >> 3, other, sign) < -touch
+
+
+@inlined
+def _tight(table, cuts, face, own, place, off, touch):  # type: ignore[no-untyped-def]
+    first, others = cuts
+    found = False
+    for k in range(first[face], first[face + 1]):
+        third = others[k]
+        if third == own:
+            continue
+        row = WIDTH * third
+        normal = at(table, row + NORMAL)
+        begins = dot(normal, minus(place, at(table, row + CORNER)))
+        ends = begins + dot(normal, off)
+        met = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
+        found = found or (met and _within(table, row, place, 2 * OFF * touch))
+    return found

@@ -1,0 +1,135 @@
+"""The passes of `rises` before and after its rays as loops: the same operations in the same order, and so the same bits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, inlined, kernel
+from antdsl.numerics.elementary_compiled import atan2
+from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
+
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+# Of looks: whose it is, half a body, the step (mm), its way and the ground's normal.
+Looks = tuple[Array1[I64], Array1[F64], Array1[F64], Strided2[F64], Strided2[F64]]
+_F = np.float32
+_STEEP, _EYE, _ASIDE, _WIDEST = 0.7071067811865476, 0.03, 0.97, 3.0  # as `rises`
+
+
+@inlined
+def _column(vectors, k):  # type: ignore[no-untyped-def]
+    return vectors[0, k], vectors[1, k], vectors[2, k]
+
+
+@kernel
+def look(
+    rows: Array1[I64],
+    half: Array1[F64],
+    position: Strided2[F64],
+    normal: Array2[F32],
+    looking: Array2[F32],
+    step: Three,
+    faces: BOOL,
+    face: Three,
+    looks: Looks,
+    origin: Array2[F64],
+    ray: Array2[F64],
+) -> I64:
+    """How many look out, and their `looks` with rays (3, ..): all `rows` along `looking`, and then those who step aside from that
+    along their way, but not who walks backward (`faces`: whether `face` has ways to face). There is room for two each."""
+    which, halves, sizes, aheads, normals = looks
+    count = rows.size
+    for k in range(rows.size):
+        i = rows[k]
+        up = (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2]))
+        ahead = (np.float64(looking[0, i]), np.float64(looking[1, i]), np.float64(looking[2, i]))
+        way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+        way = minus(way, times(up, dot(way, up)))
+        size = np.sqrt(dot(way, way))
+        if size > 1e-9:
+            long = max(size, 1e-300)
+            way = (way[0] / long, way[1] / long, way[2] / long)
+        else:
+            way = ahead
+        same = dot(way, ahead)
+        aside = same < _ASIDE
+        if aside and faces and same < 0 and (face[0][i] != 0 or face[1][i] != 0 or face[2][i] != 0):
+            aside = False
+        place = (position[i, 0], position[i, 1], position[i, 2])
+        start = plus(place, times(up, 2 * _EYE * half[i]))
+        reach = _WIDEST * half[i]
+        at = k
+        for turn in range(2):
+            if turn == 0 or aside:
+                which[at], halves[at], sizes[at] = i, half[i], size
+                for axis in range(3):
+                    aheads[axis, at], normals[axis, at] = ahead[axis], up[axis]
+                    origin[axis, at], ray[axis, at] = start[axis], ahead[axis] * reach
+            if turn == 0 and aside:
+                at = count
+                count += 1
+                ahead = way
+    return count
+
+
+@kernel
+def walls(
+    first: I64,
+    looks: Looks,
+    hit: Array1[I64],
+    part: Array1[F64],
+    met: Strided2[F64],
+    rows: Array1[I64],
+    wall: Array2[F64],
+    ahead: Array2[F64],
+    angle: Array1[F64],
+    far: Array1[F64],
+    over: Array1[F64],
+    half: Array1[F64],
+    state: Array1[I64],
+) -> I64:
+    """How many have a wall before them and what `Rises` has of these, from what their looks have met (`hit`, ascending, of which
+    the `first` are straight ahead): of two that for which they tilt further. `state` of these becomes the number of the wall."""
+    which, halves, sizes, aheads, normals = looks
+    middle = 0
+    while middle < hit.size and hit[middle] < first:
+        middle += 1
+    one, two, count = 0, middle, 0
+    while one < middle or two < hit.size:
+        row = 0
+        if one < middle and (two >= hit.size or which[hit[one]] <= which[hit[two]]):
+            row = which[hit[one]]
+        else:
+            row = which[hit[two]]
+        best, found = 0.0, False
+        for turn in range(2):
+            k, own = -1, False
+            if turn == 0:
+                own = one < middle and which[hit[one]] == row
+                k = one
+                one += 1 if own else 0
+            else:
+                own = two < hit.size and which[hit[two]] == row
+                k = two
+                two += 1 if own else 0
+            if own:
+                h = hit[k]
+                way, up = _column(aheads, h), _column(normals, h)
+                normal = _column(met, k)
+                if dot(normal, way) > 0:
+                    normal = (-normal[0], -normal[1], -normal[2])
+                cosine, aside = dot(up, normal), cross(up, normal)
+                sine = max(np.sqrt(dot(aside, aside)), 1e-6)
+                turned = np.float64(atan2(_F(sine), _F(cosine)))
+                long = halves[h] * min(max(turned / sine, 2.0), _WIDEST)
+                high, reach = 2 * _EYE * halves[h], _WIDEST * halves[h]
+                away = max(part[k] * reach - high * cosine / sine, 0.0)
+                tilt = (1.0 - away / long) * turned
+                if cosine < _STEEP and away < long + 2 * sizes[h] and (not found or tilt > best):
+                    best, found = tilt, True
+                    rows[count], angle[count], far[count], over[count], half[count] = row, turned, away, long, halves[h]
+                    for axis in range(3):
+                        wall[axis, count], ahead[axis, count] = normal[axis], way[axis]
+        if found:
+            state[row] = count
+            count += 1
+    return count
