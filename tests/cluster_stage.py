@@ -54,16 +54,28 @@ class Stage:
             time.sleep(0.1)
         self.address = json.loads(file.read_text())["address"]
 
-    def worker(self, *words: str, **environment: str) -> subprocess.Popen[bytes]:
-        """One process with one thread, without anybody who would start it again."""
+    def worker(self, *words: str, blocks: int = 0, **environment: str) -> subprocess.Popen[bytes]:
+        """One process with one thread, without anybody who would start it again. `blocks`: of 1024 bytes, the longest file that
+        it can write; 0 for any."""
         plain = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0"]
         where = ["--local-directory", str(self.folder / f"worker{len(self.processes)}")]
-        return self._start("dask_worker", self.address, *plain, *(words or where), **environment)
+        return self._start("dask_worker", self.address, *plain, *(words or where), blocks=blocks, **environment)
 
-    def _start(self, module: str, *words: str, **environment: str) -> subprocess.Popen[bytes]:
+    def wait_for(self, count: int) -> None:
+        """Wait until so many workers have come."""
+        from distributed import Client
+
+        from antdsl.executors.cluster import security_of
+
+        with Client(self.address, security=security_of(self.tls), set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=60)
+
+    def _start(self, module: str, *words: str, blocks: int = 0, **environment: str) -> subprocess.Popen[bytes]:
         names = (("ca-file", "ca.pem"), ("cert", "cert.pem"), ("key", "key.pem"))
         tls = [part for flag, name in names for part in (f"--tls-{flag}", str(self.tls / name))]
         command = [sys.executable, "-m", f"distributed.cli.{module}", *words, *tls, "--host", "127.0.0.1"]
+        if blocks:
+            command = ["bash", "-c", f'ulimit -f {blocks}; exec "$@"', "bash", *command]
         with open(self.folder / "log", "ab") as log:
             self.processes.append(
                 subprocess.Popen(command, stdout=log, stderr=log, env=_environment(environment), cwd=self.folder)

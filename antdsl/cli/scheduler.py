@@ -41,7 +41,7 @@ _HOW = "pip install 'antdsl[cluster]'"
 @contextmanager
 def cluster(address: str, tls: Path | None, no_tls: bool, workers: int, threads: int, files: Iterable[Path]) -> Iterator[Cluster]:
     """The cluster of an address, whose workers have got the files. `workers` with so many `threads` each, where it is started
-    here. What is wrong ends the command."""
+    here. What is wrong ends the command; Lost where no scheduler answers."""
     folder = _allowed(address, tls, no_tls)
     from importlib.util import find_spec
 
@@ -51,7 +51,7 @@ def cluster(address: str, tls: Path | None, no_tls: bool, workers: int, threads:
             "error: `--scheduler` needs Dask",
             f"install it: {_HOW}; without `--scheduler` all runs on this machine",
         )
-    from antdsl.executors import Lost, Refused
+    from antdsl.executors import Refused
     from antdsl.executors.cluster import connected, local_cluster, security_of
     from antdsl.executors.parcel import pack
 
@@ -65,8 +65,6 @@ def cluster(address: str, tls: Path | None, no_tls: bool, workers: int, threads:
                 yield there
     except Refused as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}") from None
-    except Lost as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "start it, and give the same command again") from None
 
 
 def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor, Future
@@ -25,7 +26,7 @@ from antdsl.executors.parcel import Parcel
 from antdsl.executors.tasks import LOOK, Lost, Refused, Task
 
 _CONNECT = 15  # seconds to wait for a scheduler
-_JOIN = 5.0  # seconds to wait for a worker before that is told
+_FIRST = 5.0  # seconds for the files to be there, until tasks are given
 _TOLD = 2000  # characters of one sentence of a worker
 
 
@@ -58,12 +59,15 @@ def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
 
 @contextmanager
 def connected(address: str, security: Security | None, parcel: Parcel) -> Iterator[Cluster]:
-    """A cluster whose workers have got the files of a parcel. OSError where no scheduler answers, Refused where all its workers
+    """A cluster whose workers have got the files of a parcel. Lost where no scheduler answers, Refused where all its workers
     are refused."""
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what there is to tell we tell
     with ExitStack() as stack:
-        with dask.config.set({"distributed.comm.timeouts.connect": _CONNECT, "distributed.admin.log-format": ""}):
+        try:
             client = stack.enter_context(Client(address, security=security, timeout=_CONNECT, set_as_default=False))
+        except (OSError, ValueError) as why:
+            raise Lost(f"no scheduler answers at {address}: {str(why).splitlines()[0]}") from None
         cluster = Cluster(client, parcel)
         cluster.begin()
         yield cluster
@@ -77,9 +81,15 @@ class Cluster:
         self._project = Project(parcel, sources())
         self.name: str = self._project.name
         self._heard: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        self._told: list[str] = []
         self._frames: dict[str, int] = {}
         self._keys: dict[int, str] = {}
-        self._workers, self._looked = 1, -1e9
+        self._fit: set[str] = set()  # workers that have said so
+        self._there: set[str] = set()  # those of them that were there when it was looked last
+        self._looked = -1e9
+        self._given: dict[Future[str], tuple[Task, Future[str]]] = {}
+        self._attempt = 0
+        self._lock = threading.RLock()
 
     def begin(self) -> None:
         """Send the files to the workers that are there, and have them sent to those that come."""
@@ -95,19 +105,21 @@ class Cluster:
         if there and len(unfit) == len(there):
             raise Refused("\n".join(unfit.values()))
         for words in unfit.values():
-            self._heard.put({"refused": words})
+            self._told.append(words)
         with suppress(ImportError, AttributeError):  # of a worker that has been told of
             client.register_plugin(self._project)
+        until = time.monotonic() + _FIRST
+        while there and not self._fit and time.monotonic() < until:
+            self._listen()
+            time.sleep(0.02)
+        self._there = set(self._fit)
         if not there:
-            self._heard.put({"refused": "no worker has come to the scheduler yet; runs begin once one does"})
+            self._told.append("no worker has come to the scheduler yet; it goes on once one does")
 
     @property
     def at_once(self) -> int:
         """Two for each worker, so that none waits for the next."""
-        if time.monotonic() - self._looked > LOOK:
-            with suppress(OSError):
-                self._workers, self._looked = len(self._client.nthreads()), time.monotonic()
-        return 2 * max(self._workers, 1)
+        return 2 * max(len(self._there), 1)
 
     def start(self) -> Executor:
         if self._client.status != "running":
@@ -118,19 +130,69 @@ class Cluster:
     def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
         self._keys[place] = task.key
         self._frames.pop(task.key, None)
-        return executor.submit(perform_there, task.work, json.dumps(task.document), self.name, task.key)
+        outer: Future[str] = Future()
+        self._give(executor, outer, task)
+        return outer
+
+    def _give(self, executor: Executor, outer: Future[str], task: Task) -> None:
+        with self._lock:
+            inner = executor.submit(perform_there, task.work, json.dumps(task.document), self.name, task.key, self._attempt)
+            self._given[outer] = task, inner
+            self._executor = executor
+        inner.add_done_callback(lambda done: self._ended(outer, done))
+
+    def _ended(self, outer: Future[str], inner: Future[str]) -> None:
+        with self._lock:
+            if self._given.get(outer, (None, None))[1] is not inner:
+                return  # it was given anew
+            del self._given[outer]
+        if inner.cancelled():
+            outer.cancel()
+            outer.set_running_or_notify_cancel()
+        elif (why := inner.exception()) is not None:
+            outer.set_exception(why)
+        else:
+            outer.set_result(inner.result())
 
     def frame(self, place: int) -> int | None:
         return self._frames.get(self._keys[place])
 
     def notes(self) -> Iterable[str]:
+        self._listen()
+        self._look()
+        told, self._told = self._told, []
+        return told
+
+    def _listen(self) -> None:
+        """Take in what workers have said."""
         with suppress(Empty):
             while True:
                 said = self._heard.get_nowait()
                 if isinstance(said.get("frame"), int):
                     self._frames[str(said.get("key"))] = said["frame"]
+                elif "fit" in said:
+                    self._fit.add(str(said["fit"]))
                 elif "refused" in said:
-                    yield "".join(sign if sign.isprintable() else " " for sign in str(said["refused"])[:_TOLD])
+                    self._told.append("".join(s if s.isprintable() else " " for s in str(said["refused"])[:_TOLD]))
+
+    def _look(self) -> None:
+        """See who is there now and then. Dask looks for a place for what nobody could do when a worker comes, which is before it
+        has got the files; so where nobody was there who could, all is given anew once somebody is."""
+        if time.monotonic() - self._looked < LOOK:
+            return
+        self._looked = time.monotonic()
+        try:
+            there = self._fit & set(self._client.nthreads())
+        except OSError:
+            return  # of a scheduler that is gone; the tasks say so
+        if there and not there & self._there:
+            with self._lock:
+                self._attempt += 1
+                given = list(self._given.items())
+                for outer, (task, inner) in given:
+                    self._give(self._executor, outer, task)
+                    inner.cancel()
+        self._there = there
 
     def why_broken(self) -> str:
         return "the scheduler is gone"

@@ -55,7 +55,9 @@ class Project(WorkerPlugin):  # type: ignore[misc]
         self.worker = Worker(
             worker.state.nthreads, here=lambda path: inside(files, path), scratch=folder / "made", name=worker.address
         )
-        await worker.set_resources(**{self.name: 1})
+        if self.name not in worker.state.total_resources:  # said again, it would count as free what a task has
+            await worker.set_resources(**{self.name: 1})
+        worker.log_event(self.name, {"fit": worker.address})
 
 
 _one_at_a_time = threading.Lock()
@@ -86,8 +88,8 @@ def other_sources(address: str, has: Mapping[str, str], wanted: str) -> str:
     )
 
 
-def perform_there(work: Work, text: str, name: str, key: str) -> str:
-    """Do a task on this worker. `name`: of the project."""
+def perform_there(work: Work, text: str, name: str, key: str, attempt: int) -> str:
+    """Do a task on this worker. `name`: of the project; `attempt`: how often the task was given before."""
     dask_worker = get_worker()
     project = dask_worker.plugins.get(name)
     if project is None or project.worker is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import signal
 import subprocess
 import time
@@ -14,8 +15,11 @@ import pytest
 pytest.importorskip("distributed")
 pytest.importorskip("cryptography")
 
-from cluster_stage import Stage, antdsl, staged
+from cluster_stage import ROOT, Stage, antdsl, staged
 from commands import run
+
+from antdsl import __version__
+from antdsl.executors.machine import sources
 
 RUNS = 40
 
@@ -33,7 +37,7 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
         yield there
 
 
-def ended(process: subprocess.Popen[str], seconds: float = 400) -> tuple[int, str, str]:
+def ended(process: subprocess.Popen[str], seconds: float = 150) -> tuple[int, str, str]:
     out, err = process.communicate(timeout=seconds)
     return process.returncode, out, err
 
@@ -92,3 +96,40 @@ def test_a_scheduler_that_is_gone_is_told_and_the_table_goes_on_without_it(proje
     assert code == 3 and "the scheduler is gone" in err and "of 30 runs are finished and kept" in err
     code, out, _ = ended(antdsl(*words, "--jobs", "1", cwd=project))
     assert code == 0 and "of 30 runs were finished before" in out and len(rows(project / "swept")) == 30
+
+
+@pytest.mark.slow
+def test_who_has_other_sources_or_no_room_is_told_and_given_nothing(project: Path, stage: Stage, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    for part in ("antdsl", "behaviours", "grammar"):
+        shutil.copytree(ROOT / part, other / part, ignore=shutil.ignore_patterns("node_modules", "__pycache__", "web"))
+    with open(other / "antdsl" / "numerics" / "noise.py", "a", encoding="utf-8") as file:
+        file.write("\n# another version\n")
+    words = ["sweep", "walkers/scene.yaml", "--frames", "1..4", "--seeds", "4", "--no-plots", *stage.flags()]
+    stage.worker(PYTHONPATH=str(other))
+    stage.wait_for(1)
+    code, _, err = ended(antdsl(*words, "--out", "a", cwd=project))
+    assert code == 3 and "with other sources" in err and "install there what is installed here" in err
+    stage.worker(blocks=1)  # no file of more than 512 bytes can be written: what a full disk is like
+    stage.worker()
+    stage.wait_for(3)
+    code, _, err = ended(antdsl(*words, "--out", "b", cwd=project))
+    assert code == 0 and err.count("it is given nothing") == 2 and "its disk: file too large" in err, err
+    assert len(rows(project / "b")) == 4 and {row["antdsl"] for row in rows(project / "b")} == {f"{__version__} {sources()[:8]}"}
+
+
+@pytest.mark.slow
+def test_a_worker_that_comes_later_is_given_the_files_too(project: Path, stage: Stage) -> None:
+    words = ["sweep", "walkers/scene.yaml", "--frames", "1..4", "--seeds", "3", "--no-plots", "--out", "a", *stage.flags()]
+    client = antdsl(*words, cwd=project)
+    assert client.stderr is not None and "no worker has come" in client.stderr.readline()
+    stage.worker()
+    assert ended(client)[0] == 0 and len(rows(project / "a")) == 3
+
+
+def test_a_cluster_of_this_machine_gives_the_same_table(project: Path) -> None:
+    words = ["sweep", "walkers/scene.yaml", "--frames", "1..2", "--seeds", "2", "--no-plots"]
+    for more in (["--out", "a", "--scheduler", "local", "--jobs", "2"], ["--out", "b", "--jobs", "1"]):
+        code, _, err = ended(antdsl(*words, *more, cwd=project))
+        assert code == 0, err
+    assert rows(project / "a") == rows(project / "b")
