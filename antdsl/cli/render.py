@@ -232,7 +232,7 @@ def _by_cluster(
 ) -> None:
     """Stills that workers draw, or, with `fps`, a film of them."""
     from antdsl.bounded import real_path
-    from antdsl.cli.run import cores
+    from antdsl.cli.cores import cores
     from antdsl.executors import Lost
     from antdsl.executors.parcel import Seen
     from antdsl.outputs.cache.cache_reader import STATIC, frame_path

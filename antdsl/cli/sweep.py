@@ -13,6 +13,7 @@ from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster
+from antdsl.cli.stopping import stoppable
 
 if TYPE_CHECKING:
     from antdsl.sweep import Job, Keeper, Outcome
@@ -46,8 +47,8 @@ def sweep(
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
     from antdsl.cli.arguments import frame_range, grants
+    from antdsl.cli.cores import cores
     from antdsl.cli.printing.reports import demand
-    from antdsl.cli.run import cores
     from antdsl.executors import Lost, Processes
     from antdsl.scene.paths import sought
     from antdsl.sweep import Keeper, run_all, variations
@@ -85,7 +86,7 @@ def sweep(
         cluster(scheduler, tls, no_tls, processes, threads, files) if scheduler else nullcontext(Processes(processes, threads))
     )
     try:
-        with _stoppable(), where as executors, _progress(len(todo), quiet) as watch:
+        with stoppable(), where as executors, _progress(len(todo), quiet) as watch:
             for outcome in run_all(todo, executors, watch.frame, watch.noted):
                 watch.finished(outcome)
                 if outcome.measures is None:
@@ -101,22 +102,6 @@ def sweep(
     _tell(keeper, [(job, done[job.key]) for job in made if job.key in done], show, plots)
     if failed:
         raise Stop(Exit.FINDINGS, f"error: {len(failed)} of {len(made)} runs failed and are not in the table")
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """Being asked to end (SIGTERM) is as good as Ctrl-C."""
-    import signal
-
-    def stop(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _varied(words: Sequence[str]) -> dict[str, tuple[str, ...]]:
