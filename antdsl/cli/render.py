@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from antdsl.cli.cache_tasks import Where, answers
 from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS
 
 if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
@@ -227,48 +227,18 @@ def _draw(gallery: Gallery, wanted: Drawn, frames: list[int], threads: int) -> I
         raise typer.BadParameter(str(why), param_hint="--show") from None
 
 
-def _by_cluster(
-    where: tuple[str, Path | None, bool], cache: Path, wanted: Drawn, frames: list[int], folder: Path, fps: float | None
-) -> None:
+def _by_cluster(where: Where, cache: Path, wanted: Drawn, frames: list[int], folder: Path, fps: float | None) -> None:
     """Stills that workers draw, or, with `fps`, a film of them."""
-    from antdsl.bounded import real_path
-    from antdsl.cli.cores import cores
-    from antdsl.executors import Lost
-    from antdsl.executors.parcel import Seen
-    from antdsl.outputs.cache.cache_reader import STATIC, frame_path
-    from antdsl.outputs.cache.hashes import HASHES
-    from antdsl.outputs.cache.manifest import MANIFEST
-    from antdsl.shots.placing import destination, fetched
     from antdsl.shots.stills import still_path, tasks
 
-    cache = real_path(cache)
-    files = [*(cache / name for name in (MANIFEST, STATIC, HASHES)), *(frame_path(cache, frame) for frame in _there(cache))]
     stills = folder if fps is None else folder / "film.frames"
     stills.mkdir(exist_ok=True)
-    failed = 0
-    try:
-        with cluster(*where, cores(), 1, files, Seen.of(cache / HASHES)) as executors, destination(stills) as to:
-            jobs = tasks(cache, wanted, frames, to)
-            for answered in fetched(jobs, executors, lambda task: stills, noted=lambda words: say(words, err=True)):
-                if answered.answer is None:
-                    failed += 1
-                    say(f"failed: frames {answered.task.key.split('-', 1)[1]}: {answered.problem}", err=True)
-                elif fps is None:
-                    for frame in answered.answer["frames"]:
-                        typer.echo(still_path(folder, frame))
-    except Lost as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "the same command draws all frames again") from None
-    if failed:
-        raise Stop(Exit.FINDINGS, f"error: {failed} tasks failed, and their frames are not drawn")
+    for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, to)):
+        for frame in answered.task.document["frames"] if fps is None else ():
+            typer.echo(still_path(folder, frame))
     if fps is not None:
         _film_of_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps)
         stills.rmdir()
-
-
-def _there(cache: Path) -> list[int]:
-    from antdsl.outputs.cache.cache_reader import open_cache
-
-    return open_cache(cache).frames()
 
 
 def _film_of_stills(paths: list[Path], path: Path, fps: float) -> None:

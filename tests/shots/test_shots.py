@@ -1,4 +1,4 @@
-"""Shots and stills as tasks: the same bytes as in this process, fetched from a worker that does not see the folder, whole or not."""
+"""Shots and stills as tasks: the same bytes as in this process, fetched from a worker that does not see the folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from antdsl.outputs.drawing import Drawer, Drawn
 from antdsl.pipeline import Choices, open_scene
 from antdsl.scene.paths import sought
 from antdsl.scene.values import FrameRange
-from antdsl.shots import placing, stills
+from antdsl.shots import exports, placing, stills
 from antdsl.shots.caches import task, without_others
 from antdsl.shots.placing import Destination, destination, fetched
 
@@ -26,7 +26,7 @@ OPTIONS = {"backend": "numpy", "chunk": 16_384, "shuffle_rows": None, "on_fault"
 
 
 class Afar(InThisProcess):
-    """A worker that has the files of a parcel, and sees no folder of whoever asks. `lost`: so many files cannot be had at first."""
+    """A worker that has the files of a parcel, and sees no folder of whoever asks. `lost`: so many files cannot be had."""
 
     def __init__(self, parcel: Parcel, folder: Path, lost: int = 0) -> None:
         super().__init__()
@@ -110,6 +110,18 @@ def test_stills_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
         assert all(answered.answer is not None for answered in fetched(jobs, afar, lambda task: there))
     drawer = Drawer(wanted.gallery(open_cache(cache)), wanted, range(1, 7), 1)
     assert files(there) == {f"picture.{frame:04d}.png": stills.png(drawer.draw(frame)) for frame in range(1, 7)}
+
+
+def test_exports_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
+    assert commands.run("run", "walkers/scene.yaml", "--frames", "1..10", "--out", "walk", "--quiet", cwd=walkers).returncode == 0
+    assert commands.run("export", "walk", "--to", "here/w.geo", "--ids", "3..9", cwd=walkers).returncode == 0
+    cache, there = walkers / "walk", walkers / "there"
+    afar = Afar(pack(path for path in cache.rglob("*") if path.is_file()), walkers / "afar")
+    there.mkdir()
+    with destination(there) as to:
+        jobs = exports.tasks(cache, "w.geo", "points", frozenset(range(3, 10)), range(1, 11), to)
+        assert all(answered.answer is not None for answered in fetched(jobs, afar, lambda task: there))
+    assert files(there) == files(walkers / "here") and len(files(there)) == 10
 
 
 def test_a_parcel_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -> None:
