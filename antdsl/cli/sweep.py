@@ -1,9 +1,9 @@
-"""`antdsl sweep SCENE…`: many runs, with other values and seeds, on local processes; a table at the end."""
+"""`antdsl sweep SCENE…`: many runs, with other values and seeds, on processes or a cluster; a table at the end."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +12,14 @@ import typer
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster
+from antdsl.cli.stopping import stoppable
 
 if TYPE_CHECKING:
     from antdsl.sweep import Job, Keeper, Outcome
     from antdsl.sweep.table import Result
 
-RESULTS = ("table.txt", "table.csv", "runs.csv", "sweep.json", "table.png")
+RESULTS = ("table.txt", "table.csv", "runs.csv", "runs.parquet", "sweep.json", "table.png")
 
 
 def sweep(
@@ -37,13 +39,18 @@ def sweep(
     show: list[str] = typer.Option([], "--show", metavar="NAME", help="Measures of the table, by the beginning of their name."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
     again: bool = typer.Option(False, "--again", help="Run everything again, also what was finished before."),
+    scheduler: str = SCHEDULER,
+    tls: Path = TLS,
+    no_tls: bool = NO_TLS,
     plots: bool = typer.Option(True, "--plots/--no-plots", help="Draw the table too, where matplotlib is installed."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
     from antdsl.cli.arguments import frame_range, grants
+    from antdsl.cli.cores import cores
     from antdsl.cli.printing.reports import demand
-    from antdsl.cli.run import cores
+    from antdsl.executors import Lost, Processes
+    from antdsl.scene.paths import sought
     from antdsl.sweep import Keeper, run_all, variations
     from antdsl.sweep import jobs as all_jobs
     from antdsl.sweep.finished_runs import OtherFiles
@@ -56,7 +63,7 @@ def sweep(
         folder_to_write(folder, "--out", *RESULTS)
     chosen = variations(dict.fromkeys(scenes), _varied(vary))
     numbers = _seeds(seeds)
-    with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs:
+    with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs, sought() as read:
         inputs += scenes
         made, report = all_jobs(chosen, numbers, frames=frame_range(frames), until=tuple(until), grants=grants(root))
     demand(report)
@@ -74,38 +81,27 @@ def sweep(
     processes = min(jobs or cores(), max(len(todo), 1))
     threads = max(1, cores() // processes)
     failed: list[Outcome] = []
+    files = [path for path in read if path.is_file()]
+    where = (
+        cluster(scheduler, tls, no_tls, processes, threads, files) if scheduler else nullcontext(Processes(processes, threads))
+    )
     try:
-        with _stoppable(), _progress(len(todo), quiet) as watch:
-            for outcome in run_all(todo, processes, threads, watch.frame, watch.noted):
+        with stoppable(), where as executors, _progress(len(todo), quiet) as watch:
+            for outcome in run_all(todo, executors, watch.frame, watch.noted):
                 watch.finished(outcome)
                 if outcome.measures is None:
                     failed.append(outcome)
                 else:
                     keeper.keep(outcome.job, outcome.measures)
                     done[outcome.job.key] = outcome.measures
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, Lost) as why:
         _tell(keeper, [(job, done[job.key]) for job in made if job.key in done], show, plots=False)
-        words = f"stopped: {len(done)} of {len(made)} runs are finished and kept"
-        raise Stop(Exit.INTERRUPTED, words, "the same command goes on with the others") from None
+        finished = f"{len(done)} of {len(made)} runs are finished and kept"
+        code, words = (Exit.INPUT_OUTPUT, f"error: {why}") if isinstance(why, Lost) else (Exit.INTERRUPTED, "stopped")
+        raise Stop(code, f"{words}: {finished}", "the same command goes on with the others") from None
     _tell(keeper, [(job, done[job.key]) for job in made if job.key in done], show, plots)
     if failed:
         raise Stop(Exit.FINDINGS, f"error: {len(failed)} of {len(made)} runs failed and are not in the table")
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """Being asked to end (SIGTERM) is as good as Ctrl-C."""
-    import signal
-
-    def stop(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _varied(words: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -135,7 +131,7 @@ def _tell(keeper: Keeper, results: list[Result], show: Sequence[str], plots: boo
     from antdsl.outputs.cache.npz import write_whole
     from antdsl.sweep import rows
     from antdsl.sweep.plots import HOW, available, draw
-    from antdsl.sweep.table import as_csv, as_json, runs_csv, shown, text
+    from antdsl.sweep.table import as_csv, as_json, runs_csv, runs_parquet, shown, text
 
     if not results:
         return
@@ -145,9 +141,13 @@ def _tell(keeper: Keeper, results: list[Result], show: Sequence[str], plots: boo
         known = ", ".join(dict.fromkeys(row.measure.split(".")[0] for row in table))
         raise Stop(Exit.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {known}")
     words = text(table, measures)
-    files = {"table.txt": words, "table.csv": as_csv(table), "runs.csv": runs_csv(results), "sweep.json": as_json(results, table)}
+    texts = {"table.txt": words, "table.csv": as_csv(table), "runs.csv": runs_csv(results), "sweep.json": as_json(results, table)}
+    files = {name: content.encode() for name, content in texts.items()}
+    parquet = runs_parquet(results)
+    if parquet is not None:
+        files["runs.parquet"] = parquet
     for name, content in files.items():
-        write_whole(keeper.folder / name, content.encode(), sync=False)
+        write_whole(keeper.folder / name, content, sync=False)
     say(words.rstrip("\n"))
     drawn = plots and available() and len(measures) <= 24
     if drawn:

@@ -47,6 +47,7 @@ class Recording:
     seconds: dict[str, float] = field(default_factory=dict)
     behind: dict[str, float] = field(default_factory=dict)  # of frames: made (part of `hand_over`), and written meanwhile
     started: float = field(default_factory=time.perf_counter)
+    way: str | None = None  # from the cache to its scene, where that is not the one between the files that are used
     meter: Meter | None = None  # measures the steps after the first
 
     @property
@@ -163,7 +164,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         shot.setting,
         version=shot.inputs["antdsl"],
         scene=Path(shot.scene.source.path).name,
-        scene_path=way_to(Path(shot.scene.source.path), recording.folder),
+        scene_path=recording.way or way_to(Path(shot.scene.source.path), recording.folder),
         inputs=recording.inputs,
         units=model.units,
         up=model.up,

@@ -6,11 +6,16 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
+from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
+from antdsl.outputs.cache.manifest import MANIFEST
+from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.scene.paths import note
 from antdsl.scene.values import FrameRange
 
 
@@ -26,7 +31,7 @@ class Variation:
 @dataclass(frozen=True, slots=True)
 class Job:
     """One run. `until`: amounts (`food.load`, `food.apple.load`) that end it once all of them are 0. `key` has a hash of all that
-    the result depends on. Made of plain values, so that it can be sent to another process."""
+    the result depends on. Made of plain values, so that it goes to another process as JSON."""
 
     scene: str
     label: str
@@ -40,6 +45,17 @@ class Job:
     @property
     def name(self) -> str:
         return f"{self.label}, seed {self.seed}"
+
+    def document(self) -> dict[str, Any]:
+        """In JSON's values, as it goes to another process."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Job:
+        """The job that a document tells of."""
+        pairs = {name: tuple((str(a), str(b)) for a, b in document[name]) for name in ("params", "grants")}
+        first, last = document["frames"]
+        return cls(**{**document, **pairs, "frames": (int(first), int(last)), "until": tuple(document["until"])})
 
     def choices(self) -> Choices:
         """What opens the scene as this run has it."""
@@ -72,26 +88,39 @@ def jobs(
     """All runs, seed by seed, so that a sweep that is stopped has something of every variation. What is wrong with a scene or a
     value is in the report, once."""
     report = Report()
-    shots: list[tuple[Variation, Shot]] = []
+    shots: list[tuple[Variation, Shot, Mapping[str, str]]] = []
     for variation in chosen:
         shot, findings = open_scene(variation.scene, Choices(grants, frames, None, variation.params))
         report.extend(findings)
         if shot is not None and findings.ok:
             _known(shot, until, report)
-            shots.append((variation, shot))
+            try:
+                shots.append((variation, shot, beginning(shot)))
+            except StartError as why:
+                report.extend(why.report)
     granted = tuple((name, str(folder)) for name, folder in grants.items())
     made = []
     for seed in seeds:
-        for variation, shot in shots:
+        for variation, shot, start in shots:
             first, last = shot.frames
             params = tuple(variation.params.items())
-            key = _key(shot, seed, until)
-            made.append(Job(str(variation.scene), variation.label, params, seed, (first, last), until, granted, key))
+            key = key_of(shot, seed, until, start)
+            made.append(Job(str(real_path(variation.scene)), variation.label, params, seed, (first, last), until, granted, key))
     return made, report
 
 
-def _key(shot: Shot, seed: int, until: tuple[str, ...]) -> str:
-    about = {"inputs": dict(shot.inputs), "seed": seed, "frames": list(shot.frames), "until": list(until)}
+def beginning(shot: Shot) -> Mapping[str, str]:
+    """A hash of what another cache gives a scene to begin with; that its files are read is noted (`scene.paths.sought`)."""
+    folder = source_of(shot)
+    if folder is not None:
+        note(folder / MANIFEST, shot.scene.roots.folder)
+    return start_hash(shot)
+
+
+def key_of(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
+    """A hash of all that the measures of a run depend on. `start`: of the cache that it begins with (`start_hash`)."""
+    inputs = {**shot.inputs, **start, "scene": shot.scene.changed(seed=seed).digest()}
+    about = {"inputs": inputs, "seed": seed, "frames": list(shot.frames), "until": list(until)}
     return hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 

@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any
 
 from antdsl.sweep.finished_runs import about
@@ -108,6 +109,25 @@ def as_csv(table: Sequence[Row]) -> str:
         numbers = [_plain(v) for v in (row.median, row.lower, row.upper, row.least, row.most)]
         writer.writerow([row.label, row.measure, row.runs, row.happened, *("" if n is None else f"{n:.9g}" for n in numbers)])
     return out.getvalue()
+
+
+def runs_parquet(results: Sequence[Result]) -> bytes | None:
+    """The same as an Apache Parquet file, with numbers as numbers; None where pyarrow is not installed."""
+    if find_spec("pyarrow") is None:
+        return None
+    import pyarrow
+    import pyarrow.parquet
+
+    names = dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED)
+    columns: dict[str, list[Any]] = {"label": [job.label for job, _ in results], "seed": [job.seed for job, _ in results]}
+    for name in names:
+        values = [measures.get(name) for _, measures in results]
+        numbers = all(v is None or isinstance(v, int | float) for v in values)
+        whole = all(v is None or isinstance(v, int) for v in values)
+        columns[name] = values if whole else [None if v is None else float(v) if numbers else str(v) for v in values]
+    sink = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(pyarrow.table(columns), sink)
+    return bytes(sink.getvalue().to_pybytes())
 
 
 def runs_csv(results: Sequence[Result]) -> str:

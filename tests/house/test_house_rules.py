@@ -23,7 +23,7 @@ ROOMS = (
     "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
-    "specs", "explain", "sweep", "bench", "preview", "lsp", "cli", "__main__",
+    "specs", "explain", "executors", "sweep", "shots", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
 GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole"])
@@ -115,7 +115,7 @@ def test_no_file_runs_text_or_reads_what_could() -> None:
 
 # Who else opens files to read them, and which.
 OWN_FILES = {
-    "bench/machine.py": "what the system tells about the processor",
+    "executors/machine.py": "what the system tells about the processor",
     "bench/cases.py": "examples that come with antdsl",
     "bootstrap.py": "what antdsl needs, and which system this is",
     "cli/__init__.py": "the null device",
