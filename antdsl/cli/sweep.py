@@ -44,6 +44,7 @@ def sweep(
     from antdsl.cli.arguments import frame_range, grants
     from antdsl.cli.printing.reports import demand
     from antdsl.cli.run import cores
+    from antdsl.executors import Processes
     from antdsl.sweep import Keeper, run_all, variations
     from antdsl.sweep import jobs as all_jobs
     from antdsl.sweep.finished_runs import OtherFiles
@@ -76,7 +77,7 @@ def sweep(
     failed: list[Outcome] = []
     try:
         with _stoppable(), _progress(len(todo), quiet) as watch:
-            for outcome in run_all(todo, processes, threads, watch.frame, watch.noted):
+            for outcome in run_all(todo, Processes(processes, threads), watch.frame, watch.noted):
                 watch.finished(outcome)
                 if outcome.measures is None:
                     failed.append(outcome)

@@ -6,8 +6,9 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices, Shot, open_scene
@@ -26,7 +27,7 @@ class Variation:
 @dataclass(frozen=True, slots=True)
 class Job:
     """One run. `until`: amounts (`food.load`, `food.apple.load`) that end it once all of them are 0. `key` has a hash of all that
-    the result depends on. Made of plain values, so that it can be sent to another process."""
+    the result depends on. Made of plain values, so that it goes to another process as JSON."""
 
     scene: str
     label: str
@@ -40,6 +41,17 @@ class Job:
     @property
     def name(self) -> str:
         return f"{self.label}, seed {self.seed}"
+
+    def document(self) -> dict[str, Any]:
+        """In JSON's values, as it goes to another process."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Job:
+        """The job that a document tells of."""
+        pairs = {name: tuple((str(a), str(b)) for a, b in document[name]) for name in ("params", "grants")}
+        first, last = document["frames"]
+        return cls(**{**document, **pairs, "frames": (int(first), int(last)), "until": tuple(document["until"])})
 
     def choices(self) -> Choices:
         """What opens the scene as this run has it."""

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 import commands
 import pytest
+from executed import InThisProcess
 
 from antdsl.preview.observing.notes import Notes
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import ready
-from antdsl.sweep import Job, Outcome
-from antdsl.sweep.workers import _work
 
 WHY = "llvmlite is not there: install it"
 TOLD = f"NumPy runs instead of machine code, slower and with the same result: {WHY}\n"
@@ -49,35 +47,8 @@ def test_specs_tell_once_for_all_runs(walkers: Path) -> None:
     assert done.returncode == 0 and done.stderr.count(TOLD) == 1
 
 
-class Ended:
-    """A pipe of a process of a sweep: one job comes in, what goes out is kept."""
-
-    def __init__(self, job: Job) -> None:
-        self._jobs, self.sent = [job], list[tuple[str, Any]]()
-
-    def recv(self) -> Job:
-        if not self._jobs:
-            raise EOFError
-        return self._jobs.pop()
-
-    def send(self, what: tuple[str, Any]) -> None:
-        self.sent.append(what)
-
-
 def test_sweeps_tell_once_for_all_runs(walkers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def run_all(todo: Sequence[Job], processes: int, threads: int, told: Any, noted: Any) -> Iterator[Outcome]:
-        for job in todo:
-            pipe: Any = Ended(job)
-            with monkeypatch.context() as patch:
-                patch.setattr("signal.signal", lambda *_: None)
-                patch.setattr("antdsl.numerics.compiled.expect_long_runs", lambda: None)
-                _work(pipe, 1)
-            notes = [value for word, value in pipe.sent if word == "note"]
-            assert notes == [TOLD.strip()]
-            noted(notes[0])
-            yield Outcome(job, pipe.sent[-1][1])
-
-    monkeypatch.setattr("antdsl.sweep.run_all", run_all)
+    monkeypatch.setattr("antdsl.executors.Processes", InThisProcess)
     words = ("sweep", "walkers/scene.yaml", "--frames", "1..4", "--seeds", "2", "--no-plots")
     for more in ((), ("--quiet", "--again")):
         done = commands.run(*words, *more, cwd=walkers)

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.cli import _run as run_in_process
+from antdsl.executors import Processes
 from antdsl.runtime import Built
 from antdsl.sweep import Job, Keeper, Variation, jobs, rows, run_all, variations
 from antdsl.sweep.finished_runs import OtherFiles
@@ -89,7 +90,7 @@ def test_what_is_wrong_is_told_before_anything_runs(folder: Path) -> None:
 def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: Path) -> None:
     good = made(folder, until=("food.apple.load",))
     gone = replace(good[0], scene=str(folder / "gone.yaml"), label="gone", key="0")
-    outcomes = {outcome.job.key: outcome for outcome in run_all([gone, *good], 2, 1)}
+    outcomes = {outcome.job.key: outcome for outcome in run_all([gone, *good], Processes(2, 1))}
     assert outcomes["0"].measures is None and "there is no file" in outcomes["0"].problem
     for job in good:
         assert same(outcomes[job.key].measures) == same(measure(job, 3, Built(), lambda frame: None))
@@ -99,20 +100,27 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
     assert found["items.food.load"] == 3 and found["transitions.walker.look->go"] >= 3
 
 
+def test_a_job_goes_to_another_process_as_json(folder: Path) -> None:
+    for job in made(folder, smell=("30mm",), until=("food.load",)):
+        assert Job.of(json.loads(json.dumps(job.document()))) == job
+
+
 @pytest.mark.slow
-def test_a_process_that_is_killed_costs_its_own_run_only(folder: Path) -> None:
+def test_a_process_that_is_killed_costs_no_other_run(folder: Path) -> None:
+    """Both runs under way are done again, one at a time; the one whose process is killed each time is given up."""
     long = replace(made(folder)[0], frames=(1, 900_000), key="long")
     hit: list[int] = []
 
     def kill(job: Job, frame: int) -> None:
-        for child in multiprocessing.active_children() if not hit and job.key == "long" else []:
+        for child in multiprocessing.active_children() if job.key == "long" else []:
             assert child.pid is not None
             hit.append(child.pid)
             os.kill(child.pid, signal.SIGKILL)
 
-    outcomes = list(run_all([long, made(folder)[1]], 1, 1, kill))
-    assert [outcome.measures is None for outcome in outcomes] == [True, False]
-    assert "SIGKILL" in outcomes[0].problem and hit and not multiprocessing.active_children()
+    outcomes = list(run_all([long, *made(folder)], Processes(2, 1), kill))
+    assert {outcome.job.key for outcome in outcomes if outcome.measures is None} == {"long"} and len(outcomes) == 3
+    problem = next(outcome.problem for outcome in outcomes if outcome.measures is None)
+    assert "SIGKILL" in problem and len(hit) >= 2 and not multiprocessing.active_children()
 
 
 def test_what_never_happened_counts_as_later_than_everything() -> None:

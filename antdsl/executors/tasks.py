@@ -1,0 +1,141 @@
+"""Hands tasks to a `concurrent.futures.Executor` and gives their answers as they come; takes over where one is broken."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+LOOK = 0.5  # seconds between looks at how far tasks are
+
+Answer = dict[str, Any]
+
+
+class Refused(Exception):
+    """A task that cannot be done, in words for whoever asked for it; it is not tried again."""
+
+
+@dataclass(slots=True)
+class Worker:
+    """What a task finds where it runs: how many threads it may use, whom it tells of frames, and what lasts from one task of the
+    process to the next, by name. `notes`: what was otherwise than asked, told with the answer."""
+
+    threads: int
+    told: Callable[[int], None] = lambda frame: None
+    kept: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+Work = Callable[[dict[str, Any], Worker], Answer]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """`work`: a function at the top of a module of ours; `document`: what it is given, in JSON's values; `key`: tells it from
+    other tasks."""
+
+    key: str
+    work: Work
+    document: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """What became of a task: an answer, or the words for what went wrong."""
+
+    task: Task
+    answer: Answer | None
+    problem: str = ""
+    notes: tuple[str, ...] = ()
+
+
+class Executors(Protocol):
+    """Where tasks run."""
+
+    at_once: int
+
+    def start(self) -> Executor:
+        """An executor, in place of the one before, which is broken."""
+
+    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
+        """Begin a task. `place`: a number below `at_once` that no other task has meanwhile."""
+
+    def frame(self, place: int) -> int | None:
+        """How far the task at a place is, where that is known."""
+
+    def why_broken(self) -> str:
+        """What ended the executor, once it is broken."""
+
+    def stop(self, executor: Executor) -> None:
+        """End it, and what it runs, at once."""
+
+
+def run_tasks(
+    tasks: Iterable[Task], executors: Executors, told: Callable[[Task, int], None] = lambda task, frame: None
+) -> Iterator[Answered]:
+    """Run tasks and give what became of each as it is known. `told` hears now and then how far one is. `tasks` is read one at a
+    time, whenever there is room for another.
+
+    Where a process is lost nobody knows whose fault that was: all tasks that were under way are run again, one by one, and one
+    that breaks the executor by itself is given up."""
+    waiting, suspects = iter(tasks), deque[Task]()
+    running: dict[Future[str], tuple[Task, int]] = {}
+    places = list(range(executors.at_once))
+    executor, alone = executors.start(), False
+    try:
+        while True:
+            if not running:
+                alone = bool(suspects)  # and it stays so until that one has ended
+            while places and not (alone and running):
+                task = suspects.popleft() if alone else next(waiting, None)
+                if task is None:
+                    break
+                place = places.pop()
+                running[executors.submit(executor, task, place)] = task, place
+            if not running:
+                return
+            done, _ = wait(running, timeout=LOOK, return_when=FIRST_COMPLETED)
+            for future, (task, place) in running.items():
+                frame = executors.frame(place) if future not in done else None
+                if frame is not None:
+                    told(task, frame)
+            if any(isinstance(future.exception(), BrokenExecutor) for future in done):
+                done, _ = wait(running)  # with it all the others are broken, or answered just before
+            lost = []
+            for future in done:
+                task, place = running.pop(future)
+                places.append(place)
+                if isinstance(future.exception(), BrokenExecutor):
+                    lost.append(task)
+                else:
+                    yield _answered(task, future)
+            if lost:
+                why = executors.why_broken()
+                executors.stop(executor)
+                executor = executors.start()
+                if alone:
+                    yield Answered(lost[0], None, why)
+                else:
+                    suspects.extend(lost)
+    finally:
+        executors.stop(executor)
+
+
+def _answered(task: Task, future: Future[str]) -> Answered:
+    why = future.exception()
+    if isinstance(why, Refused | MemoryError | OSError):
+        return Answered(task, None, str(why) or "out of memory")
+    if why is not None:
+        raise why
+    document = json.loads(future.result())
+    return Answered(task, document["answer"], notes=tuple(document["notes"]))
+
+
+def perform(work: Work, text: str, worker: Worker) -> str:
+    """Do a task where it runs: JSON in, JSON out."""
+    worker.notes.clear()
+    answer = work(json.loads(text), worker)
+    return json.dumps({"answer": answer, "notes": worker.notes})

@@ -1,0 +1,38 @@
+"""An executor for tests: tasks are done at once, in the process of the test."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import Executor, Future
+from typing import Any
+
+from antdsl.executors import Task, Worker
+from antdsl.executors.tasks import perform
+
+
+class InThisProcess:
+    """In place of `Processes`; keeps the tasks that it was given."""
+
+    def __init__(self, count: int = 1, threads: int = 1) -> None:
+        self.at_once, self.tasks, self._worker = count, list[Task](), Worker(threads)
+
+    def start(self) -> Executor:
+        return Executor()
+
+    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
+        self.tasks.append(task)
+        done: Future[Any] = Future()
+        try:
+            done.set_result(perform(task.work, json.dumps(task.document), self._worker))
+        except Exception as why:
+            done.set_exception(why)
+        return done
+
+    def frame(self, place: int) -> int | None:
+        return None
+
+    def why_broken(self) -> str:
+        raise AssertionError
+
+    def stop(self, executor: Executor) -> None:
+        pass

@@ -1,0 +1,81 @@
+"""How tasks are handed out: lazily, whom a broken executor is blamed on, what is told of one that fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from concurrent.futures import BrokenExecutor, Executor, Future
+from typing import Any
+
+import pytest
+from executed import InThisProcess
+
+from antdsl.executors import Refused, Task, Worker, run_tasks
+
+
+def doubled(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+    if document["n"] < 0:
+        raise Refused(f"{document['n']} is below 0")
+    worker.notes.append(f"had {document['n']}")
+    return {"n": 2 * document["n"]}
+
+
+def tasks(*numbers: int) -> Iterator[Task]:
+    return (Task(str(n), doubled, {"n": n}) for n in numbers)
+
+
+def test_tasks_are_made_as_there_is_room_and_answers_may_say_what_comes_next() -> None:
+    found: list[int] = []
+
+    def more() -> Iterator[Task]:
+        while sum(found) < 40:
+            yield from tasks(5)
+
+    for answered in run_tasks(more(), InThisProcess(1)):
+        assert answered.answer is not None and answered.notes == ("had 5",)
+        found.append(answered.answer["n"])
+    assert found == [10, 10, 10, 10]
+
+
+def test_one_that_fails_is_told_and_the_others_go_on() -> None:
+    ended = {a.task.key: (a.answer, a.problem) for a in run_tasks(tasks(1, -1, 2), InThisProcess(2))}
+    assert ended == {"1": ({"n": 2}, ""), "-1": (None, "-1 is below 0"), "2": ({"n": 4}, "")}
+    with pytest.raises(TypeError):  # a mistake of ours is none of the task's
+        list(run_tasks([Task("x", doubled, {"n": "x"})], InThisProcess(1)))
+
+
+class Fragile(InThisProcess):
+    """Ends its executor, and all that it runs, as soon as it has one of the tasks that kill; is slow to answer."""
+
+    def __init__(self, count: int, *killers: str) -> None:
+        super().__init__(count)
+        self.killers, self.pending, self.starts = killers, list[tuple[Future[str], Task]](), 0
+
+    def start(self) -> Executor:
+        self.starts += 1
+        return super().start()
+
+    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
+        future: Future[str] = Future()
+        self.pending.append((future, task))
+        return future
+
+    def frame(self, place: int) -> int | None:
+        pending, self.pending = self.pending, []
+        broken = any(task.key in self.killers for _, task in pending)
+        for future, task in pending:
+            if broken:
+                future.set_exception(BrokenExecutor())
+            else:
+                future.set_result(super().submit(Executor(), task, 0).result())
+        return None
+
+    def why_broken(self) -> str:
+        return "it was ended"
+
+
+def test_only_a_task_that_breaks_the_executor_by_itself_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("antdsl.executors.tasks.LOOK", 0.01)
+    fragile = Fragile(3, "7", "4")
+    ended = {a.task.key: (a.answer, a.problem) for a in run_tasks(tasks(*range(10)), fragile)}
+    assert {key for key, (_, problem) in ended.items() if problem} == {"7", "4"} and ended["7"] == (None, "it was ended")
+    assert all(ended[str(n)] == ({"n": 2 * n}, "") for n in range(10) if n not in (7, 4))
