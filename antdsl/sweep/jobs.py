@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from antdsl.diagnostics import Report
+from antdsl.loading import CheckedOnce
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.scene.values import FrameRange
 
@@ -59,15 +59,15 @@ class Job:
         return Choices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
 
 
-def variations(scenes: Iterable[Path], vary: Mapping[str, tuple[str, ...]]) -> list[Variation]:
-    """Every scene with every combination of the values, the last name changing fastest."""
-    scenes = list(scenes)
+def variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[Variation]:
+    """Every scene with the values of every point."""
+    scenes, points = list(scenes), list(points)
     stems = [scene.stem for scene in scenes]
     found = []
     for scene in scenes:
-        head = [scene.stem if stems.count(scene.stem) == 1 else str(scene.with_suffix(""))] if len(scenes) > 1 or not vary else []
-        for values in itertools.product(*vary.values()):
-            params = dict(zip(vary, values, strict=True))
+        several = len(scenes) > 1 or not any(points)
+        head = [scene.stem if stems.count(scene.stem) == 1 else str(scene.with_suffix(""))] if several else []
+        for params in points:
             words = [f"{name.rpartition('.')[2]} {value}" for name, value in params.items()]
             found.append(Variation(scene, params, ", ".join(head + words)))
     return found
@@ -84,26 +84,29 @@ def jobs(
     """All runs, seed by seed, so that a sweep that is stopped has something of every variation. What is wrong with a scene or a
     value is in the report, once."""
     report = Report()
-    shots: list[tuple[Variation, Shot]] = []
+    shots: list[tuple[Variation, FrameRange, Mapping[str, str]]] = []
+    parsed = CheckedOnce()
     for variation in chosen:
-        shot, findings = open_scene(variation.scene, Choices(grants, frames, None, variation.params))
+        choices = Choices(grants, frames, None, variation.params)
+        shot, findings = open_scene(variation.scene, choices, parsed=parsed, thorough=False)
         report.extend(findings)
         if shot is not None and findings.ok:
             _known(shot, until, report)
-            shots.append((variation, shot))
+            shots.append((variation, shot.frames, shot.inputs))
     granted = tuple((name, str(folder)) for name, folder in grants.items())
     made = []
     for seed in seeds:
-        for variation, shot in shots:
-            first, last = shot.frames
+        for variation, between, inputs in shots:
             params = tuple(variation.params.items())
-            key = _key(shot, seed, until)
-            made.append(Job(str(variation.scene), variation.label, params, seed, (first, last), until, granted, key))
+            key = _key(inputs, between, seed, until)
+            made.append(
+                Job(str(variation.scene), variation.label, params, seed, (between.first, between.last), until, granted, key)
+            )
     return made, report
 
 
-def _key(shot: Shot, seed: int, until: tuple[str, ...]) -> str:
-    about = {"inputs": dict(shot.inputs), "seed": seed, "frames": list(shot.frames), "until": list(until)}
+def _key(inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
+    about = {"inputs": dict(inputs), "seed": seed, "frames": list(frames), "until": list(until)}
     return hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 
