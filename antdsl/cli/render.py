@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
     from antdsl.outputs.gallery import Gallery
     from antdsl.outputs.paths import Window
+    from antdsl.outputs.pictures.kept_stills import Stills
     from antdsl.outputs.pictures.model import Camera, Picture
 
 LEAST, ENLARGED = 7.0, 3.0  # pixels that agents are drawn long at least, though at most so many times their size
@@ -87,6 +89,16 @@ def render(
     cut: str = typer.Option(
         None, "--cut", metavar="'z > 0'", help="Leave out what lies beyond a plane, in the scene's units, and look into solids."
     ),
+    shot: str = typer.Option(
+        None,
+        "--shot",
+        metavar="A..B",
+        help="These are some of the frames of a film: the camera and the strip are those of the whole film, from A to B.",
+        show_default=False,
+    ),
+    resume: bool = typer.Option(
+        False, "--resume", help="Draw only frames whose pictures are not there, whole and as they would be drawn."
+    ),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores."),
     out: Path = typer.Option(
         None, "--out", metavar="DIR", help="Where pictures go. [default: pictures in the cache]", show_default=False
@@ -95,6 +107,7 @@ def render(
     """Draw frames of a cache."""
     from antdsl.cli.arguments import frame_range
     from antdsl.cli.run import at_once
+    from antdsl.outputs.pictures.kept_stills import Stills
 
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
     seconds = _window(window)
@@ -107,14 +120,18 @@ def render(
     if film:
         _ready_for_films()
     style = _Style(width, height, at_once(threads), least, marks, blur, legend is Legend.beside)
-    drawn = _draw(gallery, wanted, camera, followed, words, style, rest=film and not followed)
-    if film:
-        _film(drawn, gallery, folder)
-    elif sheet:
-        _sheet(drawn, folder)
-    else:
-        for frame, image in drawn:
-            _still(frame, image, folder)
+    together = wanted if shot is None else _frames(gallery, frame_range(shot, "--shot"), every, False, True)
+    rest = (film or shot is not None) and not followed
+    asked = {"camera": camera.value, "show": sorted(words), "window": window, "agents": followed, "cut": cut, "full": _full(full)}
+    stills = Stills.of(folder, gallery.cache, {**asked, **style.looks(), "together": together, "rest": rest})
+    with _stoppable():
+        drawn = _draw(gallery, wanted, camera, followed, words, style, rest, together, stills if resume else None)
+        if film:
+            _film((image for _, image, _ in drawn), gallery, folder)
+        elif sheet:
+            _sheet([(frame, image) for frame, image, _ in drawn], stills)
+        else:
+            _stills(drawn, stills)
 
 
 def _cut(text: str | None) -> Cut | None:
@@ -204,6 +221,10 @@ class _Style:
     blur: float
     legend: bool
 
+    def looks(self) -> dict[str, Any]:
+        """What of it is seen in a picture."""
+        return {name: getattr(self, name) for name in ("width", "height", "least", "marks", "blur", "legend")}
+
 
 def _draw(
     gallery: Gallery,
@@ -213,8 +234,11 @@ def _draw(
     show: tuple[str, ...],
     style: _Style,
     rest: bool,
-) -> Iterator[tuple[int, Any]]:
-    """Frames with their pictures; with `rest` a camera at eye level stays where the first frame put it, as a film needs it."""
+    together: list[int],
+    kept: Stills | None,
+) -> Iterator[tuple[int, Any, bool]]:
+    """Frames with their pictures, and whether those were drawn or `kept` already; with `rest` a camera at eye level stays where
+    the first frame put it, as a film needs it. `together`: the frames that the camera is chosen for."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.gallery import NoPicture
     from antdsl.outputs.pictures.legend import strip_width, with_strip
@@ -224,24 +248,35 @@ def _draw(
     renderer: Renderer | None = None
     strip = 0
     standing: Camera | None = None
-    for frame in frames:
+
+    def look(frame: int) -> Picture:
         try:
-            picture = gallery.picture(frame, agents=frozenset(agents))
+            return gallery.picture(frame, agents=frozenset(agents))
         except CacheError as why:
             raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
         except NoPicture as why:
             raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
+
+    for frame in frames:
+        there = None if kept is None else kept.kept(frame)
+        if there is not None:
+            yield frame, there, False
+            continue
+        picture = look(frame)
         if renderer is None:
-            strip = strip_width(picture, style.width, show) if style.legend else 0
+            first = picture if frame == together[0] else look(together[0])
+            strip = strip_width(first, style.width, show) if style.legend else 0
             size = style.width - strip, style.height
             renderer = Renderer(*size, threads=style.threads, marks=style.marks, blur=style.blur, least=least, enlarged=enlarged)
-        if standing is None or (camera in (View.eye, View.close) and not rest) or (camera is View.scene and gallery.camera_moves):
-            standing = _camera(gallery, picture, camera, agents, renderer.width / renderer.height, frames)
+            standing = _camera(gallery, first, camera, agents, renderer.width / renderer.height, together)
+        if (camera in (View.eye, View.close) and not rest) or (camera is View.scene and gallery.camera_moves):
+            standing = _camera(gallery, picture, camera, agents, renderer.width / renderer.height, together)
+        assert standing is not None
         try:
             image = renderer.draw(picture, standing, show=show)
         except ValueError as why:
             raise typer.BadParameter(str(why), param_hint="--show") from None
-        yield frame, with_strip(image, picture, strip, show)
+        yield frame, with_strip(image, picture, strip, show), True
 
 
 def _nobody(picture: Picture, agents: tuple[int, ...]) -> str:
@@ -282,31 +317,51 @@ def _ready_for_films() -> None:
     demand(film_ready())
 
 
-def _film(drawn: Iterator[tuple[int, Any]], gallery: Gallery, folder: Path) -> None:
+def _film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
     """Pictures go into the film as they are drawn, none is kept."""
     from antdsl.cli.printing.reports import demand
     from antdsl.outputs.pictures import film
 
     path = folder / "film.mp4"
-    demand(film((image for _, image in drawn), path, 1 / gallery.dt))
+    demand(film(images, path, 1 / gallery.dt))
     typer.echo(path)
 
 
-def _sheet(drawn: Iterator[tuple[int, Any]], folder: Path) -> None:
+def _sheet(kept: list[tuple[int, Any]], stills: Stills) -> None:
     from PIL import Image
 
     from antdsl.outputs.pictures import contact_sheet
+    from antdsl.whole import whole
 
-    kept = list(drawn)
-    path = folder / "sheet.png"
-    Image.fromarray(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept])).save(path)
+    path = stills.folder / "sheet.png"
+    with whole(path, ".png") as part:
+        Image.fromarray(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept])).save(part)
     typer.echo(path)
-    _still(*kept[-1], folder)
+    typer.echo(stills.put(*kept[-1]))
 
 
-def _still(frame: int, image: Any, folder: Path) -> None:
-    from PIL import Image
+def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
+    there = 0
+    for frame, image, new in drawn:
+        there += not new
+        if new:
+            typer.echo(stills.put(frame, image))
+    if there:
+        typer.echo(f"{there} {'picture was' if there == 1 else 'pictures were'} there already")
 
-    path = folder / f"picture.{frame:04d}.png"
-    Image.fromarray(image).save(path, compress_level=4)
-    typer.echo(path)
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """SIGTERM leaves no half picture, and has its own exit code."""
+    import signal
+
+    def stop(number: int, frame: object) -> None:
+        raise Stop(
+            Exit.TERMINATED, "stopped: pictures that are there are whole", "the same command with `--resume` draws the others"
+        )
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
