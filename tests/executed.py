@@ -31,6 +31,9 @@ class InThisProcess:
     def frame(self, place: int) -> int | None:
         return None
 
+    def notes(self) -> tuple[str, ...]:
+        return ()
+
     def why_broken(self) -> str:
         raise AssertionError
 

@@ -6,19 +6,18 @@ import datetime
 import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 from antdsl import __version__
+from antdsl.executors.machine import processor
 
 PACKAGES = ("numpy", "scipy", "llvmlite", "numba", "open3d", "open3d-cpu")
-_PROCESSORS = Path("/proc/cpuinfo")  # Linux
 
 
 def machine() -> dict[str, str]:
     """Names to words: date, machine, system, versions."""
     found = {
         "date": datetime.date.today().isoformat(),
-        "machine": f"{_processor()}, {os.cpu_count()} cores",
+        "machine": f"{processor()}, {os.cpu_count()} cores",
         "system": f"{platform.system()} {platform.machine()}",
         "antdsl": __version__,
         "python": platform.python_version(),
@@ -29,13 +28,3 @@ def machine() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def _processor() -> str:
-    """The processor's name as the system tells it."""
-    try:
-        lines = _PROCESSORS.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or "unknown processor"

@@ -1,9 +1,9 @@
-"""`antdsl sweep SCENE…`: many runs, with other values and seeds, on other processes; a table at the end."""
+"""`antdsl sweep SCENE…`: many runs, with other values and seeds, on processes or a cluster; a table at the end."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,13 +13,24 @@ import typer
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster
 
 if TYPE_CHECKING:
     from antdsl.sweep import Chooser, Job, Keeper, Outcome
     from antdsl.sweep.study import Study
     from antdsl.sweep.table import Result
 
-RESULTS = ("table.txt", "table.csv", "runs.csv", "sweep.json", "table.png", "sensitivity.csv", "factors.png", "asked.json")
+RESULTS = (
+    "table.txt",
+    "table.csv",
+    "runs.csv",
+    "runs.parquet",
+    "sweep.json",
+    "table.png",
+    "sensitivity.csv",
+    "factors.png",
+    "asked.json",
+)
 SEED = 1  # of a design, where none is named
 MOST_PANELS = 24  # of one picture
 MOST_LINES = 60  # of a table that is printed
@@ -74,6 +85,9 @@ def sweep(
         False, "--resume", help="Go on with the sweep in --out as it was asked for. The same command does that too."
     ),
     again: bool = typer.Option(False, "--again", help="Run everything again, also what was finished before."),
+    scheduler: str = SCHEDULER,
+    tls: Path = TLS,
+    no_tls: bool = NO_TLS,
     plots: bool = typer.Option(True, "--plots/--no-plots", help="Draw the table too, where matplotlib is installed."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
@@ -81,7 +95,8 @@ def sweep(
     from antdsl.cli.printing.reports import demand
     from antdsl.cli.run import cores
     from antdsl.cli.sweep_words import asked_before, nothing, study_of, widths_of
-    from antdsl.executors import Processes
+    from antdsl.executors import Lost, Processes
+    from antdsl.scene.paths import sought
     from antdsl.sweep import Chooser, Keeper, run_all
     from antdsl.sweep.asked import Asked
     from antdsl.sweep.finished_runs import OtherFiles
@@ -106,7 +121,7 @@ def sweep(
     folder = out if out is not None else first.resolve().parent / "out" / "sweep"
     if first.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out", *RESULTS)
-    with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs:
+    with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs, sought() as read:
         inputs += map(Path, asked.scenes)
         study, made, report = study_of(asked)
     demand(report)
@@ -132,9 +147,13 @@ def sweep(
     processes = min(jobs or cores(), max(todo, 1))
     threads = max(1, cores() // processes)
     failed: list[Outcome] = []
+    files = [path for path in read if path.is_file()]
+    where = (
+        cluster(scheduler, tls, no_tls, processes, threads, files) if scheduler else nullcontext(Processes(processes, threads))
+    )
     try:
-        with _stoppable(), _progress(todo, quiet, bool(asked.until_known)) as watch:
-            for outcome in run_all(chooser.wanted(), Processes(processes, threads), watch.frame, watch.noted):
+        with _stoppable(), where as executors, _progress(todo, quiet, bool(asked.until_known)) as watch:
+            for outcome in run_all(chooser.wanted(), executors, watch.frame, watch.noted):
                 watch.finished(outcome)
                 if outcome.measures is None:
                     failed.append(outcome)
@@ -143,11 +162,12 @@ def sweep(
                     done[outcome.job.key] = outcome.measures
                 chooser.heard(outcome.job, outcome.measures)
                 _demand_measures(chooser)
-    except (KeyboardInterrupt, _Terminated) as why:
+    except (KeyboardInterrupt, _Terminated, Lost) as why:
         _tell(keeper, study, chooser, done, show, plots=False)
-        words = f"stopped: {len(done)} of {len(made)} runs are finished and kept"
+        finished = f"{len(done)} of {len(made)} runs are finished and kept"
         code = Exit.TERMINATED if isinstance(why, _Terminated) else Exit.INTERRUPTED
-        raise Stop(code, words, "the same command goes on with the others, and so does `--resume`") from None
+        code, words = (Exit.INPUT_OUTPUT, f"error: {why}") if isinstance(why, Lost) else (code, "stopped")
+        raise Stop(code, f"{words}: {finished}", "the same command goes on with the others, and so does `--resume`") from None
     _demand_measures(chooser)
     _tell(keeper, study, chooser, done, show, plots)
     if failed:
@@ -187,7 +207,7 @@ def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any
     from antdsl.sweep.plots import HOW, available, draw, draw_factors
     from antdsl.sweep.sensitivity import as_csv as effects_csv
     from antdsl.sweep.sensitivity import text as effects_text
-    from antdsl.sweep.table import as_csv, as_json, known_text, runs_csv, shown, text
+    from antdsl.sweep.table import as_csv, as_json, known_text, runs_csv, runs_parquet, shown, text
 
     results: list[Result] = [(job, done[job.key]) for job in chooser.counted]
     if not results:
@@ -202,16 +222,20 @@ def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any
     words = f"\n{known_text(known)}" if known else ""
     if effects and study.chosen.design.analysis is not None:
         words += f"\n{effects_text(study.chosen.design.analysis, effects)}"
-    files = {
+    texts = {
         "table.txt": lines + words,
         "table.csv": as_csv(table),
         "runs.csv": runs_csv(results, study.units),
         "sweep.json": as_json(results, table, known, effects),
     }
     if effects:
-        files["sensitivity.csv"] = effects_csv(effects)
+        texts["sensitivity.csv"] = effects_csv(effects)
+    files = {name: content.encode() for name, content in texts.items()}
+    parquet = runs_parquet(results, study.units)
+    if parquet is not None:
+        files["runs.parquet"] = parquet
     for name, content in files.items():
-        write_whole(keeper.folder / name, content.encode(), sync=False)
+        write_whole(keeper.folder / name, content, sync=False)
     say((_beginning(lines) + words).rstrip("\n"))
     for note in notes:
         say(f"note: {note}", err=True)

@@ -24,17 +24,21 @@ class Processes:
     """So many processes, with so many threads each."""
 
     def __init__(self, count: int, threads: int) -> None:
-        self.at_once = count
+        self._count = count
         self._threads = threads
         self._frames: MutableSequence[int] = []
         self._before: frozenset[BaseProcess] = frozenset()
         self._own: set[BaseProcess] = set()
 
+    @property
+    def at_once(self) -> int:
+        return self._count
+
     def start(self) -> Executor:
         context = multiprocessing.get_context("spawn")
-        self._frames = context.RawArray("q", [_NONE] * self.at_once)
+        self._frames = context.RawArray("q", [_NONE] * self._count)
         self._before, self._own = frozenset(multiprocessing.active_children()), set()
-        return ProcessPoolExecutor(self.at_once, context, _begin, (self._threads, self._frames))
+        return ProcessPoolExecutor(self._count, context, _begin, (self._threads, self._frames))
 
     def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
         self._frames[place] = _NONE
@@ -45,6 +49,9 @@ class Processes:
     def frame(self, place: int) -> int | None:
         frame = self._frames[place]
         return None if frame == _NONE else frame
+
+    def notes(self) -> tuple[str, ...]:
+        return ()
 
     def why_broken(self) -> str:
         for process in self._own:

@@ -7,7 +7,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
 from typing import Any, Protocol
+
+from antdsl.limits import ANSWER_BYTES
 
 LOOK = 0.5  # seconds between looks at how far tasks are
 
@@ -18,15 +22,24 @@ class Refused(Exception):
     """A task that cannot be done, in words for whoever asked for it; it is not tried again."""
 
 
+class Lost(Exception):
+    """Nobody is there any more who would run tasks, in words for whoever asked for them."""
+
+
 @dataclass(slots=True)
 class Worker:
     """What a task finds where it runs: how many threads it may use, whom it tells of frames, and what lasts from one task of the
-    process to the next, by name. `notes`: what was otherwise than asked, told with the answer."""
+    process to the next, by name. `notes`: what was otherwise than asked, told with the answer. `here`: where a file of whoever
+    asks lies on this machine; `scratch`: a folder for what is fetched, None where everybody sees the same folders; `name`: of the
+    process, empty on the machine of who asks."""
 
     threads: int
     told: Callable[[int], None] = lambda frame: None
     kept: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    here: Callable[[str], Path] = Path
+    scratch: Path | None = None
+    name: str = ""
 
 
 Work = Callable[[dict[str, Any], Worker], Answer]
@@ -55,7 +68,9 @@ class Answered:
 class Executors(Protocol):
     """Where tasks run."""
 
-    at_once: int
+    @property
+    def at_once(self) -> int:
+        """How many tasks to have under way."""
 
     def start(self) -> Executor:
         """An executor, in place of the one before, which is broken."""
@@ -66,6 +81,9 @@ class Executors(Protocol):
     def frame(self, place: int) -> int | None:
         """How far the task at a place is, where that is known."""
 
+    def notes(self) -> Iterable[str]:
+        """What there is to tell about those who run tasks, since it was asked last."""
+
     def why_broken(self) -> str:
         """What ended the executor, once it is broken."""
 
@@ -74,41 +92,45 @@ class Executors(Protocol):
 
 
 def run_tasks(
-    tasks: Iterable[Task], executors: Executors, told: Callable[[Task, int], None] = lambda task, frame: None
+    tasks: Iterable[Task],
+    executors: Executors,
+    told: Callable[[Task, int], None] = lambda task, frame: None,
+    noted: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Answered]:
-    """Run tasks and give what became of each as it is known. `told` hears now and then how far one is. `tasks` is read one at a
-    time, whenever there is room for another.
+    """Run tasks and give what became of each as it is known. `told` hears now and then how far one is, `noted` what there is to
+    tell about who runs them. `tasks` is read one at a time, whenever there is room for another.
 
     Where a process is lost nobody knows whose fault that was: all tasks that were under way are run again, one by one, and one
-    that breaks the executor by itself is given up."""
+    that breaks the executor by itself is given up. Lost where an executor cannot be had again."""
     waiting, suspects = iter(tasks), deque[Task]()
     running: dict[Future[str], tuple[Task, int]] = {}
-    places = list(range(executors.at_once))
     executor, alone = executors.start(), False
     try:
         while True:
             if not running:
                 alone = bool(suspects)  # and it stays so until that one has ended
-            while places and not (alone and running):
+            while len(running) < (1 if alone else executors.at_once):
                 task = suspects.popleft() if alone else next(waiting, None)
                 if task is None:
                     break
-                place = places.pop()
+                taken = {place for _, place in running.values()}
+                place = next(number for number in count() if number not in taken)
                 running[executors.submit(executor, task, place)] = task, place
             if not running:
                 return
             done, _ = wait(running, timeout=LOOK, return_when=FIRST_COMPLETED)
+            for sentence in executors.notes():
+                noted(sentence)
             for future, (task, place) in running.items():
                 frame = executors.frame(place) if future not in done else None
                 if frame is not None:
                     told(task, frame)
-            if any(isinstance(future.exception(), BrokenExecutor) for future in done):
+            if any(_broken(future) for future in done):
                 done, _ = wait(running)  # with it all the others are broken, or answered just before
             lost = []
             for future in done:
-                task, place = running.pop(future)
-                places.append(place)
-                if isinstance(future.exception(), BrokenExecutor):
+                task, _ = running.pop(future)
+                if _broken(future):
                     lost.append(task)
                 else:
                     yield _answered(task, future)
@@ -122,6 +144,10 @@ def run_tasks(
                     suspects.extend(lost)
     finally:
         executors.stop(executor)
+
+
+def _broken(future: Future[str]) -> bool:
+    return future.cancelled() or isinstance(future.exception(), BrokenExecutor)
 
 
 def _answered(task: Task, future: Future[str]) -> Answered:
@@ -138,4 +164,7 @@ def perform(work: Work, text: str, worker: Worker) -> str:
     """Do a task where it runs: JSON in, JSON out."""
     worker.notes.clear()
     answer = work(json.loads(text), worker)
-    return json.dumps({"answer": answer, "notes": worker.notes})
+    text = json.dumps({"answer": answer, "notes": worker.notes})
+    if len(text) > ANSWER_BYTES:
+        raise Refused(f"its result has {len(text):,} bytes, and more than {ANSWER_BYTES:,} are not sent")
+    return text

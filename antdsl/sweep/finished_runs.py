@@ -12,7 +12,7 @@ from antdsl.bounded import read_bounded
 from antdsl.outputs.cache.npz import write_whole
 from antdsl.sweep.jobs import Job
 
-_BYTES = 16 * limits.MIB  # of what is kept of one run
+_BYTES = limits.ANSWER_BYTES + 64 * limits.KIB  # of what is kept of one run
 
 
 class OtherFiles(Exception):

@@ -9,9 +9,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
 from antdsl.loading import CheckedOnce
+from antdsl.outputs.cache.manifest import MANIFEST
+from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.scene import Scene
+from antdsl.scene.paths import note
 from antdsl.scene.values import FrameRange
 
 
@@ -84,7 +89,7 @@ def jobs(
     """All runs, seed by seed, so that a sweep that is stopped has something of every variation. What is wrong with a scene or a
     value is in the report, once."""
     report = Report()
-    shots: list[tuple[Variation, FrameRange, Mapping[str, str]]] = []
+    shots: list[tuple[Variation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = CheckedOnce()
     for variation in chosen:
         choices = Choices(grants, frames, None, variation.params)
@@ -92,21 +97,37 @@ def jobs(
         report.extend(findings)
         if shot is not None and findings.ok:
             _known(shot, until, report)
-            shots.append((variation, shot.frames, shot.inputs))
+            try:
+                shots.append((variation, shot.frames, shot.scene, {**shot.inputs, **beginning(shot)}))
+            except StartError as why:
+                report.extend(why.report)
     granted = tuple((name, str(folder)) for name, folder in grants.items())
     made = []
     for seed in seeds:
-        for variation, between, inputs in shots:
+        for variation, between, scene, inputs in shots:
             params = tuple(variation.params.items())
-            key = _key(inputs, between, seed, until)
-            made.append(
-                Job(str(variation.scene), variation.label, params, seed, (between.first, between.last), until, granted, key)
-            )
+            key = _key(scene, inputs, between, seed, until)
+            frame_range = (between.first, between.last)
+            made.append(Job(str(real_path(variation.scene)), variation.label, params, seed, frame_range, until, granted, key))
     return made, report
 
 
-def _key(inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
-    about = {"inputs": dict(inputs), "seed": seed, "frames": list(frames), "until": list(until)}
+def beginning(shot: Shot) -> Mapping[str, str]:
+    """A hash of what another cache gives a scene to begin with; that its files are read is noted (`scene.paths.sought`)."""
+    folder = source_of(shot)
+    if folder is not None:
+        note(folder / MANIFEST, shot.scene.roots.folder)
+    return start_hash(shot)
+
+
+def key_of(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
+    """A hash of all that the measures of a run depend on. `start`: of the cache that it begins with (`start_hash`)."""
+    return _key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, until)
+
+
+def _key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
+    hashes = {**inputs, "scene": scene.changed(seed=seed).digest()}
+    about = {"inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
     return hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 

@@ -7,13 +7,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from antdsl import __version__
+from antdsl.executors.machine import processor, sources
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.starting import start_from_cache
 from antdsl.outputs.summary import summary
 from antdsl.outputs.writer.frame_writer import surface_error
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Built, Options, World, bind, state_hash, step
-from antdsl.sweep.jobs import Job, matches
+from antdsl.sweep.jobs import Job, beginning, key_of, matches
 
 
 class Unfit(Exception):
@@ -26,10 +28,14 @@ def measure(
     """Simulate a run and give its measures, by name: numbers, and None for what did not happen. `told` hears of each frame,
     `noted` at the end of what was otherwise than asked; `built` has what the runs before this one made of meshes.
 
-    Everything but `seconds` and `fps` is the same for the same job."""
+    Everything but `seconds`, `fps` and `processor` is the same for the same job and antdsl."""
     shot, report = open_scene(Path(job.scene), job.choices())
     if shot is None or not report.ok:
         raise Unfit("; ".join(problem.message for problem in report.errors))
+    if key_of(shot, job.seed, job.until, beginning(shot)) != job.key:
+        raise Unfit(
+            "files that the scene reads have changed since the sweep began; the same command begins with them as they are"
+        )
     began = time.perf_counter()
     world = bind(shot.plan, shot.setting, Options(threads=threads), built=built)
     recording = Recording(shot, Path(), world, shot.inputs)
@@ -54,6 +60,7 @@ def measure(
     found = dict(_flat("", summary(recording)))
     found |= {f"empty.{name}": frame for name, frame in empty.items()}
     found |= {f"left.{name}": amount for name, amount in _amounts(world)}
+    found |= {"processor": processor(), "antdsl": f"{__version__} {sources()[:8]}"}
     return found | {"seconds": round(time.perf_counter() - began, 3)}
 
 

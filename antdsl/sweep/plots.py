@@ -3,7 +3,7 @@ panel for each measure and range. Needs matplotlib."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -72,9 +72,10 @@ def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(measures), columns, squeeze=False)
     names = [str(scene) for scene in study.scenes]
+    scenes = {variation.label: str(variation.scene) for variation in study.variations}
     for row, measure in zip(panels, measures, strict=True):
         for panel, factor in zip(row, study.ranges, strict=False):
-            _over_range(panel, factor, results, names, measure)
+            _over_range(panel, factor, results, names, scenes, measure)
         if effects and study.chosen.design.analysis is not None:
             _bars(row[-1], study.chosen.design.analysis, [e for e in effects if e.measure == measure], names)
         row[0].set_ylabel(_title(measure), fontsize=9)
@@ -86,14 +87,16 @@ def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str
     figure.savefig(path, dpi=110, metadata={"Software": "antdsl"})
 
 
-def _over_range(panel: Any, factor: Factor, results: Sequence[Result], scenes: Sequence[str], measure: str) -> None:
+def _over_range(
+    panel: Any, factor: Factor, results: Sequence[Result], scenes: Sequence[str], of_labels: Mapping[str, str], measure: str
+) -> None:
     known = [float(v) for _, found in results if (v := found.get(measure)) is not None]
     edge, least = max(known, default=1.0), min(known, default=0.0)
     room = 0.08 * (edge - least) or 1.0
     for number, scene in enumerate(scenes):
         points: dict[str, tuple[float, list[float]]] = {}
         for job, found in results:
-            if job.scene == scene and measure in found:
+            if of_labels[job.label] == scene and measure in found:
                 value = factor.number(dict(job.params)[factor.name])
                 at = found[measure]
                 points.setdefault(job.label, (value, []))[1].append(edge + room if at is None else float(at))

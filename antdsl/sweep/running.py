@@ -4,7 +4,7 @@ does what changes no result."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from antdsl.executors import Executors, Refused, Task, Worker, run_tasks
@@ -32,7 +32,8 @@ def run_all(
     def heard(task: Task, frame: int) -> None:
         told(Job.of(task.document), frame)
 
-    for answered in run_tasks((Task(job.key, measured, job.document()) for job in jobs), executors, heard):
+    tasks = (Task(job.key, measured, job.document()) for job in jobs)
+    for answered in run_tasks(tasks, executors, heard, noted):
         for sentence in answered.notes:
             noted(sentence)
         yield Outcome(Job.of(answered.task.document), answered.answer, answered.problem)
@@ -45,8 +46,11 @@ def measured(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     from antdsl.sweep.measuring import Unfit, measure
 
     built: Built = worker.kept.setdefault("built", Built())
+    job = Job.of(document)
+    grants = tuple((name, str(worker.here(folder))) for name, folder in job.grants)
+    job = replace(job, scene=str(worker.here(job.scene)), grants=grants)
     try:
-        return measure(Job.of(document), worker.threads, built, worker.told, worker.notes.append)
+        return measure(job, worker.threads, built, worker.told, worker.notes.append)
     except (BindError, StartError) as why:
         raise Refused("; ".join(problem.message for problem in why.report.errors)) from None
     except (Unfit, FaultStop) as why:

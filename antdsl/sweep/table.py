@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from antdsl.sweep.finished_runs import about
@@ -114,20 +115,51 @@ def as_csv(table: Sequence[Row]) -> str:
     return out.getvalue()
 
 
+def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = None) -> bytes | None:
+    """The same as an Apache Parquet file, with numbers as numbers; None where pyarrow is not installed."""
+    if find_spec("pyarrow") is None:
+        return None
+    import pyarrow
+    import pyarrow.parquet
+
+    names = dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED)
+    columns: dict[str, list[Any]] = {"label": [job.label for job, _ in results], "seed": [job.seed for job, _ in results]}
+    for name, head in _heads(results, units or {}).items():
+        texts = [_given(job, units or {}).get(name) for job, _ in results]
+        columns[head] = [None if text is None else float(text) for text in texts] if name in (units or {}) else texts
+    for name in names:
+        values = [measures.get(name) for _, measures in results]
+        numbers = all(v is None or isinstance(v, int | float) for v in values)
+        whole = all(v is None or isinstance(v, int) for v in values)
+        columns[name] = values if whole else [None if v is None else float(v) if numbers else str(v) for v in values]
+    sink = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(pyarrow.table(columns), sink)
+    return bytes(sink.getvalue().to_pybytes())
+
+
 def runs_csv(results: Sequence[Result], units: Mapping[str, str] | None = None) -> str:
     """One line a run, with its values and all its measures. `units`: of the names whose values are told as numbers."""
-    units = units or {}
     names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED))
-    params = list(dict.fromkeys(name for job, _ in results for name, _ in job.params))
+    heads = _heads(results, units or {})
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    heads = [f"{name} ({units[name]})" if units.get(name) else name for name in params]
-    writer.writerow(["label", "seed", *heads, *names])
+    writer.writerow(["label", "seed", *heads.values(), *names])
     for job, measures in results:
-        given = {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
-        values = [given.get(name, "") for name in params]
+        given = _given(job, units or {})
+        values = [given.get(name, "") for name in heads]
         writer.writerow([job.label, job.seed, *values, *("" if (v := measures.get(name)) is None else v for name in names)])
     return out.getvalue()
+
+
+def _heads(results: Sequence[Result], units: Mapping[str, str]) -> dict[str, str]:
+    """What the columns of the values are called, by name."""
+    params = dict.fromkeys(name for job, _ in results for name, _ in job.params)
+    return {name: f"{name} ({units[name]})" if units.get(name) else name for name in params}
+
+
+def _given(job: Job, units: Mapping[str, str]) -> dict[str, str]:
+    """The values of a run, those with units that are told as numbers without."""
+    return {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
 
 
 def known_text(known: Sequence[Known]) -> str:

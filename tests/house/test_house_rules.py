@@ -115,7 +115,7 @@ def test_no_file_runs_text_or_reads_what_could() -> None:
 
 # Who else opens files to read them, and which.
 OWN_FILES = {
-    "bench/machine.py": "what the system tells about the processor",
+    "executors/machine.py": "what the system tells about the processor",
     "bench/cases.py": "examples that come with antdsl",
     "bootstrap.py": "what antdsl needs, and which system this is",
     "cli/__init__.py": "the null device",

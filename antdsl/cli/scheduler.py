@@ -1,0 +1,107 @@
+"""Where the tasks of a command run: on processes of this machine, or on a Dask cluster, one of its own or one that is there."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+
+if TYPE_CHECKING:
+    from antdsl.executors.cluster import Cluster
+
+SCHEDULER: Any = typer.Option(
+    None,
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run on a Dask cluster: `local` starts one here, tls://HOST:8786 uses one that is there; needs the extra [cluster].",
+    show_default=False,
+)
+TLS: Any = typer.Option(
+    None,
+    "--tls",
+    metavar="DIR",
+    help="For a scheduler that is there: the folder with ca.pem, cert.pem and key.pem.",
+    show_default=False,
+)
+NO_TLS: Any = typer.Option(
+    False,
+    "--no-tls",
+    help="Speak to a scheduler on another machine in the clear: whoever can reach it runs what they like on it.",
+)
+_HOW = "pip install 'antdsl[cluster]'"
+
+
+@contextmanager
+def cluster(address: str, tls: Path | None, no_tls: bool, workers: int, threads: int, files: Iterable[Path]) -> Iterator[Cluster]:
+    """The cluster of an address, whose workers have got the files. `workers` with so many `threads` each, where it is started
+    here. What is wrong ends the command; Lost where no scheduler answers."""
+    folder = _allowed(address, tls, no_tls)
+    from importlib.util import find_spec
+
+    if find_spec("distributed") is None or find_spec("cryptography") is None:
+        raise Stop(
+            Exit.INPUT_OUTPUT,
+            "error: `--scheduler` needs Dask",
+            f"install it: {_HOW}; without `--scheduler` all runs on this machine",
+        )
+    from antdsl.executors import Refused
+    from antdsl.executors.cluster import connected, local_cluster, security_of
+    from antdsl.executors.parcel import pack
+
+    try:
+        parcel = pack(files)
+        if address == "local":
+            with local_cluster(workers, threads) as (found, security), connected(found, security, parcel) as there:
+                yield there
+        else:
+            with connected(address, security_of(folder) if folder is not None else None, parcel) as there:
+                yield there
+    except Refused as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}") from None
+
+
+def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
+    """The folder of certificates for an address, or None where none are needed."""
+    from antdsl.executors.addresses import TLS_FILES
+
+    found = re.fullmatch(r"(tls|tcp)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9_.-]{1,253}):([0-9]{1,5})", address)
+    if address == "local":
+        if tls is not None or no_tls:
+            raise typer.BadParameter("a cluster that is started here has certificates of its own", param_hint="--tls")
+        return None
+    if found is None:
+        raise typer.BadParameter(
+            f"`{address}` is no scheduler: write `local`, or an address such as tls://render1:8786", param_hint="--scheduler"
+        )
+    if found[1] == "tls":
+        if tls is None:
+            raise typer.BadParameter(
+                f"`{address}` wants certificates: name their folder with `--tls DIR`", param_hint="--scheduler"
+            )
+        missing = [name for name in TLS_FILES if not (tls / name).is_file()]
+        if missing:
+            raise typer.BadParameter(f"`{tls}` has no `{missing[0]}`", param_hint="--tls")
+        return tls
+    if tls is not None:
+        raise typer.BadParameter(f"`{address}` is in the clear; write tls://{found[2]}:{found[3]}", param_hint="--scheduler")
+    if not no_tls and not _loopback(found[2].strip("[]")):
+        raise typer.BadParameter(
+            f"`{address}` is in the clear, so whoever can reach it runs what they like on it; write tls:// and `--tls DIR`, or, "
+            "on a network that is trusted, add `--no-tls`",
+            param_hint="--scheduler",
+        )
+    return None
+
+
+def _loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,5 @@
+"""What is known of a cluster before Dask is imported."""
+
+from __future__ import annotations
+
+TLS_FILES = ("ca.pem", "cert.pem", "key.pem")  # in a folder of certificates: the authority's, one's own, and its key

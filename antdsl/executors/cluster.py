@@ -1,0 +1,220 @@
+"""Tasks on a Dask cluster: one of this machine that ends with the command, or one that is there.
+
+Dask runs a task again where its worker is lost, at least once in all. Its messages are its own; what we put into them are our
+functions by name, JSON, and the bytes of the project's files."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Executor, Future
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster, Security
+
+from antdsl.executors.addresses import TLS_FILES
+from antdsl.executors.cluster_worker import Project, forget, identity, other_sources, perform_there, read_part
+from antdsl.executors.machine import sources
+from antdsl.executors.parcel import Parcel
+from antdsl.executors.tasks import LOOK, Lost, Refused, Task
+
+_CONNECT = 15  # seconds to wait for a scheduler
+_FIRST = 5.0  # seconds for the files to be there, until tasks are given
+_TOLD = 2000  # characters of one sentence of a worker
+
+
+def security_of(folder: Path) -> Security:
+    """Mutual TLS by the files of a folder: whoever else has no certificate of the same authority is not spoken to."""
+    ca, cert, key = (str(folder / name) for name in TLS_FILES)
+    return Security(require_encryption=True, tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key)
+
+
+@contextmanager
+def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
+    """A scheduler and so many worker processes on the loopback interface, with certificates of their own that are nowhere but in
+    memory; their address. There is no dashboard, and a worker has no bound of memory."""
+    routes: dict[str, list[str]] = {f"distributed.{who}.http.routes": [] for who in ("scheduler", "worker", "nanny")}
+    with dask.config.set({**routes, "distributed.worker.memory.terminate": False}):
+        security = Security.temporary()
+        with LocalCluster(
+            n_workers=workers,
+            threads_per_worker=threads,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=":0",
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=0,
+            security=security,
+            silence_logs=logging.CRITICAL,
+        ) as cluster:
+            yield cluster.scheduler_address, security
+
+
+@contextmanager
+def connected(address: str, security: Security | None, parcel: Parcel) -> Iterator[Cluster]:
+    """A cluster whose workers have got the files of a parcel. Lost where no scheduler answers, Refused where all its workers
+    are refused."""
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what there is to tell we tell
+    with ExitStack() as stack:
+        try:
+            client = stack.enter_context(Client(address, security=security, timeout=_CONNECT, set_as_default=False))
+        except (OSError, ValueError) as why:
+            raise Lost(f"no scheduler answers at {address}: {str(why).splitlines()[0]}") from None
+        cluster = Cluster(client, parcel)
+        cluster.begin()
+        yield cluster
+
+
+class Cluster:
+    """Where tasks run on the workers of a Dask cluster."""
+
+    def __init__(self, client: Any, parcel: Parcel) -> None:
+        self._client = client
+        self._project = Project(parcel, sources())
+        self.name: str = self._project.name
+        self._heard: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        self._told: list[str] = []
+        self._frames: dict[str, int] = {}
+        self._keys: dict[int, str] = {}
+        self._fit: set[str] = set()  # workers that have said so
+        self._there: set[str] = set()  # those of them that were there when it was looked last
+        self._looked = -1e9
+        self._given: dict[Future[str], tuple[Task, Future[str]]] = {}
+        self._attempt = 0
+        self._lock = threading.RLock()
+
+    def begin(self) -> None:
+        """Send the files to the workers that are there, and have them sent to those that come."""
+        client = self._client
+        client.subscribe_topic(self.name, lambda event: self._heard.put(event[1]))
+        there = client.run(identity, on_error="return")
+        unfit = {}
+        for address, has in there.items():
+            if isinstance(has, BaseException):
+                unfit[address] = f"worker {address} cannot run this antdsl, so it is given nothing: {has}"
+            elif has["sources"] != sources():
+                unfit[address] = other_sources(address, has, sources())
+        if there and len(unfit) == len(there):
+            raise Refused("\n".join(unfit.values()))
+        for words in unfit.values():
+            self._told.append(words)
+        with suppress(ImportError, AttributeError):  # of a worker that has been told of
+            client.register_plugin(self._project)
+        until = time.monotonic() + _FIRST
+        while there and not self._fit and time.monotonic() < until:
+            self._listen()
+            time.sleep(0.02)
+        self._there = set(self._fit)
+        if not there:
+            self._told.append("no worker has come to the scheduler yet; it goes on once one does")
+
+    @property
+    def at_once(self) -> int:
+        """Two for each worker, so that none waits for the next."""
+        return 2 * max(len(self._there), 1)
+
+    def start(self) -> Executor:
+        if self._client.status != "running":
+            raise Lost("the scheduler is gone")
+        executor: Executor = self._client.get_executor(pure=True, resources={self.name: 1})
+        return executor
+
+    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
+        self._keys[place] = task.key
+        self._frames.pop(task.key, None)
+        outer: Future[str] = Future()
+        self._give(executor, outer, task)
+        return outer
+
+    def _give(self, executor: Executor, outer: Future[str], task: Task) -> None:
+        with self._lock:
+            inner = executor.submit(perform_there, task.work, json.dumps(task.document), self.name, task.key, self._attempt)
+            self._given[outer] = task, inner
+            self._executor = executor
+        inner.add_done_callback(lambda done: self._ended(outer, done))
+
+    def _ended(self, outer: Future[str], inner: Future[str]) -> None:
+        with self._lock:
+            if self._given.get(outer, (None, None))[1] is not inner:
+                return  # it was given anew
+            del self._given[outer]
+        if inner.cancelled():
+            outer.cancel()
+            outer.set_running_or_notify_cancel()
+        elif (why := inner.exception()) is not None:
+            outer.set_exception(why)
+        else:
+            outer.set_result(inner.result())
+
+    def frame(self, place: int) -> int | None:
+        return self._frames.get(self._keys[place])
+
+    def notes(self) -> Iterable[str]:
+        self._listen()
+        self._look()
+        told, self._told = self._told, []
+        return told
+
+    def _listen(self) -> None:
+        """Take in what workers have said."""
+        with suppress(Empty):
+            while True:
+                said = self._heard.get_nowait()
+                if isinstance(said.get("frame"), int):
+                    self._frames[str(said.get("key"))] = said["frame"]
+                elif "fit" in said:
+                    self._fit.add(str(said["fit"]))
+                elif "refused" in said:
+                    self._told.append("".join(s if s.isprintable() else " " for s in str(said["refused"])[:_TOLD]))
+
+    def _look(self) -> None:
+        """See who is there now and then. Dask looks for a place for what nobody could do when a worker comes, which is before it
+        has got the files; so where nobody was there who could, all is given anew once somebody is."""
+        if time.monotonic() - self._looked < LOOK:
+            return
+        self._looked = time.monotonic()
+        try:
+            there = self._fit & set(self._client.nthreads())
+        except OSError:
+            return  # of a scheduler that is gone; the tasks say so
+        if there and not there & self._there:
+            with self._lock:
+                self._attempt += 1
+                given = list(self._given.items())
+                for outer, (task, inner) in given:
+                    self._give(self._executor, outer, task)
+                    inner.cancel()
+        self._there = there
+
+    def why_broken(self) -> str:
+        return "the scheduler is gone"
+
+    def stop(self, executor: Executor) -> None:
+        with suppress(Exception):  # of a scheduler that is gone
+            executor.shutdown(wait=False)
+
+    def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
+        """The parts of a file that a task has made on a worker. Lost where it is gone or ends before its size."""
+        start = 0
+        while start < size:
+            try:
+                part = self._client.run(read_part, self.name, file, start, workers=[worker])[worker]
+            except (OSError, KeyError) as why:
+                raise Lost(f"worker {worker} is gone: {why}") from None
+            if not part:
+                raise Lost(f"`{file}` of worker {worker} ends before its size")
+            start += len(part)
+            yield part
+
+    def forget(self, worker: str, folder: str) -> None:
+        """Have a worker remove what a task made."""
+        with suppress(OSError, KeyError):
+            self._client.run(forget, self.name, folder, workers=[worker])

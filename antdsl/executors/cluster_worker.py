@@ -1,0 +1,128 @@
+"""What is done on a worker of a Dask cluster: it takes in the files of a project, says whether it can run tasks, and runs them.
+
+A worker offers a resource named after the files and antdsl's own sources once it has both; a task asks for one of it. So whoever
+has other sources, or no room for the files, is never given a task, also one that comes later, and a worker runs one at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import platform
+import shutil
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from distributed import get_worker
+from distributed.diagnostics.plugin import WorkerPlugin
+
+from antdsl import __version__
+from antdsl.executors.machine import sources
+from antdsl.executors.parcel import Parcel, inside
+from antdsl.executors.tasks import LOOK, Refused, Work, Worker, perform
+from antdsl.limits import MIB
+
+PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
+
+
+class Project(WorkerPlugin):  # type: ignore[misc]
+    """The files of a project, as every worker of a cluster gets them. Nothing of it is a user's but the bytes of the files."""
+
+    def __init__(self, parcel: Parcel, sources: str) -> None:
+        self.name = f"antdsl-{parcel.digest}-{sources}"
+        self.parcel, self.sources = parcel, sources
+        self.worker: Worker | None = None
+
+    async def setup(self, worker: Any) -> None:
+        """As a worker begins, or the project comes to one that is there."""
+        if self.sources != sources():
+            worker.log_event(self.name, {"refused": other_sources(worker.address, identity(), self.sources)})
+            return
+        folder = Path(worker.local_directory) / self.name
+        try:
+            await asyncio.to_thread(_take_in, self.parcel, folder)
+        except (OSError, Refused) as why:
+            words = str(why) if isinstance(why, Refused) else f"its disk: {(why.strerror or str(why)).lower()}"
+            worker.log_event(
+                self.name, {"refused": f"worker {worker.address} has not got the files, so it is given nothing: {words}"}
+            )
+            return
+        from antdsl.numerics.compiled import expect_long_runs
+
+        expect_long_runs()
+        files = folder / "files"
+        self.worker = Worker(
+            worker.state.nthreads, here=lambda path: inside(files, path), scratch=folder / "made", name=worker.address
+        )
+        if self.name not in worker.state.total_resources:  # said again, it would count as free what a task has
+            await worker.set_resources(**{self.name: 1})
+        worker.log_event(self.name, {"fit": worker.address})
+
+
+_one_at_a_time = threading.Lock()
+
+
+def _take_in(parcel: Parcel, folder: Path) -> None:
+    """Put the files where tasks look for them, unless a command before this one did."""
+    with _one_at_a_time:
+        whole = folder / "whole"  # is there once all the others are
+        if whole.is_file():
+            return
+        shutil.rmtree(folder, ignore_errors=True)
+        parcel.unpack(folder / "files")
+        (folder / "made").mkdir(parents=True)
+        whole.touch()
+
+
+def identity() -> dict[str, str]:
+    """What a worker has."""
+    return {"antdsl": __version__, "sources": sources(), "host": platform.node()}
+
+
+def other_sources(address: str, has: Mapping[str, str], wanted: str) -> str:
+    """Why a worker is given nothing."""
+    return (
+        f"worker {address} on {has['host']} has antdsl {has['antdsl']} with other sources ({has['sources'][:8]}, "
+        f"here {wanted[:8]}), so it is given nothing: install there what is installed here"
+    )
+
+
+def perform_there(work: Work, text: str, name: str, key: str, attempt: int) -> str:
+    """Do a task on this worker. `name`: of the project; `attempt`: how often the task was given before."""
+    dask_worker = get_worker()
+    project = dask_worker.plugins.get(name)
+    if project is None or project.worker is None:
+        raise Refused(f"worker {dask_worker.address} has not got the files")
+    said = time.monotonic()
+
+    def told(frame: int) -> None:
+        nonlocal said
+        if time.monotonic() - said > LOOK:
+            said = time.monotonic()
+            dask_worker.log_event(name, {"key": key, "frame": frame})
+
+    project.worker.told = told
+    try:
+        return perform(work, text, project.worker)
+    except OSError as why:
+        raise Refused(f"worker {dask_worker.address}: {(why.strerror or str(why)).lower()}") from None
+
+
+def read_part(name: str, file: str, start: int) -> bytes:
+    """Some bytes of a file that a task has made on this worker, from an offset on."""
+    folder = Path(get_worker().local_directory) / name / "made"
+    path = (folder / file).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise Refused(f"`{file}` is none of the files that a task made")
+    with open(path, "rb") as handle:
+        handle.seek(start)
+        return handle.read(PART_BYTES)
+
+
+def forget(name: str, folder: str) -> None:
+    """Remove what a task has made, once it is fetched."""
+    made = Path(get_worker().local_directory) / name / "made"
+    path = (made / folder).resolve()
+    if path.is_relative_to(made.resolve()) and path != made.resolve():
+        shutil.rmtree(path, ignore_errors=True)

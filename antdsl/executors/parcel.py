@@ -1,0 +1,71 @@
+"""A parcel: files under the paths that they have where they come from, in one run of bytes known by its hash. How the files of a
+project travel to other machines, once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+
+from antdsl.bounded import read_bounded
+from antdsl.executors.tasks import Refused
+from antdsl.limits import PARCEL_BYTES
+
+
+@dataclass(frozen=True, slots=True)
+class Parcel:
+    """`data`: the length of a table of contents in 8 bytes, the table in JSON (paths and sizes, in order), the files."""
+
+    data: bytes
+    digest: str
+
+    def unpack(self, folder: Path) -> None:
+        """Write the files below a folder, each at `inside(folder, its path)`. Refused where they are not those of the hash."""
+        if _digest(self.data) != self.digest:
+            raise Refused("the files of the project did not arrive as they were sent")
+        start = 8 + int.from_bytes(self.data[:8], "little")
+        for name, size in json.loads(self.data[8:start]):
+            path = folder / name
+            if not path.resolve().is_relative_to(folder.resolve()):
+                raise Refused(f"a file of the project would be put outside of its folder: `{name}`")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with open(path, "xb") as file:
+                file.write(self.data[start : start + size])
+            start += size
+
+
+def pack(paths: Iterable[Path]) -> Parcel:
+    """A parcel of regular files. Refused where they are more than PARCEL_BYTES together; OSError where one cannot be read."""
+    files: dict[str, bytes] = {}
+    left = PARCEL_BYTES
+    for path in sorted({Path(os.path.abspath(path)) for path in paths}):
+        content = read_bounded(path, PARCEL_BYTES)
+        left -= len(content)
+        if left < 0:
+            raise Refused(f"the files that the scenes read are more than {PARCEL_BYTES >> 20} MiB, and more do not travel")
+        files[_inner(path)] = content
+    return _packed(files)
+
+
+def _packed(files: Mapping[str, bytes]) -> Parcel:
+    table = json.dumps([[name, len(content)] for name, content in files.items()]).encode()
+    data = b"".join((len(table).to_bytes(8, "little"), table, *files.values()))
+    return Parcel(data, _digest(data))
+
+
+def inside(folder: Path, path: str) -> Path:
+    """Where a file of a parcel lies below the folder that it was unpacked into."""
+    return folder / _inner(Path(path))
+
+
+def _inner(path: PurePath) -> str:
+    """A whole path as one below a folder: `/shots/a.yaml` as `shots/a.yaml`, `C:\\shots` as `C/shots`."""
+    drive = path.drive.replace(":", "").replace("\\", "_")
+    return "/".join([*([drive] if drive else []), *path.parts[1:]])
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=16).hexdigest()

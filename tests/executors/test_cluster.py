@@ -1,0 +1,135 @@
+"""A real Dask cluster on this machine: what is lost is done again, nothing is mixed, and who does not fit is told."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("distributed")
+pytest.importorskip("cryptography")
+
+from cluster_stage import ROOT, Stage, antdsl, staged
+from commands import run
+
+from antdsl import __version__
+from antdsl.executors.machine import sources
+
+RUNS = 40
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    assert run("new", "walkers", cwd=tmp_path).returncode == 0
+    return tmp_path
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Stage]:
+    (tmp_path / "cluster").mkdir()
+    with staged(tmp_path / "cluster") as there:
+        yield there
+
+
+def ended(process: subprocess.Popen[str], seconds: float = 150) -> tuple[int, str, str]:
+    out, err = process.communicate(timeout=seconds)
+    return process.returncode, out, err
+
+
+def until_there(folder: Path, count: int) -> None:
+    """Wait until so many runs are kept."""
+    until = time.monotonic() + 300
+    while len(list(folder.glob("runs/*.json"))) < count:
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with open(folder / "runs.csv", encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def lost_and_done_again(project: Path, stage: Stage, count: int, frames: int) -> None:
+    """Kill a worker in mid-run, then the client; the same command again has each run once, as one process gives it."""
+    words = ["sweep", "walkers/scene.yaml", "--frames", f"1..{frames}", "--seeds", str(count), "--no-plots"]
+    first, _ = stage.worker(), stage.worker()
+    client = antdsl(*words, "--out", "swept", *stage.flags(), cwd=project)
+    until_there(project / "swept", count // 8)
+    first.kill()
+    stage.worker()
+    until_there(project / "swept", count // 2)
+    client.send_signal(signal.SIGKILL)
+    client.communicate()
+    before = {path.name: path.stat().st_mtime_ns for path in (project / "swept" / "runs").glob("*.json")}
+    assert count // 2 <= len(before) < count
+    code, out, err = ended(antdsl(*words, "--out", "swept", *stage.flags(), cwd=project))
+    assert code == 0, err
+    assert f"{len(before)} of {count} runs were finished before" in out or len(before) < count
+    assert all((project / "swept" / "runs" / name).stat().st_mtime_ns == when for name, when in before.items())
+    code, _, err = ended(antdsl(*words, "--out", "alone", "--jobs", "1", cwd=project))
+    assert code == 0, err
+    found = rows(project / "swept")
+    assert found == rows(project / "alone") and [row["seed"] for row in found] == [str(n + 1) for n in range(count)]
+    assert (project / "swept" / "table.csv").read_bytes() == (project / "alone" / "table.csv").read_bytes()
+    assert all(row["processor"] and row["antdsl"].startswith("0.") for row in found)
+
+
+@pytest.mark.slow
+def test_lost_workers_and_a_killed_client_lose_no_run_and_double_none(project: Path, stage: Stage) -> None:
+    lost_and_done_again(project, stage, RUNS, 24)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_gone_is_told_and_the_table_goes_on_without_it(project: Path, stage: Stage) -> None:
+    words = ["sweep", "walkers/scene.yaml", "--frames", "1..24", "--seeds", "30", "--no-plots", "--out", "swept"]
+    stage.worker()
+    client = antdsl(*words, *stage.flags(), cwd=project)
+    until_there(project / "swept", 3)
+    stage.processes[0].kill()
+    code, _, err = ended(client)
+    assert code == 3 and "the scheduler is gone" in err and "of 30 runs are finished and kept" in err
+    code, out, _ = ended(antdsl(*words, "--jobs", "1", cwd=project))
+    assert code == 0 and "of 30 runs were finished before" in out and len(rows(project / "swept")) == 30
+
+
+@pytest.mark.slow
+def test_who_has_other_sources_or_no_room_is_told_and_given_nothing(project: Path, stage: Stage, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    for part in ("antdsl", "behaviours", "grammar"):
+        shutil.copytree(ROOT / part, other / part, ignore=shutil.ignore_patterns("node_modules", "__pycache__", "web"))
+    with open(other / "antdsl" / "numerics" / "noise.py", "a", encoding="utf-8") as file:
+        file.write("\n# another version\n")
+    words = ["sweep", "walkers/scene.yaml", "--frames", "1..4", "--seeds", "4", "--no-plots", *stage.flags()]
+    stage.worker(PYTHONPATH=str(other))
+    stage.wait_for(1)
+    code, _, err = ended(antdsl(*words, "--out", "a", cwd=project))
+    assert code == 3 and "with other sources" in err and "install there what is installed here" in err
+    stage.worker(blocks=1)  # no file of more than 512 bytes can be written: what a full disk is like
+    stage.worker()
+    stage.wait_for(3)
+    code, _, err = ended(antdsl(*words, "--out", "b", cwd=project))
+    assert code == 0 and err.count("it is given nothing") == 2 and "its disk: file too large" in err, err
+    assert len(rows(project / "b")) == 4 and {row["antdsl"] for row in rows(project / "b")} == {f"{__version__} {sources()[:8]}"}
+
+
+@pytest.mark.slow
+def test_a_worker_that_comes_later_is_given_the_files_too(project: Path, stage: Stage) -> None:
+    words = ["sweep", "walkers/scene.yaml", "--frames", "1..4", "--seeds", "3", "--no-plots", "--out", "a", *stage.flags()]
+    client = antdsl(*words, cwd=project)
+    assert client.stderr is not None and "no worker has come" in client.stderr.readline()
+    stage.worker()
+    assert ended(client)[0] == 0 and len(rows(project / "a")) == 3
+
+
+def test_a_cluster_of_this_machine_gives_the_same_table(project: Path) -> None:
+    words = ["sweep", "walkers/scene.yaml", "--frames", "1..2", "--seeds", "2", "--no-plots"]
+    for more in (["--out", "a", "--scheduler", "local", "--jobs", "2"], ["--out", "b", "--jobs", "1"]):
+        code, _, err = ended(antdsl(*words, *more, cwd=project))
+        assert code == 0, err
+    assert rows(project / "a") == rows(project / "b")
