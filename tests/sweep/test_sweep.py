@@ -17,11 +17,13 @@ import pytest
 
 from antdsl.cli import _run as run_in_process
 from antdsl.executors import Processes
+from antdsl.pipeline import open_scene
 from antdsl.runtime import Built
 from antdsl.sweep import Job, Keeper, Variation, jobs, rows, run_all, variations
 from antdsl.sweep.designs import choose
 from antdsl.sweep.factors import Factor
 from antdsl.sweep.finished_runs import OtherFiles
+from antdsl.sweep.jobs import beginning, key_of
 from antdsl.sweep.measuring import measure
 from antdsl.sweep.table import NOT_COMPARED, as_csv, quantile, shown, text
 
@@ -88,6 +90,13 @@ def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
     assert not {job.key for job in made(folder, until=("food.load",), smell=("30mm", "60mm"))} & {job.key for job in first}
     (folder / "walker.ant").write_text(PROGRAM.replace("touching(meal)", "distance(meal) < 14 mm"))
     assert not {job.key for job in made(folder, smell=("30mm", "60mm"))} & {job.key for job in first}
+
+
+def test_a_key_is_that_of_the_scene_opened_by_itself(folder: Path) -> None:
+    """Where a run is made the scene is opened anew, and refused where its key is another."""
+    for job in made(folder, smell=("30mm", "60mm")):
+        shot, _ = open_scene(folder / "scene.yaml", job.choices())
+        assert shot is not None and key_of(shot, job.seed, job.until, beginning(shot)) == job.key
 
 
 def test_what_is_wrong_is_told_before_anything_runs(folder: Path) -> None:
