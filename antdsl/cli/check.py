@@ -50,8 +50,8 @@ def check(
         raise typer.BadParameter("name a file or a folder", param_hint="PATH")
     from antdsl.checking import check_all
     from antdsl.cli.arguments import grants
+    from antdsl.cli.cores import cores
     from antdsl.cli.printing.reports import show, verdict
-    from antdsl.cli.run import cores
     from antdsl.diagnostics.ignoring import judged, without_ignored
     from antdsl.files import find_files
     from antdsl.pipeline import Choices

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import typer
 
+from antdsl.cli.cache_tasks import answers
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS
 
 
 def export(
@@ -59,6 +62,9 @@ def export(
         None, "--copies", show_default=False, help="Of USD: agents with skeletons are no instances, as Blender needs them."
     ),
     close: bool = typer.Option(None, "--close", show_default=False, help="Of USD: bodies as they are for close-ups."),
+    scheduler: str = SCHEDULER,
+    tls: Path = TLS,
+    no_tls: bool = NO_TLS,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
@@ -70,6 +76,7 @@ def export(
     from antdsl.outputs.numbered_files import NoExport
     from antdsl.outputs.some_agents import SomeAgents
     from antdsl.scene.geometry.usd import UsdError
+    from antdsl.shots.exports import tasks
 
     export = export_for(to)
     if export is None:
@@ -95,6 +102,12 @@ def export(
         raise typer.BadParameter(f"`{to.name}` as `{word}` does not take this; {', '.join(forms)} does", param_hint=f"--{name}")
     if "samples" in given and "shutter" not in given:
         raise typer.BadParameter("say when they are: `--shutter -0.25..0.25`", param_hint="--samples")
+    if scheduler and word not in export.each:
+        spread = ", ".join(f"`{each.endings[0]}`" for each in EXPORTS if each.each)
+        raise typer.BadParameter(
+            f"`{to.name}` as `{word}` is one file, which is written here; {spread} have a file for each frame",
+            param_hint="--scheduler",
+        )
     options = (export.options[word](**given),) if word in export.options else ()
     if word in export.each:
         folder_to_write(to.parent, "--to")
@@ -115,7 +128,13 @@ def export(
                 inputs += found.made_from()
         gallery = Gallery(found if chosen is None else SomeAgents(found.folder, found.manifest, chosen))
         to.parent.mkdir(parents=True, exist_ok=True)
-        notes = export.forms[word](gallery, there, to, *options)
+        notes: Sequence[str] | None
+        if scheduler:
+            where = scheduler, tls, no_tls
+            made = answers(where, cache, to.parent, lambda whole, place: tasks(whole, to.name, word, chosen, there, place))
+            notes = tuple(dict.fromkeys(note for answered in made for note in answered.notes))
+        else:
+            notes = export.forms[word](gallery, there, to, *options)
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from antdsl.cli.cache_tasks import Where, answers
 from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS
+from antdsl.cli.stopping import code_of, stoppable
 
 if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
+    from antdsl.outputs.drawing import Drawn
     from antdsl.outputs.gallery import Gallery
+    from antdsl.outputs.kept_stills import Stills
     from antdsl.outputs.paths import Window
-    from antdsl.outputs.pictures.kept_stills import Stills
-    from antdsl.outputs.pictures.model import Camera, Picture
 
-LEAST, ENLARGED = 7.0, 3.0  # pixels that agents are drawn long at least, though at most so many times their size
 SHEET = 9  # pictures on a contact sheet where no frames are named
 MOST = 100
 
@@ -100,6 +100,9 @@ def render(
         False, "--resume", help="Draw only frames whose pictures are not there, whole and as they would be drawn."
     ),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores."),
+    scheduler: str = SCHEDULER,
+    tls: Path = TLS,
+    no_tls: bool = NO_TLS,
     out: Path = typer.Option(
         None, "--out", metavar="DIR", help="Where pictures go. [default: pictures in the cache]", show_default=False
     ),
@@ -107,31 +110,52 @@ def render(
     """Draw frames of a cache."""
     from antdsl.cli.arguments import frame_range
     from antdsl.cli.run import at_once
-    from antdsl.outputs.pictures.kept_stills import Stills
+    from antdsl.outputs.drawing import Drawn
+    from antdsl.outputs.kept_stills import Stills
 
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
-    seconds = _window(window)
-    gallery = _gallery(cache, _cut(cut), seconds if "paths" in words else None, blur > 0, _full(full))
-    wanted = _frames(gallery, frame_range(frames), every, sheet, film)
-    followed = _ids(agents)
+    _window(window)
+    _cut(cut)
+    wanted = Drawn(
+        *(width, height, camera.value, words, _ids(agents), cut, window, tuple(_full(full).items()), least, marks, blur),
+        legend=legend is Legend.beside,
+        rest=(film or shot is not None) and agents is None,
+    )
+    gallery = _gallery(cache, wanted)
+    drawn = _frames(gallery, frame_range(frames), every, sheet, film)
     folder = out if out is not None else cache / "pictures"
     folder_to_write(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
     folder.mkdir(parents=True, exist_ok=True)
     if film:
         _ready_for_films()
-    style = _Style(width, height, at_once(threads), least, marks, blur, legend is Legend.beside)
-    together = wanted if shot is None else _frames(gallery, frame_range(shot, "--shot"), every, False, True)
-    rest = (film or shot is not None) and not followed
-    asked = {"camera": camera.value, "show": sorted(words), "window": window, "agents": followed, "cut": cut, "full": _full(full)}
-    stills = Stills.of(folder, gallery.cache, {**asked, **style.looks(), "together": together, "rest": rest})
-    with _stoppable():
-        drawn = _draw(gallery, wanted, camera, followed, words, style, rest, together, stills if resume else None)
-        if film:
-            _film((image for _, image, _ in drawn), gallery, folder)
-        elif sheet:
-            _sheet([(frame, image) for frame, image, _ in drawn], stills)
-        else:
-            _stills(drawn, stills)
+    together = drawn if shot is None else _frames(gallery, frame_range(shot, "--shot"), every, False, True)
+    stills = Stills.of(folder, gallery.cache, wanted, together)
+    try:
+        with stoppable():
+            if scheduler:
+                if sheet and not film:
+                    raise typer.BadParameter("a sheet has so few pictures that it is drawn here", param_hint="--scheduler")
+                if film and resume:
+                    raise typer.BadParameter(
+                        "a film is drawn anew on a cluster; draw its frames there, `--shot A..B --resume`, then the film here",
+                        param_hint="--resume",
+                    )
+                there = [frame for frame in drawn if resume and stills.kept(frame) is not None]
+                new = [frame for frame in drawn if frame not in set(there)]
+                if new:
+                    _by_cluster((scheduler, tls, no_tls), cache, wanted, new, together, folder, 1 / gallery.dt if film else None)
+                _skipped(len(there))
+                return
+            pictures = _draw(gallery, wanted, drawn, together, at_once(threads), stills if resume else None)
+            if film:
+                _film((image for _, image, _ in pictures), gallery, folder)
+            elif sheet:
+                _sheet([(frame, image) for frame, image, _ in pictures], stills)
+            else:
+                _stills(pictures, stills)
+    except KeyboardInterrupt as why:
+        advice = "the same command with `--resume` draws the others"
+        raise Stop(code_of(why), "stopped: pictures that are there are whole", advice) from None
 
 
 def _cut(text: str | None) -> Cut | None:
@@ -167,13 +191,13 @@ def _full(texts: list[str]) -> dict[str, float]:
     return found
 
 
-def _gallery(folder: Path, cut: Cut | None, window: Window | None, blurred: bool, full: dict[str, float]) -> Gallery:
+def _gallery(folder: Path, wanted: Drawn) -> Gallery:
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.gallery import Gallery, NoPicture
+    from antdsl.outputs.gallery import NoPicture
 
     try:
-        return Gallery(open_cache(folder), cut, window, blurred=blurred, full=full)
+        return wanted.gallery(open_cache(folder))
     except (ManifestError, CacheError) as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except NoPicture as why:
@@ -211,102 +235,68 @@ def _ids(text: str | None) -> tuple[int, ...]:
         raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,17", param_hint="--agents") from None
 
 
-@dataclass(frozen=True)
-class _Style:
-    width: int
-    height: int
-    threads: int
-    least: float | None
-    marks: float
-    blur: float
-    legend: bool
-
-    def looks(self) -> dict[str, Any]:
-        """What of it is seen in a picture."""
-        return {name: getattr(self, name) for name in ("width", "height", "least", "marks", "blur", "legend")}
-
-
 def _draw(
-    gallery: Gallery,
-    frames: list[int],
-    camera: View,
-    agents: tuple[int, ...],
-    show: tuple[str, ...],
-    style: _Style,
-    rest: bool,
-    together: list[int],
-    kept: Stills | None,
+    gallery: Gallery, wanted: Drawn, frames: list[int], together: list[int], threads: int, kept: Stills | None
 ) -> Iterator[tuple[int, Any, bool]]:
-    """Frames with their pictures, and whether those were drawn or `kept` already; with `rest` a camera at eye level stays where
-    the first frame put it, as a film needs it. `together`: the frames that the camera is chosen for."""
+    """Frames with their pictures, and whether those were drawn or `kept` already. `together`: the frames that the camera is
+    chosen for."""
     from antdsl.outputs.cache.cache_reader import CacheError
+    from antdsl.outputs.drawing import Drawer, NoAgent
     from antdsl.outputs.gallery import NoPicture
-    from antdsl.outputs.pictures.legend import strip_width, with_strip
-    from antdsl.outputs.pictures.render import Renderer
 
-    least, enlarged = (LEAST, ENLARGED) if style.least is None else (style.least, float("inf"))
-    renderer: Renderer | None = None
-    strip = 0
-    standing: Camera | None = None
-
-    def look(frame: int) -> Picture:
-        try:
-            return gallery.picture(frame, agents=frozenset(agents))
-        except CacheError as why:
-            raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
-        except NoPicture as why:
-            raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
-
-    for frame in frames:
-        there = None if kept is None else kept.kept(frame)
-        if there is not None:
-            yield frame, there, False
-            continue
-        picture = look(frame)
-        if renderer is None:
-            first = picture if frame == together[0] else look(together[0])
-            strip = strip_width(first, style.width, show) if style.legend else 0
-            size = style.width - strip, style.height
-            renderer = Renderer(*size, threads=style.threads, marks=style.marks, blur=style.blur, least=least, enlarged=enlarged)
-            standing = _camera(gallery, first, camera, agents, renderer.width / renderer.height, together)
-        if (camera in (View.eye, View.close) and not rest) or (camera is View.scene and gallery.camera_moves):
-            standing = _camera(gallery, picture, camera, agents, renderer.width / renderer.height, together)
-        assert standing is not None
-        try:
-            image = renderer.draw(picture, standing, show=show)
-        except ValueError as why:
-            raise typer.BadParameter(str(why), param_hint="--show") from None
-        yield frame, with_strip(image, picture, strip, show), True
+    drawer: Drawer | None = None
+    try:
+        for frame in frames:
+            there = None if kept is None else kept.kept(frame)
+            if there is not None:
+                yield frame, there, False
+                continue
+            drawer = drawer or Drawer(gallery, wanted, together, threads)
+            yield frame, drawer.draw(frame), True
+    except CacheError as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
+    except NoPicture as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
+    except NoAgent as why:
+        raise Stop(Exit.FINDINGS, f"error: {why}") from None
+    except ValueError as why:
+        raise typer.BadParameter(str(why), param_hint="--show") from None
 
 
-def _nobody(picture: Picture, agents: tuple[int, ...]) -> str:
-    """That a camera finds no agent, and who there is."""
-    counts: dict[str, int] = {}
-    for crowd in picture.crowds:
-        counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
-    known = [f"{count} `{species}`" for species, count in counts.items() if count]
-    who = f" {agents[0]}" if agents else ""
-    has = f"; this frame has {', '.join(known) or 'nobody'}"
-    return f"error: there is no agent{who} to stand beside{has}"
+def _by_cluster(
+    where: Where, cache: Path, wanted: Drawn, frames: list[int], together: list[int], folder: Path, fps: float | None
+) -> None:
+    """Stills that workers draw, or, with `fps`, a film of them."""
+    from antdsl.outputs.kept_stills import still_path
+    from antdsl.shots.stills import tasks
+
+    stills = folder if fps is None else folder / "film.frames"
+    stills.mkdir(exist_ok=True)
+    for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, together, to)):
+        for frame in answered.task.document["frames"] if fps is None else ():
+            typer.echo(still_path(folder, frame))
+    if fps is not None:
+        _film_of_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps)
+        stills.rmdir()
 
 
-def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float, frames: list[int]) -> Camera:
+def _film_of_stills(paths: list[Path], path: Path, fps: float) -> None:
+    """Put pictures into a film, and take them away."""
     import numpy as np
+    from PIL import Image
 
-    from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_holding, camera_on_top, camera_over
+    from antdsl.cli.printing.reports import demand
+    from antdsl.outputs.pictures import film
 
-    if which in (View.eye, View.close):
-        close = which is View.close
-        found = camera_at_eye_level(picture, agents[0] if agents else None, focal=35.0 if close else 26.0, close=close)
-        if found is None:
-            raise Stop(Exit.FINDINGS, _nobody(picture, agents))
-        return found
-    if which is View.top:
-        return camera_on_top(picture, aspect=aspect)
-    if which is View.fit or (which is View.scene and gallery.camera_fits):
-        return camera_holding(gallery.outline(frames), np.asarray(picture.up, np.float64), aspect=aspect)
-    own = gallery.camera(picture.frame or 0) if which is View.scene else None
-    return own if own is not None else camera_over(picture, aspect=aspect)
+    def images() -> Iterator[Any]:
+        for each in paths:
+            with Image.open(each) as image:
+                yield np.asarray(image.convert("RGB"))
+
+    demand(film(images(), path, fps))
+    for each in paths:
+        each.unlink()
+    typer.echo(path)
 
 
 def _ready_for_films() -> None:
@@ -346,22 +336,9 @@ def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
         there += not new
         if new:
             typer.echo(stills.put(frame, image))
+    _skipped(there)
+
+
+def _skipped(there: int) -> None:
     if there:
         typer.echo(f"{there} {'picture was' if there == 1 else 'pictures were'} there already")
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """SIGTERM leaves no half picture, and has its own exit code."""
-    import signal
-
-    def stop(number: int, frame: object) -> None:
-        raise Stop(
-            Exit.TERMINATED, "stopped: pictures that are there are whole", "the same command with `--resume` draws the others"
-        )
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -1,4 +1,4 @@
-"""`antdsl run SCENE`: simulates a scene into a cache."""
+"""`antdsl run SCENE…`: simulates scenes into caches."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from antdsl.cli.cores import cores
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS
+from antdsl.cli.shots import run_shots
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording
@@ -32,12 +35,16 @@ class OnFault(StrEnum):
 
 
 def run(
-    scene: Path = typer.Argument(..., help="A scene.yaml."),
+    scenes: list[Path] = typer.Argument(..., metavar="SCENE…", help="A scene.yaml; several are run at a time, each by itself."),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Other frames than the scene's."),
     seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
     set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
     out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Where the cache goes. [default: out/SCENE beside the scene]", show_default=False
+        None,
+        "--out",
+        metavar="DIR",
+        help="Where the cache goes; of several scenes a folder for each in it. [default: out/SCENE beside the scene]",
+        show_default=False,
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     threads: int = typer.Option(
@@ -60,21 +67,33 @@ def run(
     profile: bool = typer.Option(
         False, "--profile", help="Tell at the end what the time went to: phases, layers, lines. Changes no result."
     ),
+    scheduler: str = SCHEDULER,
+    tls: Path = TLS,
+    no_tls: bool = NO_TLS,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
-    """Simulate a scene and write a cache."""
+    """Simulate scenes and write their caches."""
     from antdsl.cli.arguments import frame_range, grants, pairs
     from antdsl.cli.printing.reports import demand
     from antdsl.outputs.cache.cache_reader import NAMES
     from antdsl.pipeline import Choices, open_scene
 
-    if scene.suffix == ".ant":
-        raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
+    for scene in scenes:
+        if scene.suffix == ".ant":
+            raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
+    choices = Choices(grants(root), frame_range(frames), seed, pairs(set_, "--set"))
+    if scheduler or len(scenes) > 1:
+        if summary is not None or profile:
+            flag = "--summary" if summary is not None else "--profile"
+            raise typer.BadParameter("this is of one scene that runs here", param_hint=flag)
+        words = {"backend": backend.value, "chunk": chunk, "shuffle_rows": shuffle, "on_fault": on_fault.value}
+        run_shots(scenes, choices, out, {**words, "resume": resume, "force": force}, threads, (scheduler, tls, no_tls), quiet)
+        return
+    (scene,) = scenes
     file_to_write(summary, "--summary")
     folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
     if scene.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out")
-    choices = Choices(grants(root), frame_range(frames), seed, pairs(set_, "--set"))
     files, folders = {"--summary": summary}, {"--out": (folder, NAMES)}
     with _setting_up(_again(scene, out)), keeping_inputs(files, folders) as inputs:
         inputs.append(scene)
@@ -107,13 +126,6 @@ def run(
             from antdsl.cli.printing.profile_table import show
 
             show(recording.meter.profile(), lines=options.backend != "reference")
-
-
-def cores() -> int:
-    """How many threads may run at once here."""
-    import os
-
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def at_once(asked: int, quiet: bool = False) -> int:

@@ -15,6 +15,7 @@ from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
     from antdsl.executors.cluster import Cluster
+    from antdsl.executors.parcel import Seen
 
 SCHEDULER: Any = typer.Option(
     None,
@@ -39,9 +40,17 @@ _HOW = "pip install 'antdsl[cluster]'"
 
 
 @contextmanager
-def cluster(address: str, tls: Path | None, no_tls: bool, workers: int, threads: int, files: Iterable[Path]) -> Iterator[Cluster]:
-    """The cluster of an address, whose workers have got the files. `workers` with so many `threads` each, where it is started
-    here. What is wrong ends the command; Lost where no scheduler answers."""
+def cluster(
+    address: str,
+    tls: Path | None,
+    no_tls: bool,
+    workers: int,
+    threads: int,
+    files: Iterable[Path],
+    seen: Seen | None = None,
+) -> Iterator[Cluster]:
+    """The cluster of an address, whose workers have got the files, or see `seen` where they are. `workers` with so many `threads`
+    each, where it is started here. What is wrong ends the command; Lost where no scheduler answers."""
     folder = _allowed(address, tls, no_tls)
     from importlib.util import find_spec
 
@@ -53,15 +62,13 @@ def cluster(address: str, tls: Path | None, no_tls: bool, workers: int, threads:
         )
     from antdsl.executors import Refused
     from antdsl.executors.cluster import connected, local_cluster, security_of
-    from antdsl.executors.parcel import pack
 
     try:
-        parcel = pack(files)
         if address == "local":
-            with local_cluster(workers, threads) as (found, security), connected(found, security, parcel) as there:
+            with local_cluster(workers, threads) as (found, security), connected(found, security, files, seen) as there:
                 yield there
         else:
-            with connected(address, security_of(folder) if folder is not None else None, parcel) as there:
+            with connected(address, security_of(folder) if folder is not None else None, files, seen) as there:
                 yield there
     except Refused as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}") from None

@@ -14,6 +14,7 @@ from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster
+from antdsl.cli.stopping import code_of, stoppable
 
 if TYPE_CHECKING:
     from antdsl.sweep import Chooser, Job, Keeper, Outcome
@@ -92,8 +93,8 @@ def sweep(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
+    from antdsl.cli.cores import cores
     from antdsl.cli.printing.reports import demand
-    from antdsl.cli.run import cores
     from antdsl.cli.sweep_words import asked_before, nothing, study_of, widths_of
     from antdsl.executors import Lost, Processes
     from antdsl.scene.paths import sought
@@ -152,7 +153,7 @@ def sweep(
         cluster(scheduler, tls, no_tls, processes, threads, files) if scheduler else nullcontext(Processes(processes, threads))
     )
     try:
-        with _stoppable(), where as executors, _progress(todo, quiet, bool(asked.until_known)) as watch:
+        with stoppable(), where as executors, _progress(todo, quiet, bool(asked.until_known)) as watch:
             for outcome in run_all(chooser.wanted(), executors, watch.frame, watch.noted):
                 watch.finished(outcome)
                 if outcome.measures is None:
@@ -162,11 +163,10 @@ def sweep(
                     done[outcome.job.key] = outcome.measures
                 chooser.heard(outcome.job, outcome.measures)
                 _demand_measures(chooser)
-    except (KeyboardInterrupt, _Terminated, Lost) as why:
+    except (KeyboardInterrupt, Lost) as why:
         _tell(keeper, study, chooser, done, show, plots=False)
         finished = f"{len(done)} of {len(made)} runs are finished and kept"
-        code = Exit.TERMINATED if isinstance(why, _Terminated) else Exit.INTERRUPTED
-        code, words = (Exit.INPUT_OUTPUT, f"error: {why}") if isinstance(why, Lost) else (code, "stopped")
+        code, words = (Exit.INPUT_OUTPUT, f"error: {why}") if isinstance(why, Lost) else (code_of(why), "stopped")
         raise Stop(code, f"{words}: {finished}", "the same command goes on with the others, and so does `--resume`") from None
     _demand_measures(chooser)
     _tell(keeper, study, chooser, done, show, plots)
@@ -178,26 +178,6 @@ def _demand_measures(chooser: Chooser) -> None:
     unheard = chooser.unheard()
     if unheard:
         raise Stop(Exit.USAGE, f"error: no measure begins with `{unheard[0]}`", f"there are: {', '.join(chooser.heard_of())}")
-
-
-class _Terminated(BaseException):
-    """SIGTERM asked for an end."""
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """SIGTERM ends a sweep as Ctrl-C does, with an exit code of its own."""
-    import signal
-
-    def stop(number: int, frame: object) -> None:
-        raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any], show: Sequence[str], plots: bool) -> None:

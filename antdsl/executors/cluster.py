@@ -20,9 +20,9 @@ import dask
 from distributed import Client, LocalCluster, Security
 
 from antdsl.executors.addresses import TLS_FILES
-from antdsl.executors.cluster_worker import Project, forget, identity, other_sources, perform_there, read_part
+from antdsl.executors.cluster_worker import Project, forget, identity, other_sources, perform_there, read_part, sees
 from antdsl.executors.machine import sources
-from antdsl.executors.parcel import Parcel
+from antdsl.executors.parcel import Parcel, Seen, pack
 from antdsl.executors.tasks import LOOK, Lost, Refused, Task
 
 _CONNECT = 15  # seconds to wait for a scheduler
@@ -58,9 +58,9 @@ def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
 
 
 @contextmanager
-def connected(address: str, security: Security | None, parcel: Parcel) -> Iterator[Cluster]:
-    """A cluster whose workers have got the files of a parcel. Lost where no scheduler answers, Refused where all its workers
-    are refused."""
+def connected(address: str, security: Security | None, files: Iterable[Path], seen: Seen | None = None) -> Iterator[Cluster]:
+    """A cluster whose workers have got files, or all see one (`seen`) and so, it is held, the others. Lost where no scheduler
+    answers, Refused where all its workers are refused or the files are too large."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what there is to tell we tell
     with ExitStack() as stack:
@@ -68,7 +68,8 @@ def connected(address: str, security: Security | None, parcel: Parcel) -> Iterat
             client = stack.enter_context(Client(address, security=security, timeout=_CONNECT, set_as_default=False))
         except (OSError, ValueError) as why:
             raise Lost(f"no scheduler answers at {address}: {str(why).splitlines()[0]}") from None
-        cluster = Cluster(client, parcel)
+        shared = seen is not None and all(saw is True for saw in client.run(sees, seen, on_error="return").values())
+        cluster = Cluster(client, pack([] if shared else files), seen if shared else None)
         cluster.begin()
         yield cluster
 
@@ -76,9 +77,9 @@ def connected(address: str, security: Security | None, parcel: Parcel) -> Iterat
 class Cluster:
     """Where tasks run on the workers of a Dask cluster."""
 
-    def __init__(self, client: Any, parcel: Parcel) -> None:
+    def __init__(self, client: Any, parcel: Parcel, seen: Seen | None) -> None:
         self._client = client
-        self._project = Project(parcel, sources())
+        self._project = Project(parcel, sources(), seen)
         self.name: str = self._project.name
         self._heard: SimpleQueue[dict[str, Any]] = SimpleQueue()
         self._told: list[str] = []

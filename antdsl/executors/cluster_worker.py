@@ -6,6 +6,7 @@ has other sources, or no room for the files, is never given a task, also one tha
 from __future__ import annotations
 
 import asyncio
+import functools
 import platform
 import shutil
 import threading
@@ -18,10 +19,11 @@ from distributed import get_worker
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from antdsl import __version__
+from antdsl.bounded import open_bounded
 from antdsl.executors.machine import sources
-from antdsl.executors.parcel import Parcel, inside
+from antdsl.executors.parcel import Parcel, Seen, inside
 from antdsl.executors.tasks import LOOK, Refused, Work, Worker, perform
-from antdsl.limits import MIB
+from antdsl.limits import MADE_BYTES, MIB
 
 PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
 
@@ -29,15 +31,19 @@ PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
 class Project(WorkerPlugin):  # type: ignore[misc]
     """The files of a project, as every worker of a cluster gets them. Nothing of it is a user's but the bytes of the files."""
 
-    def __init__(self, parcel: Parcel, sources: str) -> None:
-        self.name = f"antdsl-{parcel.digest}-{sources}"
-        self.parcel, self.sources = parcel, sources
+    def __init__(self, parcel: Parcel, sources: str, seen: Seen | None) -> None:
+        self.name = f"antdsl-{seen.digest if seen is not None else parcel.digest}-{sources}"
+        self.parcel, self.sources, self.seen = parcel, sources, seen
         self.worker: Worker | None = None
 
     async def setup(self, worker: Any) -> None:
         """As a worker begins, or the project comes to one that is there."""
         if self.sources != sources():
             worker.log_event(self.name, {"refused": other_sources(worker.address, identity(), self.sources)})
+            return
+        if self.seen is not None and not self.seen.there():
+            told = f"worker {worker.address} does not see `{self.seen.path}`, as the others do, so it is given nothing"
+            worker.log_event(self.name, {"refused": told})
             return
         folder = Path(worker.local_directory) / self.name
         try:
@@ -52,9 +58,8 @@ class Project(WorkerPlugin):  # type: ignore[misc]
 
         expect_long_runs()
         files = folder / "files"
-        self.worker = Worker(
-            worker.state.nthreads, here=lambda path: inside(files, path), scratch=folder / "made", name=worker.address
-        )
+        here = Path if self.seen is not None else functools.partial(inside, files)
+        self.worker = Worker(worker.state.nthreads, here=here, scratch=folder / "made", name=worker.address)
         if self.name not in worker.state.total_resources:  # said again, it would count as free what a task has
             await worker.set_resources(**{self.name: 1})
         worker.log_event(self.name, {"fit": worker.address})
@@ -78,6 +83,11 @@ def _take_in(parcel: Parcel, folder: Path) -> None:
 def identity() -> dict[str, str]:
     """What a worker has."""
     return {"antdsl": __version__, "sources": sources(), "host": platform.node()}
+
+
+def sees(seen: Seen) -> bool:
+    """Whether a worker sees a file of whoever asks."""
+    return seen.there()
 
 
 def other_sources(address: str, has: Mapping[str, str], wanted: str) -> str:
@@ -115,7 +125,7 @@ def read_part(name: str, file: str, start: int) -> bytes:
     path = (folder / file).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise Refused(f"`{file}` is none of the files that a task made")
-    with open(path, "rb") as handle:
+    with open_bounded(path, MADE_BYTES, follow=False) as handle:
         handle.seek(start)
         return handle.read(PART_BYTES)
 

@@ -37,6 +37,27 @@ class Parcel:
             start += size
 
 
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A file by which those who see the same folders are told: its path, and a hash of what is in it."""
+
+    path: str
+    digest: str
+
+    @classmethod
+    def of(cls, path: Path) -> Seen:
+        """OSError where there is no such file."""
+        whole = Path(os.path.abspath(path))
+        return cls(str(whole), _digest(read_bounded(whole, PARCEL_BYTES)))
+
+    def there(self) -> bool:
+        """Whether it is seen here."""
+        try:
+            return _digest(read_bounded(self.path, PARCEL_BYTES)) == self.digest
+        except OSError:
+            return False
+
+
 def pack(paths: Iterable[Path]) -> Parcel:
     """A parcel of regular files. Refused where they are more than PARCEL_BYTES together; OSError where one cannot be read."""
     files: dict[str, bytes] = {}

@@ -48,6 +48,7 @@ class Recording:
     behind: dict[str, float] = field(default_factory=dict)  # of who writes, while the next frames are simulated
     writer_memory: int = 0  # the most that the process that writes has used besides what it shares, in bytes; 0 for a thread
     started: float = field(default_factory=time.perf_counter)
+    way: str | None = None  # from the cache to its scene, where that is not the one between the files that are used
     meter: Meter | None = None  # measures the steps after the first
 
     @property
@@ -164,7 +165,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         shot.setting,
         version=shot.inputs["antdsl"],
         scene=Path(shot.scene.source.path).name,
-        scene_path=way_to(Path(shot.scene.source.path), recording.folder),
+        scene_path=recording.way or way_to(Path(shot.scene.source.path), recording.folder),
         inputs=recording.inputs,
         units=model.units,
         up=model.up,

@@ -79,3 +79,14 @@ def test_only_a_task_that_breaks_the_executor_by_itself_is_given_up(monkeypatch:
     ended = {a.task.key: (a.answer, a.problem) for a in run_tasks(tasks(*range(10)), fragile)}
     assert {key for key, (_, problem) in ended.items() if problem} == {"7", "4"} and ended["7"] == (None, "it was ended")
     assert all(ended[str(n)] == ({"n": 2 * n}, "") for n in range(10) if n not in (7, 4))
+
+
+def large(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+    return {"text": "x" * document["n"]}
+
+
+def test_a_result_larger_than_the_limit_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("antdsl.executors.tasks.ANSWER_BYTES", 1000)
+    ended = {a.task.key: a for a in run_tasks((Task(str(n), large, {"n": n}) for n in (10, 2000)), InThisProcess(1))}
+    assert ended["10"].answer == {"text": "x" * 10}
+    assert ended["2000"].answer is None and "more than 1,000 are not sent" in ended["2000"].problem

@@ -106,14 +106,14 @@ def test_a_film_is_made_of_the_pictures_that_are_there(cache: Path, tmp_path: Pa
 def test_a_termination_leaves_whole_pictures_and_its_own_exit_code(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from antdsl.outputs.pictures import kept_stills
+    from antdsl.outputs import kept_stills
 
     put, count = kept_stills.Stills.put, []
 
     def ended(self: kept_stills.Stills, frame: int, image: object) -> Path:
         count.append(frame)
         if len(count) == 3:
-            with kept_stills.whole(self.path(frame)) as part:
+            with kept_stills.whole(kept_stills.still_path(self.folder, frame)) as part:
                 part.write_bytes(b"half")
                 signal.raise_signal(signal.SIGTERM)
         return put(self, frame, image)  # type: ignore[arg-type]

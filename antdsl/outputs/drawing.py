@@ -1,0 +1,111 @@
+"""Draws frames of a cache as they were asked for, each by itself: the same picture whichever frames are drawn before it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.cache_reader import Cache
+from antdsl.outputs.cutting import Cut
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.paths import Window
+from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_holding, camera_on_top, camera_over
+from antdsl.outputs.pictures.legend import strip_width, with_strip
+from antdsl.outputs.pictures.model import Camera, Picture
+from antdsl.outputs.pictures.render import Renderer
+
+LEAST, ENLARGED = 7.0, 3.0  # pixels that agents are drawn long at least, though at most so many times their size
+
+
+class NoAgent(Exception):
+    """Nobody is there for a camera to stand beside."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What pictures are to be like. `cut`, `window`: as they are written on the command line; `camera`: `scene`, `fit`, `above`,
+    `top`, `eye` or `close`; `agents`: whose ids, paths and the like are shown, the first for the eye; `least`: pixels, None for
+    the usual; `rest`: a camera at eye level stays where the first frame put it, as a film needs it."""
+
+    width: int
+    height: int
+    camera: str
+    show: tuple[str, ...]
+    agents: tuple[int, ...] = ()
+    cut: str | None = None
+    window: str = "1..2"
+    full: tuple[tuple[str, float], ...] = ()
+    least: float | None = None
+    marks: float = 0.0
+    blur: float = 0.0
+    legend: bool = True
+    rest: bool = False
+
+    def document(self) -> dict[str, Any]:
+        """In JSON's values, as it goes to another process."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Drawn:
+        """What a document tells of."""
+        full = tuple((str(name), float(value)) for name, value in document["full"])
+        return cls(**{**document, "show": tuple(document["show"]), "agents": tuple(document["agents"]), "full": full})
+
+    def gallery(self, cache: Cache) -> Gallery:
+        """The cache's pictures; NoPicture as `Gallery` has it."""
+        window = Window.of(self.window) if "paths" in self.show else None
+        cut = Cut.of(self.cut) if self.cut is not None else None
+        return Gallery(cache, cut, window, blurred=self.blur > 0, full=dict(self.full))
+
+
+class Drawer:
+    """Draws those `frames` of a gallery, on so many threads. Where the camera stands still is found by the first of them."""
+
+    def __init__(self, gallery: Gallery, wanted: Drawn, frames: Sequence[int], threads: int) -> None:
+        self.gallery, self.wanted, self.frames = gallery, wanted, list(frames)
+        self._agents = frozenset(wanted.agents)
+        first = gallery.picture(self.frames[0], agents=self._agents)
+        self._strip = strip_width(first, wanted.width, wanted.show) if wanted.legend else 0
+        least, enlarged = (LEAST, ENLARGED) if wanted.least is None else (wanted.least, float("inf"))
+        size = wanted.width - self._strip, wanted.height
+        self._renderer = Renderer(*size, threads=threads, marks=wanted.marks, blur=wanted.blur, least=least, enlarged=enlarged)
+        self._standing = self._camera(first)
+
+    def draw(self, frame: int) -> NDArray[np.uint8]:
+        """One frame (height, width, 3). CacheError where it is damaged, NoPicture where it cannot be drawn, NoAgent where a
+        camera finds nobody, ValueError for a word to show that there is not."""
+        wanted, picture = self.wanted, self.gallery.picture(frame, agents=self._agents)
+        follows = wanted.camera in ("eye", "close") and not wanted.rest
+        moves = wanted.camera == "scene" and self.gallery.camera_moves
+        camera = self._camera(picture) if follows or moves else self._standing
+        return with_strip(self._renderer.draw(picture, camera, show=wanted.show), picture, self._strip, wanted.show)
+
+    def _camera(self, picture: Picture) -> Camera:
+        which, agents = self.wanted.camera, self.wanted.agents
+        aspect = self._renderer.width / self._renderer.height
+        if which in ("eye", "close"):
+            close = which == "close"
+            found = camera_at_eye_level(picture, agents[0] if agents else None, focal=35.0 if close else 26.0, close=close)
+            if found is None:
+                raise NoAgent(_nobody(picture, agents))
+            return found
+        if which == "top":
+            return camera_on_top(picture, aspect=aspect)
+        if which == "fit" or (which == "scene" and self.gallery.camera_fits):
+            return camera_holding(self.gallery.outline(self.frames), np.asarray(picture.up, np.float64), aspect=aspect)
+        own = self.gallery.camera(picture.frame or 0) if which == "scene" else None
+        return own if own is not None else camera_over(picture, aspect=aspect)
+
+
+def _nobody(picture: Picture, agents: Sequence[int]) -> str:
+    """That a camera finds no agent, and who there is."""
+    counts: dict[str, int] = {}
+    for crowd in picture.crowds:
+        counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
+    known = [f"{count} `{species}`" for species, count in counts.items() if count]
+    who = f" {agents[0]}" if agents else ""
+    return f"there is no agent{who} to stand beside; this frame has {', '.join(known) or 'nobody'}"

@@ -1,0 +1,85 @@
+"""The shots of a sequence as tasks: each simulates a scene into a cache of its own."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from antdsl.bounded import real_path
+from antdsl.executors import Refused, Task, Worker
+from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, InTheWay
+from antdsl.outputs.cache.lock import Locked
+from antdsl.outputs.cache.manifest import way_to
+from antdsl.outputs.recording import NothingToResume, begin, record
+from antdsl.outputs.starting import StartError, start_hash
+from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.runtime import BindError, FaultStop, LimitStop, Options
+from antdsl.scene.values import FrameRange
+from antdsl.shots.placing import Destination
+
+KINDS = ("frames", "checkpoints")  # folders of a cache that have a file a frame
+
+
+def task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, Any], to: Destination, name: str) -> Task:
+    """A task that writes the cache of a shot into the folder `name` of a destination. `options`: of `Options` but threads, and
+    `resume` and `force`. StartError as the shot has it."""
+    scene = real_path(scene)
+    document = {
+        "scene": str(scene),
+        "grants": {root: str(folder) for root, folder in choices.grants.items()},
+        "frames": [shot.frames.first, shot.frames.last],
+        "seed": choices.seed,
+        "set": dict(choices.params),
+        "inputs": _digest({**shot.inputs, **start_hash(shot)}),
+        "options": dict(options),
+        "folder": to.folder,
+        "token": to.token,
+        "name": name,
+        "way": way_to(scene, Path(to.folder) / name),
+    }
+    key = _digest(document)
+    return Task(key, cached, {**document, "key": key})
+
+
+def cached(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+    """Simulate a scene into a cache."""
+    grants = {name: worker.here(folder) for name, folder in document["grants"].items()}
+    choices = Choices(grants, FrameRange(*document["frames"]), document["seed"], document["set"])
+    shot, report = open_scene(worker.here(document["scene"]), choices)
+    if shot is None or not report.ok:
+        raise Refused("; ".join(problem.message for problem in report.errors))
+    options = dict(document["options"])
+    resume, force = options.pop("resume"), options.pop("force")
+    to = Destination(document["folder"], document["token"])
+    place = to.place(worker, document["key"])
+    try:
+        if _digest({**shot.inputs, **start_hash(shot)}) != document["inputs"]:
+            raise Refused("files that the scene reads have changed since the command began")
+        recording = begin(shot, place / document["name"], Options(threads=worker.threads, **options), resume=resume, force=force)
+        recording.way = document["way"]
+        worker.notes += recording.notes
+        for _ in record(recording):
+            worker.told(recording.world.frame)
+        worker.notes += recording.world.backend.told()
+    except (BindError, StartError) as why:
+        raise Refused("; ".join(problem.message for problem in why.report.errors)) from None
+    except (ForeignFolder, InTheWay, DifferentInputs, NothingToResume, Locked, LimitStop, FaultStop) as why:
+        raise Refused(str(why)) from None
+    about = {"frames": document["frames"][1] - document["frames"][0] + 1, "hash": recording.hash}
+    return {**to.made(worker, place, document["key"]), **about}
+
+
+def without_others(folder: Path, files: list[Any], name: str) -> None:
+    """Remove frames and checkpoints of an earlier run from a cache that was fetched."""
+    kept = {str(file) for file, *_ in files}
+    for kind in KINDS:
+        for path in (folder / kind).glob("*.npz"):
+            if f"{name}/{kind}/{path.name}" not in kept:
+                path.unlink()
+
+
+def _digest(about: Mapping[str, Any]) -> str:
+    return hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=12).hexdigest()

@@ -1,0 +1,51 @@
+"""Exports that write a file for each frame as tasks, some frames each."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from antdsl.executors import Refused, Task, Worker
+from antdsl.outputs.cache.cache_reader import CacheError, open_cache
+from antdsl.outputs.cache.manifest import ManifestError
+from antdsl.outputs.exports import export_for
+from antdsl.outputs.gallery import Gallery, NoPicture
+from antdsl.outputs.numbered_files import NoExport
+from antdsl.outputs.some_agents import SomeAgents
+from antdsl.shots.placing import Destination
+
+CHUNK = 8  # frames of a task
+
+
+def tasks(
+    cache: Path, name: str, form: str, ids: frozenset[int] | None, frames: Sequence[int], to: Destination
+) -> Iterator[Task]:
+    """Tasks that write all frames as files called after `name`. `cache`: whole, without links."""
+    chosen = None if ids is None else sorted(ids)
+    about = {"cache": str(cache), "name": name, "form": form, "ids": chosen, "folder": to.folder, "token": to.token}
+    head = hashlib.blake2b(json.dumps(about).encode(), digest_size=8).hexdigest()
+    for start in range(0, len(frames), CHUNK):
+        chunk = list(frames[start : start + CHUNK])
+        key = f"{head}-{chunk[0]}-{chunk[-1]}"
+        yield Task(key, exported, {**about, "frames": chunk, "key": key})
+
+
+def exported(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+    """Write some frames."""
+    to, name = Destination(document["folder"], document["token"]), document["name"]
+    export = export_for(Path(name))
+    try:
+        if export is None or document["form"] not in export.each:
+            raise Refused(f"`{name}` has no file for each frame")
+        found = open_cache(worker.here(document["cache"]))
+        if document["ids"] is not None:
+            found = SomeAgents(found.folder, found.manifest, frozenset(document["ids"]))
+        place = to.place(worker, document["key"])
+        notes = export.forms[document["form"]](Gallery(found), document["frames"], place / name)
+    except (ManifestError, CacheError, NoPicture, NoExport) as why:
+        raise Refused(str(why)) from None
+    worker.notes += notes or ()
+    return to.made(worker, place, document["key"])

@@ -1,0 +1,119 @@
+"""Where a task puts its files: into the folder that was named, where it is seen, else into one of the worker's own, from which
+they are fetched, part by part, and put in their place whole."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from antdsl.bounded import blocks, open_bounded
+from antdsl.executors import Answered, Executors, Lost, Refused, Task, Worker, run_tasks
+from antdsl.limits import MADE_BYTES
+from antdsl.whole import new_beside, whole
+
+_TRIES = 3  # how often a task is done whose files cannot be fetched
+
+
+class Fetching(Protocol):
+    """Where files of a worker can be had."""
+
+    def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]: ...
+
+    def forget(self, worker: str, folder: str) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Destination:
+    """A folder, and a file in it by which whoever sees the same folder knows it."""
+
+    folder: str
+    token: str
+
+    def place(self, worker: Worker, key: str) -> Path:
+        """Where a task is to put its files on this machine."""
+        if worker.scratch is None or (Path(self.folder) / self.token).is_file():
+            return Path(self.folder)
+        made = worker.scratch / key
+        made.mkdir(exist_ok=True)
+        return made
+
+    def made(self, worker: Worker, place: Path, key: str) -> dict[str, Any]:
+        """The answer of a task that has put files there: what is to be fetched. Refused where that is too much."""
+        if place == Path(self.folder):
+            return {"worker": "", "made": key, "files": []}
+        files = [path for path in sorted(place.rglob("*")) if path.is_file()]
+        total = sum(path.stat().st_size for path in files)
+        if total > MADE_BYTES:
+            raise Refused(
+                f"it made {total:,} bytes, and more than {MADE_BYTES:,} are not fetched; name a folder that workers see too"
+            )
+        listed = [[path.relative_to(place).as_posix(), path.stat().st_size, _digest(path)] for path in files]
+        return {"worker": worker.name, "made": key, "files": listed}
+
+
+@contextmanager
+def destination(folder: Path) -> Iterator[Destination]:
+    """A folder that is there, marked meanwhile."""
+    token = new_beside(folder / "seen")
+    try:
+        yield Destination(str(folder.resolve()), token.name)
+    finally:
+        token.unlink(missing_ok=True)
+
+
+def fetched(
+    tasks: Iterable[Task],
+    executors: Executors,
+    folder: Callable[[Task], Path],
+    told: Callable[[Task, int], None] = lambda task, frame: None,
+    noted: Callable[[str], None] = lambda sentence: None,
+) -> Iterator[Answered]:
+    """Run tasks whose answers are `Destination.made`, and give each once its files are in their folder. A task is done again
+    where its worker is gone before all of them are fetched."""
+    again: list[Task] = list(tasks)
+    for attempt in range(_TRIES):
+        waiting, again = again, []
+        for answered in run_tasks(waiting, executors, told, noted):
+            try:
+                if answered.answer is not None and answered.answer["files"]:
+                    _fetch(answered.answer, executors, folder(answered.task))
+            except Lost as why:
+                if attempt == _TRIES - 1:
+                    yield replace(answered, answer=None, problem=str(why))
+                else:
+                    again.append(answered.task)
+                continue
+            except (OSError, Refused) as why:
+                yield replace(answered, answer=None, problem=str(why))
+                continue
+            yield answered
+
+
+def _fetch(answer: dict[str, Any], source: Any, folder: Path) -> None:
+    there: Fetching = source
+    root, left = folder.resolve(), MADE_BYTES
+    for name, size, digest in answer["files"]:
+        path, left = (root / name).resolve(), left - size
+        if not path.is_relative_to(root) or left < 0:
+            raise Refused(f"a worker made `{name}` of {size:,} bytes, which does not go into `{folder}`")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        hashed = hashlib.blake2b(digest_size=16)
+        with whole(path) as part, open(part, "wb") as file:
+            for data in there.fetch(answer["worker"], f"{answer['made']}/{name}", size):
+                hashed.update(data)
+                file.write(data)
+            if hashed.hexdigest() != digest:
+                raise Lost(f"`{name}` did not arrive as it was made")
+    there.forget(answer["worker"], answer["made"])
+
+
+def _digest(path: Path) -> str:
+    hashed = hashlib.blake2b(digest_size=16)
+    with open_bounded(path, MADE_BYTES) as file:
+        for block in blocks(file.fileno(), MADE_BYTES):
+            hashed.update(block)
+    return hashed.hexdigest()

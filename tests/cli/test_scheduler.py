@@ -1,0 +1,54 @@
+"""What is asked of `--scheduler` before anything runs: an address, certificates, the extra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from antdsl.cli import app
+from antdsl.cli.exits import Stop
+from antdsl.executors import Processes
+
+
+@pytest.fixture(autouse=True)
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    CliRunner().invoke(app, ["new", "walkers"])
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("render1:8786",), "is no scheduler: write `local`"),
+        (("tls://render1:8786",), "name their folder with `--tls DIR`"),
+        (("tls://render1:8786", "--tls", "walkers"), "has no `ca.pem`"),
+        (("tcp://render1:8786",), "is in the clear"),
+        (("tcp://10.0.0.7:8786",), "is in the clear"),
+        (("tcp://127.0.0.1:8786", "--tls", "walkers"), "write tls://127.0.0.1:8786"),
+        (("local", "--tls", "walkers"), "certificates of its own"),
+    ],
+)
+def test_only_what_is_safe_is_spoken_to(words: tuple[str, ...], told: str) -> None:
+    for command in (("sweep", "walkers/scene.yaml", "--seeds", "1"), ("run", "walkers/scene.yaml")):
+        done = CliRunner().invoke(app, [*command, "--scheduler", *words], env={"COLUMNS": "400"})
+        assert done.exit_code == 2 and told in done.output
+
+
+def test_without_the_extra_it_is_told_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    done = CliRunner().invoke(app, ["sweep", "walkers/scene.yaml", "--seeds", "1", "--scheduler", "local", "--no-plots"])
+    assert isinstance(done.exception, Stop) and "pip install 'antdsl[cluster]'" in done.exception.hint
+
+
+def test_processes_are_what_runs_without_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def run_all(todo: object, executors: object, told: object, noted: object) -> list[object]:
+        asked.append(executors)
+        return []
+
+    monkeypatch.setattr("antdsl.sweep.run_all", run_all)
+    assert CliRunner().invoke(app, ["sweep", "walkers/scene.yaml", "--seeds", "2", "--no-plots"]).exit_code == 0
+    assert isinstance(asked[0], Processes)
