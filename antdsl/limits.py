@@ -76,6 +76,7 @@ PREVIEW_ASKS_A_SECOND: Final = 120
 PREVIEW_FRAMES_A_SECOND: Final = 500  # of the protocol, pings among them
 PREVIEW_WORDS_WAITING: Final = 32 * MIB  # characters of messages for one client that does not take them
 PREVIEW_PACKETS_WAITING: Final = 1 * GIB  # the same of packets, which clients share
+SWEEP_POINTS: Final = 20_000  # of one design of a sweep, each run with every seed
 
 # tasks on other processes and machines
 ANSWER_BYTES: Final = 16 * MIB  # of JSON, of one task

@@ -25,11 +25,11 @@ Parsed = dict[str, tuple[nodes.File, Report]]
 
 class CheckedOnce(Parsed):
     """The same for many files that nobody changes meanwhile. `checked` is what the same files came to together: a scene's program
-    is that of its file."""
+    is that of its file; with it stand the names of the libraries that it uses."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.checked: dict[tuple[object, ...], tuple[Program, Report]] = {}
+        self.checked: dict[tuple[object, ...], tuple[Program, Report, tuple[str, ...]]] = {}
 
 
 def library(name: str) -> nodes.File | None:
@@ -65,6 +65,10 @@ class Loaded:
             path = library_file(name)
             self._library[name] = None if path is None else self._parse(path, f"<{name}>", of_library=True)
         return self._library[name]
+
+    def libraries(self) -> tuple[str, ...]:
+        """The names of the files of the library that were asked for."""
+        return tuple(self._library)
 
     def add_file(self, path: Path) -> nodes.File | None:
         """A program that the person named: any path will do; what it uses must lie below its folder."""

@@ -81,8 +81,10 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
     key = (strict, *(id(file) for file in loaded.files), *((name, id(file)) for name, file in sorted(loaded.modules.items())))
     kept = loaded.parsed.checked if isinstance(loaded.parsed, CheckedOnce) else {}
     if key not in kept:
-        kept[key] = check(loaded.files, loaded.library, loaded.modules, strict=strict, memo=memo)
-    program, findings = kept[key]
+        kept[key] = *check(loaded.files, loaded.library, loaded.modules, strict=strict, memo=memo), loaded.libraries()
+    program, findings, libraries = kept[key]
+    for name in libraries:  # what a program is made of is told with it, also where it was checked before
+        loaded.library(name)
     report.extend(loaded.report)
     report.extend(findings)
     return program, report

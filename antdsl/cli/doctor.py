@@ -12,6 +12,7 @@ EXTRAS = {
     "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
     "pxr": "sets and bodies in USD files: pip install 'antdsl[usd]'",
     "matplotlib": "plots of sweeps: pip install 'antdsl[plots]'",
+    "SALib": "sensitivity of sweeps: pip install 'antdsl[sensitivity]'",
     "graphlay": "pictures of state machines: pip install 'antdsl[graph]'",
     "pygls": "editors: pip install 'antdsl[lsp]'",
     "websockets": "the preview: pip install 'antdsl[preview]'",

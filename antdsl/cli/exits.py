@@ -11,6 +11,7 @@ class Exit(IntEnum):
     USAGE = 2
     INPUT_OUTPUT = 3
     BUG = 70
+    TERMINATED = 75  # by SIGTERM, all that was done is kept: sysexits' EX_TEMPFAIL, "try again later"
     INTERRUPTED = 130  # what shells expect after Ctrl-C
 
 

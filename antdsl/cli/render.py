@@ -13,11 +13,13 @@ from antdsl.cli.cache_tasks import Where, answers
 from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS
+from antdsl.cli.stopping import code_of, stoppable
 
 if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
     from antdsl.outputs.drawing import Drawn
     from antdsl.outputs.gallery import Gallery
+    from antdsl.outputs.kept_stills import Stills
     from antdsl.outputs.paths import Window
 
 SHEET = 9  # pictures on a contact sheet where no frames are named
@@ -87,6 +89,16 @@ def render(
     cut: str = typer.Option(
         None, "--cut", metavar="'z > 0'", help="Leave out what lies beyond a plane, in the scene's units, and look into solids."
     ),
+    shot: str = typer.Option(
+        None,
+        "--shot",
+        metavar="A..B",
+        help="These are some of the frames of a film: the camera and the strip are those of the whole film, from A to B.",
+        show_default=False,
+    ),
+    resume: bool = typer.Option(
+        False, "--resume", help="Draw only frames whose pictures are not there, whole and as they would be drawn."
+    ),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
@@ -99,6 +111,7 @@ def render(
     from antdsl.cli.arguments import frame_range
     from antdsl.cli.run import at_once
     from antdsl.outputs.drawing import Drawn
+    from antdsl.outputs.kept_stills import Stills
 
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
     _window(window)
@@ -106,7 +119,7 @@ def render(
     wanted = Drawn(
         *(width, height, camera.value, words, _ids(agents), cut, window, tuple(_full(full).items()), least, marks, blur),
         legend=legend is Legend.beside,
-        rest=film and agents is None,
+        rest=(film or shot is not None) and agents is None,
     )
     gallery = _gallery(cache, wanted)
     drawn = _frames(gallery, frame_range(frames), every, sheet, film)
@@ -115,19 +128,34 @@ def render(
     folder.mkdir(parents=True, exist_ok=True)
     if film:
         _ready_for_films()
-    if scheduler:
-        if sheet and not film:
-            raise typer.BadParameter("a sheet has so few pictures that it is drawn here", param_hint="--scheduler")
-        _by_cluster((scheduler, tls, no_tls), cache, wanted, drawn, folder, 1 / gallery.dt if film else None)
-        return
-    pictures = _draw(gallery, wanted, drawn, at_once(threads))
-    if film:
-        _film(pictures, gallery, folder)
-    elif sheet:
-        _sheet(pictures, folder)
-    else:
-        for frame, image in pictures:
-            _still(frame, image, folder)
+    together = drawn if shot is None else _frames(gallery, frame_range(shot, "--shot"), every, False, True)
+    stills = Stills.of(folder, gallery.cache, wanted, together)
+    try:
+        with stoppable():
+            if scheduler:
+                if sheet and not film:
+                    raise typer.BadParameter("a sheet has so few pictures that it is drawn here", param_hint="--scheduler")
+                if film and resume:
+                    raise typer.BadParameter(
+                        "a film is drawn anew on a cluster; draw its frames there, `--shot A..B --resume`, then the film here",
+                        param_hint="--resume",
+                    )
+                there = [frame for frame in drawn if resume and stills.kept(frame) is not None]
+                new = [frame for frame in drawn if frame not in set(there)]
+                if new:
+                    _by_cluster((scheduler, tls, no_tls), cache, wanted, new, together, folder, 1 / gallery.dt if film else None)
+                _skipped(len(there))
+                return
+            pictures = _draw(gallery, wanted, drawn, together, at_once(threads), stills if resume else None)
+            if film:
+                _film((image for _, image, _ in pictures), gallery, folder)
+            elif sheet:
+                _sheet([(frame, image) for frame, image, _ in pictures], stills)
+            else:
+                _stills(pictures, stills)
+    except KeyboardInterrupt as why:
+        advice = "the same command with `--resume` draws the others"
+        raise Stop(code_of(why), "stopped: pictures that are there are whole", advice) from None
 
 
 def _cut(text: str | None) -> Cut | None:
@@ -207,16 +235,24 @@ def _ids(text: str | None) -> tuple[int, ...]:
         raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,17", param_hint="--agents") from None
 
 
-def _draw(gallery: Gallery, wanted: Drawn, frames: list[int], threads: int) -> Iterator[tuple[int, Any]]:
-    """Frames with their pictures."""
+def _draw(
+    gallery: Gallery, wanted: Drawn, frames: list[int], together: list[int], threads: int, kept: Stills | None
+) -> Iterator[tuple[int, Any, bool]]:
+    """Frames with their pictures, and whether those were drawn or `kept` already. `together`: the frames that the camera is
+    chosen for."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.drawing import Drawer, NoAgent
     from antdsl.outputs.gallery import NoPicture
 
+    drawer: Drawer | None = None
     try:
-        drawer = Drawer(gallery, wanted, frames, threads)
         for frame in frames:
-            yield frame, drawer.draw(frame)
+            there = None if kept is None else kept.kept(frame)
+            if there is not None:
+                yield frame, there, False
+                continue
+            drawer = drawer or Drawer(gallery, wanted, together, threads)
+            yield frame, drawer.draw(frame), True
     except CacheError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
     except NoPicture as why:
@@ -227,13 +263,16 @@ def _draw(gallery: Gallery, wanted: Drawn, frames: list[int], threads: int) -> I
         raise typer.BadParameter(str(why), param_hint="--show") from None
 
 
-def _by_cluster(where: Where, cache: Path, wanted: Drawn, frames: list[int], folder: Path, fps: float | None) -> None:
+def _by_cluster(
+    where: Where, cache: Path, wanted: Drawn, frames: list[int], together: list[int], folder: Path, fps: float | None
+) -> None:
     """Stills that workers draw, or, with `fps`, a film of them."""
-    from antdsl.shots.stills import still_path, tasks
+    from antdsl.outputs.kept_stills import still_path
+    from antdsl.shots.stills import tasks
 
     stills = folder if fps is None else folder / "film.frames"
     stills.mkdir(exist_ok=True)
-    for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, to)):
+    for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, together, to)):
         for frame in answered.task.document["frames"] if fps is None else ():
             typer.echo(still_path(folder, frame))
     if fps is not None:
@@ -268,32 +307,38 @@ def _ready_for_films() -> None:
     demand(film_ready())
 
 
-def _film(drawn: Iterator[tuple[int, Any]], gallery: Gallery, folder: Path) -> None:
+def _film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
     """Pictures go into the film as they are drawn, none is kept."""
     from antdsl.cli.printing.reports import demand
     from antdsl.outputs.pictures import film
 
     path = folder / "film.mp4"
-    demand(film((image for _, image in drawn), path, 1 / gallery.dt))
+    demand(film(images, path, 1 / gallery.dt))
     typer.echo(path)
 
 
-def _sheet(drawn: Iterator[tuple[int, Any]], folder: Path) -> None:
+def _sheet(kept: list[tuple[int, Any]], stills: Stills) -> None:
     from PIL import Image
 
     from antdsl.outputs.pictures import contact_sheet
+    from antdsl.whole import whole
 
-    kept = list(drawn)
-    path = folder / "sheet.png"
-    Image.fromarray(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept])).save(path)
+    path = stills.folder / "sheet.png"
+    with whole(path, ".png") as part:
+        Image.fromarray(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept])).save(part)
     typer.echo(path)
-    _still(*kept[-1], folder)
+    typer.echo(stills.put(*kept[-1]))
 
 
-def _still(frame: int, image: Any, folder: Path) -> None:
-    from antdsl.outputs.cache.npz import write_whole
-    from antdsl.shots.stills import png, still_path
+def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
+    there = 0
+    for frame, image, new in drawn:
+        there += not new
+        if new:
+            typer.echo(stills.put(frame, image))
+    _skipped(there)
 
-    path = still_path(folder, frame)
-    write_whole(path, png(image), sync=False)
-    typer.echo(path)
+
+def _skipped(there: int) -> None:
+    if there:
+        typer.echo(f"{there} {'picture was' if there == 1 else 'pictures were'} there already")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -93,7 +95,7 @@ def run(
     if scene.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out")
     files, folders = {"--summary": summary}, {"--out": (folder, NAMES)}
-    with keeping_inputs(files, folders) as inputs:
+    with _setting_up(_again(scene, out)), keeping_inputs(files, folders) as inputs:
         inputs.append(scene)
         shot, report = open_scene(scene, choices)
     demand(report)
@@ -108,7 +110,7 @@ def run(
         shuffle_rows=shuffle,
         on_fault=on_fault.value,
     )
-    with keeping_inputs(files, folders):  # another cache too, that the scene begins with
+    with _setting_up(_again(scene, out)), keeping_inputs(files, folders):  # another cache too, that the scene begins with
         recording = _begin(shot, folder, options, choices, resume, force)
     with words_aside(summary) as output:
         if profile:
@@ -145,6 +147,21 @@ def _again(scene: Path, out: Path | None) -> str:
     return f"antdsl run {shlex.quote(str(scene))}{where} --resume"
 
 
+@contextmanager
+def _setting_up(again: str) -> Iterator[None]:
+    """SIGTERM ends the command with its own exit code here too, where there is no frame yet to be kept."""
+    import signal
+
+    def stop(number: int, frame: object) -> None:
+        raise Stop(Exit.TERMINATED, "stopped before the first frame", f"begin with: {again}")
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool) -> Recording:
     from antdsl.cli.printing.reports import demand, show
     from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, InTheWay, OtherHashes
@@ -176,7 +193,7 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
 
 
 def _go(recording: Recording, quiet: bool, again: str) -> None:
-    """Run to the end, or until Ctrl-C or a termination asks for a stop after the frame under way."""
+    """Run to the end, or until Ctrl-C or SIGTERM asks for a stop after the frame under way."""
     import signal
 
     from antdsl.cli.printing.progress import progress
@@ -184,8 +201,13 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
     from antdsl.outputs.recording import record
     from antdsl.runtime import FaultStop, LimitStop
 
+    code = Exit.INTERRUPTED
+
     def ask_to_stop(number: int, frame: object) -> None:
-        if recording.stop:
+        nonlocal code
+        if number == signal.SIGTERM:  # farms send it several times, to the group and to the process
+            code = Exit.TERMINATED
+        elif recording.stop:
             raise KeyboardInterrupt
         recording.stop = True
 
@@ -219,4 +241,6 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
         for note in recording.world.backend.told():
             say(note, err=True)
     if recording.stop and not recording.complete:
-        raise Stop(Exit.INTERRUPTED, f"stopped after frame {recording.frame}", f"go on with: {again}")
+        if recording.frame is None:
+            raise Stop(code, "stopped before the first frame", f"begin with: {again}")
+        raise Stop(code, f"stopped after frame {recording.frame}, which has a checkpoint", f"go on with: {again}")

@@ -14,7 +14,7 @@ from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import cluster
-from antdsl.cli.stopping import stoppable
+from antdsl.cli.stopping import code_of, stoppable
 
 if TYPE_CHECKING:
     from antdsl.executors import Executors, Task
@@ -102,8 +102,8 @@ def run_shots(
                     without_others(folder, answered.answer["files"], folder.name)
                 if not quiet:
                     say(f"{answered.answer['frames']} frames; the cache is in {folder}")
-    except KeyboardInterrupt:
-        raise Stop(Exit.INTERRUPTED, "stopped", "go on with the same command and `--resume`") from None
+    except KeyboardInterrupt as why:
+        raise Stop(code_of(why), "stopped", "go on with the same command and `--resume`") from None
     except Lost as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "go on with the same command and `--resume`") from None
     if failed:

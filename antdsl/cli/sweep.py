@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,20 +14,56 @@ from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster
-from antdsl.cli.stopping import stoppable
+from antdsl.cli.stopping import code_of, stoppable
 
 if TYPE_CHECKING:
-    from antdsl.sweep import Job, Keeper, Outcome
+    from antdsl.sweep import Chooser, Job, Keeper, Outcome
+    from antdsl.sweep.study import Study
     from antdsl.sweep.table import Result
 
-RESULTS = ("table.txt", "table.csv", "runs.csv", "runs.parquet", "sweep.json", "table.png")
+RESULTS = (
+    "table.txt",
+    "table.csv",
+    "runs.csv",
+    "runs.parquet",
+    "sweep.json",
+    "table.png",
+    "sensitivity.csv",
+    "factors.png",
+    "asked.json",
+)
+SEED = 1  # of a design, where none is named
+MOST_PANELS = 24  # of one picture
+MOST_LINES = 60  # of a table that is printed
+
+
+class DesignWord(StrEnum):
+    grid = "grid"
+    latin = "latin"
+    sobol = "sobol"
+    saltelli = "saltelli"
+    morris = "morris"
 
 
 def sweep(
-    scenes: list[Path] = typer.Argument(..., metavar="SCENE…", help="Scenes; each is a line of the table."),
+    context: typer.Context,
+    scenes: list[Path] = typer.Argument(None, metavar="SCENE…", help="Scenes; each is a line of the table."),
     vary: list[str] = typer.Option(
-        [], "--vary", metavar="NAME=A,B,C", help="Values of a param: forager.smell=30mm,50mm. Several make all combinations."
+        [],
+        "--vary",
+        metavar="NAME=A,B,C",
+        help="Values of a param: forager.smell=30mm,50mm, or all between two: 30mm..90mm. Several make all combinations.",
     ),
+    design: DesignWord = typer.Option(
+        DesignWord.grid,
+        "--design",
+        help="Which values are run: all combinations; points of a Latin hypercube or of a Sobol sequence; Saltelli's sample or "
+        "Morris' trajectories, which tell how much each param matters.",
+    ),
+    points: int = typer.Option(
+        None, "--points", metavar="N", min=2, max=1_000_000, help="How many points a design has.", show_default=False
+    ),
+    design_seed: int = typer.Option(SEED, "--design-seed", metavar="N", min=1, max=2**31 - 1, help="Another draw of a design."),
     seeds: str = typer.Option("5", "--seeds", metavar="N", help="Run each with the seeds 1 to N, or with A..B."),
     jobs: int = typer.Option(0, "--jobs", min=0, max=256, help="Runs at a time; 0 takes all cores. Changes no result."),
     out: Path = typer.Option(
@@ -36,8 +73,18 @@ def sweep(
     until: list[str] = typer.Option(
         [], "--until-empty", metavar="NAME", help="End a run once this is all gone: food.load, food.apple.load."
     ),
+    until_known: list[str] = typer.Option(
+        [],
+        "--until-known",
+        metavar="NAME=WIDTH",
+        help="Run no more seeds once the median of a measure is known so closely: motion.turn_p99=0.5, or 10%. "
+        "Then `--seeds` is how many at most.",
+    ),
     show: list[str] = typer.Option([], "--show", metavar="NAME", help="Measures of the table, by the beginning of their name."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
+    resume: bool = typer.Option(
+        False, "--resume", help="Go on with the sweep in --out as it was asked for. The same command does that too."
+    ),
     again: bool = typer.Option(False, "--again", help="Run everything again, also what was finished before."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
@@ -46,39 +93,59 @@ def sweep(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
-    from antdsl.cli.arguments import frame_range, grants
     from antdsl.cli.cores import cores
     from antdsl.cli.printing.reports import demand
+    from antdsl.cli.sweep_words import asked_before, nothing, study_of, widths_of
     from antdsl.executors import Lost, Processes
     from antdsl.scene.paths import sought
-    from antdsl.sweep import Keeper, run_all, variations
-    from antdsl.sweep import jobs as all_jobs
+    from antdsl.sweep import Chooser, Keeper, run_all
+    from antdsl.sweep.asked import Asked
     from antdsl.sweep.finished_runs import OtherFiles
 
-    for scene in scenes:
-        if scene.suffix == ".ant":
-            raise typer.BadParameter(f"`{scene}` is a program; name scenes that use it", param_hint="SCENE")
-    folder = out if out is not None else scenes[0].resolve().parent / "out" / "sweep"
-    if scenes[0].is_file():  # else there is no folder beside it to ask
+    asked = (
+        asked_before(context, out)
+        if resume
+        else Asked(
+            scenes=[str(scene) for scene in scenes or ()] or nothing(),
+            vary=vary,
+            design=design.value,
+            points=points,
+            design_seed=design_seed,
+            seeds=seeds,
+            frames=frames,
+            until_empty=until,
+            until_known=until_known,
+            root=root,
+        )
+    )
+    widths, first = widths_of(asked), Path(asked.scenes[0])
+    folder = out if out is not None else first.resolve().parent / "out" / "sweep"
+    if first.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out", *RESULTS)
-    chosen = variations(dict.fromkeys(scenes), _varied(vary))
-    numbers = _seeds(seeds)
     with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs, sought() as read:
-        inputs += scenes
-        made, report = all_jobs(chosen, numbers, frames=frame_range(frames), until=tuple(until), grants=grants(root))
+        inputs += map(Path, asked.scenes)
+        study, made, report = study_of(asked)
     demand(report)
     try:
         keeper = Keeper(folder)
     except OtherFiles as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`") from None
+    asked.keep(folder)
 
+    chooser = Chooser(made, widths)
     done: dict[str, Any] = {}
     if not again:
         done = {job.key: kept for job in made if (kept := keeper.kept(job)) is not None}
-    todo = [job for job in made if job.key not in done]
+    for job in made:
+        if job.key in done:
+            chooser.heard(job, done[job.key])
+    todo = len(made) - len(done)
     if done and not quiet:
-        say(f"{len(made) - len(todo)} of {len(made)} runs were finished before")
-    processes = min(jobs or cores(), max(len(todo), 1))
+        say(f"{len(done)} of {len(made)} runs were finished before")
+    others = keeper.others(made) if resume else 0
+    if others:
+        say(f"{others} runs in {folder} are of files or values that are others now, and are not counted", err=True)
+    processes = min(jobs or cores(), max(todo, 1))
     threads = max(1, cores() // processes)
     failed: list[Outcome] = []
     files = [path for path in read if path.is_file()]
@@ -86,83 +153,98 @@ def sweep(
         cluster(scheduler, tls, no_tls, processes, threads, files) if scheduler else nullcontext(Processes(processes, threads))
     )
     try:
-        with stoppable(), where as executors, _progress(len(todo), quiet) as watch:
-            for outcome in run_all(todo, executors, watch.frame, watch.noted):
+        with stoppable(), where as executors, _progress(todo, quiet, bool(asked.until_known)) as watch:
+            for outcome in run_all(chooser.wanted(), executors, watch.frame, watch.noted):
                 watch.finished(outcome)
                 if outcome.measures is None:
                     failed.append(outcome)
                 else:
                     keeper.keep(outcome.job, outcome.measures)
                     done[outcome.job.key] = outcome.measures
+                chooser.heard(outcome.job, outcome.measures)
+                _demand_measures(chooser)
     except (KeyboardInterrupt, Lost) as why:
-        _tell(keeper, [(job, done[job.key]) for job in made if job.key in done], show, plots=False)
+        _tell(keeper, study, chooser, done, show, plots=False)
         finished = f"{len(done)} of {len(made)} runs are finished and kept"
-        code, words = (Exit.INPUT_OUTPUT, f"error: {why}") if isinstance(why, Lost) else (Exit.INTERRUPTED, "stopped")
-        raise Stop(code, f"{words}: {finished}", "the same command goes on with the others") from None
-    _tell(keeper, [(job, done[job.key]) for job in made if job.key in done], show, plots)
+        code, words = (Exit.INPUT_OUTPUT, f"error: {why}") if isinstance(why, Lost) else (code_of(why), "stopped")
+        raise Stop(code, f"{words}: {finished}", "the same command goes on with the others, and so does `--resume`") from None
+    _demand_measures(chooser)
+    _tell(keeper, study, chooser, done, show, plots)
     if failed:
         raise Stop(Exit.FINDINGS, f"error: {len(failed)} of {len(made)} runs failed and are not in the table")
 
 
-def _varied(words: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    from antdsl.cli.arguments import pairs
-
-    found = {}
-    for name, values in pairs(words, "--vary").items():
-        parts = tuple(part.strip() for part in values.split(","))
-        if not all(parts) or len(set(parts)) < len(parts):
-            raise typer.BadParameter(f"write values with commas between them, each once: `{name}=1,2,3`", param_hint="--vary")
-        found[name] = parts
-    return found
+def _demand_measures(chooser: Chooser) -> None:
+    unheard = chooser.unheard()
+    if unheard:
+        raise Stop(Exit.USAGE, f"error: no measure begins with `{unheard[0]}`", f"there are: {', '.join(chooser.heard_of())}")
 
 
-def _seeds(text: str) -> range:
-    import re
-
-    found = re.fullmatch(r"([0-9]{1,6})(?:\.\.([0-9]{1,6}))?", text.strip())
-    first, last = (1, int(found[1])) if found and found[2] is None else (int(found[1]), int(found[2])) if found else (1, 0)
-    if not found or last < first:
-        raise typer.BadParameter(f"`{text}` is no number of seeds: write N, or A..B", param_hint="--seeds")
-    return range(first, last + 1)
-
-
-def _tell(keeper: Keeper, results: list[Result], show: Sequence[str], plots: bool) -> None:
+def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any], show: Sequence[str], plots: bool) -> None:
     """Write the table in all its forms, and print it."""
     from antdsl.outputs.cache.npz import write_whole
     from antdsl.sweep import rows
-    from antdsl.sweep.plots import HOW, available, draw
-    from antdsl.sweep.table import as_csv, as_json, runs_csv, runs_parquet, shown, text
+    from antdsl.sweep.plots import HOW, available, draw, draw_factors
+    from antdsl.sweep.sensitivity import as_csv as effects_csv
+    from antdsl.sweep.sensitivity import text as effects_text
+    from antdsl.sweep.table import as_csv, as_json, known_text, runs_csv, runs_parquet, shown, text
 
+    results: list[Result] = [(job, done[job.key]) for job in chooser.counted]
     if not results:
         return
-    table = rows(results)
+    table, known = rows(results), chooser.known()
     measures = shown(table, show)
     if show and not measures:
-        known = ", ".join(dict.fromkeys(row.measure.split(".")[0] for row in table))
-        raise Stop(Exit.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {known}")
-    words = text(table, measures)
-    texts = {"table.txt": words, "table.csv": as_csv(table), "runs.csv": runs_csv(results), "sweep.json": as_json(results, table)}
+        names = ", ".join(dict.fromkeys(row.measure.split(".")[0] for row in table))
+        raise Stop(Exit.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {names}")
+    effects, notes = study.effects(table, measures)
+    lines = text(table, measures)
+    words = f"\n{known_text(known)}" if known else ""
+    if effects and study.chosen.design.analysis is not None:
+        words += f"\n{effects_text(study.chosen.design.analysis, effects)}"
+    texts = {
+        "table.txt": lines + words,
+        "table.csv": as_csv(table),
+        "runs.csv": runs_csv(results, study.units),
+        "sweep.json": as_json(results, table, known, effects),
+    }
+    if effects:
+        texts["sensitivity.csv"] = effects_csv(effects)
     files = {name: content.encode() for name, content in texts.items()}
-    parquet = runs_parquet(results)
+    parquet = runs_parquet(results, study.units)
     if parquet is not None:
         files["runs.parquet"] = parquet
     for name, content in files.items():
         write_whole(keeper.folder / name, content, sync=False)
-    say(words.rstrip("\n"))
-    drawn = plots and available() and len(measures) <= 24
-    if drawn:
-        draw(results, measures, keeper.folder / "table.png")
-    names = ", ".join([*files, *(["table.png"] if drawn else [])])
-    say(f"in {keeper.folder}: {names}")
+    say((_beginning(lines) + words).rstrip("\n"))
+    for note in notes:
+        say(f"note: {note}", err=True)
+    drawn = []
+    if plots and available() and len(measures) <= MOST_PANELS:
+        if study.ranges:
+            draw_factors(study, results, measures, effects, keeper.folder / "factors.png")
+            drawn.append("factors.png")
+        else:
+            draw(results, measures, keeper.folder / "table.png")
+            drawn.append("table.png")
+    say(f"in {keeper.folder}: {', '.join([*files, *drawn])}")
     if plots and not available():
         say(HOW)
+
+
+def _beginning(lines: str) -> str:
+    """What is printed of a table: its first lines."""
+    each = lines.splitlines(keepends=True)
+    more = len(each) - 1 - MOST_LINES
+    return "".join(each[: MOST_LINES + 1]) + (f"… and {more} lines more, in table.txt\n" if more > 0 else "")
 
 
 class _Watch:
     """Told how far runs are; prints a line for each that is finished, or nothing."""
 
-    def __init__(self, total: int, quiet: bool) -> None:
+    def __init__(self, total: int, quiet: bool, at_most: bool) -> None:
         self.total, self.quiet, self.count = total, quiet, 0
+        self.of = f"of at most {total}" if at_most else f"of {total}"
         self.notes: set[str] = set()
 
     def frame(self, job: Job, frame: int) -> None:
@@ -174,7 +256,7 @@ class _Watch:
         if outcome.measures is None:
             say(f"failed: {outcome.job.name}: {outcome.problem}", err=True)
         elif not self.quiet:
-            self.say(f"{self.count} of {self.total}: {outcome.job.name}, {outcome.measures['frames']} frames")
+            self.say(f"{self.count} {self.of}: {outcome.job.name}, {outcome.measures['frames']} frames")
 
     def noted(self, sentence: str) -> None:
         """Something was otherwise than asked: told once, however many runs say it."""
@@ -189,8 +271,8 @@ class _Watch:
 class _Bar(_Watch):
     """One line that moves: runs that are finished, and the frames of those under way."""
 
-    def __init__(self, total: int, bar: Any) -> None:
-        super().__init__(total, False)
+    def __init__(self, total: int, at_most: bool, bar: Any) -> None:
+        super().__init__(total, False, at_most)
         self.bar = bar
         self.task = bar.add_task("", total=float(total), words="")
         self.under_way: dict[str, tuple[str, int, float]] = {}
@@ -214,14 +296,14 @@ class _Bar(_Watch):
 
 
 @contextmanager
-def _progress(total: int, quiet: bool) -> Iterator[_Watch]:
+def _progress(total: int, quiet: bool, at_most: bool) -> Iterator[_Watch]:
     from antdsl.cli.printing.progress import fancy
 
     if quiet or not total or not fancy():
-        yield _Watch(total, quiet)
+        yield _Watch(total, quiet, at_most)
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (BarColumn(24), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
     with Progress(*columns, transient=True) as bar:
-        yield _Bar(total, bar)
+        yield _Bar(total, at_most, bar)

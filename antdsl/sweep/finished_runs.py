@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,10 @@ class Keeper:
             return None
         fits = isinstance(document, dict) and document.get("key") == job.key and isinstance(document.get("measures"), dict)
         return document["measures"] if fits else None
+
+    def others(self, jobs: Iterable[Job]) -> int:
+        """How many finished runs there are of none of these jobs."""
+        return len({path.stem for path in self.runs.glob("*.json")} - {job.key for job in jobs})
 
     def keep(self, job: Job, measures: Mapping[str, Any]) -> None:
         """Write a run's measures; the file is there whole or not at all."""

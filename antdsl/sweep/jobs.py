@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -12,9 +11,11 @@ from typing import Any
 
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
+from antdsl.loading import CheckedOnce
 from antdsl.outputs.cache.manifest import MANIFEST
 from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.scene import Scene
 from antdsl.scene.paths import note
 from antdsl.scene.values import FrameRange
 
@@ -63,15 +64,15 @@ class Job:
         return Choices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
 
 
-def variations(scenes: Iterable[Path], vary: Mapping[str, tuple[str, ...]]) -> list[Variation]:
-    """Every scene with every combination of the values, the last name changing fastest."""
-    scenes = list(scenes)
+def variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[Variation]:
+    """Every scene with the values of every point."""
+    scenes, points = list(scenes), list(points)
     stems = [scene.stem for scene in scenes]
     found = []
     for scene in scenes:
-        head = [scene.stem if stems.count(scene.stem) == 1 else str(scene.with_suffix(""))] if len(scenes) > 1 or not vary else []
-        for values in itertools.product(*vary.values()):
-            params = dict(zip(vary, values, strict=True))
+        several = len(scenes) > 1 or not any(points)
+        head = [scene.stem if stems.count(scene.stem) == 1 else str(scene.with_suffix(""))] if several else []
+        for params in points:
             words = [f"{name.rpartition('.')[2]} {value}" for name, value in params.items()]
             found.append(Variation(scene, params, ", ".join(head + words)))
     return found
@@ -88,24 +89,26 @@ def jobs(
     """All runs, seed by seed, so that a sweep that is stopped has something of every variation. What is wrong with a scene or a
     value is in the report, once."""
     report = Report()
-    shots: list[tuple[Variation, Shot, Mapping[str, str]]] = []
+    shots: list[tuple[Variation, FrameRange, Scene, Mapping[str, str]]] = []
+    parsed = CheckedOnce()
     for variation in chosen:
-        shot, findings = open_scene(variation.scene, Choices(grants, frames, None, variation.params))
+        choices = Choices(grants, frames, None, variation.params)
+        shot, findings = open_scene(variation.scene, choices, parsed=parsed, thorough=False)
         report.extend(findings)
         if shot is not None and findings.ok:
             _known(shot, until, report)
             try:
-                shots.append((variation, shot, beginning(shot)))
+                shots.append((variation, shot.frames, shot.scene, {**shot.inputs, **beginning(shot)}))
             except StartError as why:
                 report.extend(why.report)
     granted = tuple((name, str(folder)) for name, folder in grants.items())
     made = []
     for seed in seeds:
-        for variation, shot, start in shots:
-            first, last = shot.frames
+        for variation, between, scene, inputs in shots:
             params = tuple(variation.params.items())
-            key = key_of(shot, seed, until, start)
-            made.append(Job(str(real_path(variation.scene)), variation.label, params, seed, (first, last), until, granted, key))
+            key = _key(scene, inputs, between, seed, until)
+            frame_range = (between.first, between.last)
+            made.append(Job(str(real_path(variation.scene)), variation.label, params, seed, frame_range, until, granted, key))
     return made, report
 
 
@@ -119,8 +122,12 @@ def beginning(shot: Shot) -> Mapping[str, str]:
 
 def key_of(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
     """A hash of all that the measures of a run depend on. `start`: of the cache that it begins with (`start_hash`)."""
-    inputs = {**shot.inputs, **start, "scene": shot.scene.changed(seed=seed).digest()}
-    about = {"inputs": inputs, "seed": seed, "frames": list(shot.frames), "until": list(until)}
+    return _key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, until)
+
+
+def _key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
+    hashes = {**inputs, "scene": scene.changed(seed=seed).digest()}
+    about = {"inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
     return hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 

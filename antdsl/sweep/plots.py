@@ -1,13 +1,20 @@
-"""Pictures of a table: every run a dot, the median and the quartiles a bar, a panel for each measure. Needs matplotlib."""
+"""Pictures of a table: every run a dot, the median and the quartiles a bar, a panel for each measure; of a design over ranges, a
+panel for each measure and range. Needs matplotlib."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+from antdsl.sweep.factors import Factor
+from antdsl.sweep.sensitivity import Analysis, Effect
+from antdsl.sweep.study import Study
 from antdsl.sweep.table import Result, quantile
 
+_COLOURS = ("#3b6ea5", "#b5651d", "#4f8a4f", "#8a4f7d", "#7a7a3a", "#555555")  # of scenes
+_PARTS = 6  # of a range, for each of which a median is drawn
 HOW = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 
@@ -48,6 +55,98 @@ def _panel(panel, results: Sequence[Result], labels: Sequence[str], measure: str
         panel.text(never, len(labels) - 0.4, "never", ha="center", va="top", fontsize=8, color="#666666")
     panel.set_yticks(range(len(labels)), labels)
     panel.set_ylim(len(labels) - 0.4, -0.6)
-    panel.set_title(measure.replace("empty.", "frame at which it is 0: "), loc="left", fontsize=10)
+    panel.set_title(_title(measure), loc="left", fontsize=10)
     panel.grid(axis="x", color="#e4e4e4")
     panel.spines[["top", "right", "left"]].set_visible(False)
+
+
+def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str], effects: Sequence[Effect], path: Path) -> None:
+    """Write one PNG with a row a measure and a column a range, and, where a design tells of it, one of how much each factor
+    matters. A dot is the median of a point over its seeds, with its quartiles; the line and the band are the median and the
+    quartiles of all points within a part of the range."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = len(study.ranges) + bool(effects)
+    figure = Figure(figsize=(1.0 + 3.6 * columns, 0.6 + 2.6 * len(measures)), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(measures), columns, squeeze=False)
+    names = [str(scene) for scene in study.scenes]
+    scenes = {variation.label: str(variation.scene) for variation in study.variations}
+    for row, measure in zip(panels, measures, strict=True):
+        for panel, factor in zip(row, study.ranges, strict=False):
+            _over_range(panel, factor, results, names, scenes, measure)
+        if effects and study.chosen.design.analysis is not None:
+            _bars(row[-1], study.chosen.design.analysis, [e for e in effects if e.measure == measure], names)
+        row[0].set_ylabel(_title(measure), fontsize=9)
+    if len(names) > 1:
+        marks = [panels[0, 0].plot([], [], "o", color=_colour(k), markersize=5)[0] for k in range(len(names))]
+        figure.legend(
+            marks, [scene.stem for scene in study.scenes], loc="outside lower center", ncols=4, fontsize=9, frameon=False
+        )
+    figure.savefig(path, dpi=110, metadata={"Software": "antdsl"})
+
+
+def _over_range(
+    panel: Any, factor: Factor, results: Sequence[Result], scenes: Sequence[str], of_labels: Mapping[str, str], measure: str
+) -> None:
+    known = [float(v) for _, found in results if (v := found.get(measure)) is not None]
+    edge, least = max(known, default=1.0), min(known, default=0.0)
+    room = 0.08 * (edge - least) or 1.0
+    for number, scene in enumerate(scenes):
+        points: dict[str, tuple[float, list[float]]] = {}
+        for job, found in results:
+            if of_labels[job.label] == scene and measure in found:
+                value = factor.number(dict(job.params)[factor.name])
+                at = found[measure]
+                points.setdefault(job.label, (value, []))[1].append(edge + room if at is None else float(at))
+        medians = []
+        for value, of in points.values():
+            lower, middle, upper = (quantile(sorted(of), share) for share in (0.25, 0.5, 0.75))
+            panel.plot([value, value], [lower, upper], "-", color=_colour(number), alpha=0.35, linewidth=1)
+            panel.plot([value], [middle], "o", color=_colour(number), alpha=0.6, markersize=4, markeredgewidth=0)
+            medians.append((value, middle))
+        _trend(panel, factor, medians, _colour(number))
+    if any(found.get(measure, 0) is None for _, found in results):
+        panel.axhline(edge + room / 2, linestyle="--", color="#999999", linewidth=1)
+        panel.text(factor.low, edge + room, "never", ha="left", va="center", fontsize=8, color="#666666")
+    panel.set_xlabel(f"{factor.name}{f' ({factor.unit})' if factor.unit else ''}", fontsize=9)
+    panel.set_xlim(factor.low, factor.high)
+    panel.grid(color="#e4e4e4")
+    panel.tick_params(labelsize=8)
+    panel.spines[["top", "right"]].set_visible(False)
+
+
+def _trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float]], colour: str) -> None:
+    parts: dict[int, list[float]] = {}
+    for value, median in medians:
+        share = (value - factor.low) / (factor.high - factor.low)
+        parts.setdefault(min(int(share * _PARTS), _PARTS - 1), []).append(median)
+    places = sorted(parts)
+    middles = [factor.low + (part + 0.5) / _PARTS * (factor.high - factor.low) for part in places]
+    lower, middle, upper = ([quantile(sorted(parts[part]), share) for part in places] for share in (0.25, 0.5, 0.75))
+    panel.fill_between(middles, lower, upper, color=colour, alpha=0.15, linewidth=0)
+    panel.plot(middles, middle, "-", color=colour, linewidth=1.5)
+
+
+def _bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes: Sequence[str]) -> None:
+    factors = list(dict.fromkeys(effect.factor for effect in effects))
+    high = 0.8 / max(len(scenes), 1)
+    for number, scene in enumerate(scenes):
+        of = [effect for effect in effects if effect.scene == scene]
+        at = [factors.index(effect.factor) + (number - (len(scenes) - 1) / 2) * high for effect in of]
+        widths, errors = ([effect.columns[name] for effect in of] for name in (analysis.first, analysis.half))
+        panel.barh(at, widths, height=high * 0.9, xerr=errors, color=_colour(number), alpha=0.7, error_kw={"linewidth": 1})
+    panel.set_yticks(range(len(factors)), factors)
+    panel.invert_yaxis()
+    panel.set_xlabel(analysis.first.replace("_", " "), fontsize=9)
+    panel.tick_params(labelsize=8)
+    panel.spines[["top", "right"]].set_visible(False)
+
+
+def _colour(number: int) -> str:
+    return _COLOURS[number % len(_COLOURS)]
+
+
+def _title(measure: str) -> str:
+    return measure.replace("empty.", "frame at which it is 0: ")

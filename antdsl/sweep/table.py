@@ -7,12 +7,16 @@ import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from antdsl.sweep.finished_runs import about
 from antdsl.sweep.jobs import Job
+
+if TYPE_CHECKING:
+    from antdsl.sweep.sensitivity import Effect
+    from antdsl.sweep.stopping import Known
 
 Result = tuple[Job, Mapping[str, Any]]
 NOT_COMPARED = ("seconds", "fps")  # say something about the machine
@@ -111,7 +115,7 @@ def as_csv(table: Sequence[Row]) -> str:
     return out.getvalue()
 
 
-def runs_parquet(results: Sequence[Result]) -> bytes | None:
+def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = None) -> bytes | None:
     """The same as an Apache Parquet file, with numbers as numbers; None where pyarrow is not installed."""
     if find_spec("pyarrow") is None:
         return None
@@ -120,6 +124,9 @@ def runs_parquet(results: Sequence[Result]) -> bytes | None:
 
     names = dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED)
     columns: dict[str, list[Any]] = {"label": [job.label for job, _ in results], "seed": [job.seed for job, _ in results]}
+    for name, head in _heads(results, units or {}).items():
+        texts = [_given(job, units or {}).get(name) for job, _ in results]
+        columns[head] = [None if text is None else float(text) for text in texts] if name in (units or {}) else texts
     for name in names:
         values = [measures.get(name) for _, measures in results]
         numbers = all(v is None or isinstance(v, int | float) for v in values)
@@ -130,24 +137,57 @@ def runs_parquet(results: Sequence[Result]) -> bytes | None:
     return bytes(sink.getvalue().to_pybytes())
 
 
-def runs_csv(results: Sequence[Result]) -> str:
-    """One line a run, with all its measures."""
+def runs_csv(results: Sequence[Result], units: Mapping[str, str] | None = None) -> str:
+    """One line a run, with its values and all its measures. `units`: of the names whose values are told as numbers."""
     names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED))
+    heads = _heads(results, units or {})
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["label", "seed", *names])
+    writer.writerow(["label", "seed", *heads.values(), *names])
     for job, measures in results:
-        writer.writerow([job.label, job.seed, *("" if (v := measures.get(name)) is None else v for name in names)])
+        given = _given(job, units or {})
+        values = [given.get(name, "") for name in heads]
+        writer.writerow([job.label, job.seed, *values, *("" if (v := measures.get(name)) is None else v for name in names)])
     return out.getvalue()
 
 
-def as_json(results: Sequence[Result], table: Sequence[Row]) -> str:
+def _heads(results: Sequence[Result], units: Mapping[str, str]) -> dict[str, str]:
+    """What the columns of the values are called, by name."""
+    params = dict.fromkeys(name for job, _ in results for name, _ in job.params)
+    return {name: f"{name} ({units[name]})" if units.get(name) else name for name in params}
+
+
+def _given(job: Job, units: Mapping[str, str]) -> dict[str, str]:
+    """The values of a run, those with units that are told as numbers without."""
+    return {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
+
+
+def known_text(known: Sequence[Known]) -> str:
+    """A line a median: between which results it lies, and whether that is as narrow as was asked for."""
+    lines = ["Medians, with 95 % between"]
+    label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in known), strict=True))
+    for each in known:
+        between = f"{_number(each.low)} and {_number(each.high)}" if each.runs and each.low > -math.inf else "too few runs"
+        late = "" if each.met else ", not as close as was asked for"
+        lines.append(f"  {each.label:<{label_width}}  {each.measure:<{width}}  {between}, {each.runs} runs{late}")
+    return "\n".join(lines) + "\n"
+
+
+def as_json(results: Sequence[Result], table: Sequence[Row], known: Sequence[Known] = (), effects: Sequence[Effect] = ()) -> str:
     """Everything, one document."""
-    document = {
+    document: dict[str, Any] = {
         "runs": [about(job) | {"measures": dict(measures)} for job, measures in results],
         "table": [_entry(row) for row in table],
     }
+    if known:
+        document["medians"] = [asdict(k) | {name: _finite(getattr(k, name)) for name in ("median", "low", "high")} for k in known]
+    if effects:
+        document["sensitivity"] = [asdict(effect) for effect in effects]
     return json.dumps(document, indent=1) + "\n"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _entry(row: Row) -> dict[str, Any]:

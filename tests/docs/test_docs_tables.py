@@ -59,7 +59,7 @@ def test_the_page_of_commands_has_all_commands_and_flags() -> None:
 
     from antdsl.cli import app
 
-    text = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("commands.md", "pictures.md"))
+    text = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("commands.md", "pictures.md", "farms.md"))
     for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
         assert f"`antdsl {name}" in text
         flags = [flag for part in command.params for flag in part.opts if flag.startswith("--")]

@@ -23,7 +23,7 @@ ROOMS = (
     "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
-    "specs", "explain", "executors", "sweep", "shots", "bench", "preview", "lsp", "cli", "__main__",
+    "specs", "explain", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
 GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole"])

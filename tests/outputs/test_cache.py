@@ -24,6 +24,7 @@ from children import child_environment
 from sampling import sampled
 from typer.testing import CliRunner
 
+from antdsl.cli import _run as run_in_process
 from antdsl.cli import app
 from antdsl.cli.exits import Stop
 from antdsl.cli.new import ground
@@ -525,6 +526,37 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
     for frame in range(1, 61):
         assert frame_path(mine.folder, frame).read_bytes() == frame_path(whole.folder, frame).read_bytes()
     assert not list((folder / "frames").glob(".*"))
+
+
+def test_a_termination_leaves_a_checkpoint_and_its_own_exit_code(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+    """As a farm ends a task: SIGTERM to all processes of the run, more than once; the next attempt has the same words."""
+    scene = project(tmp_path / "p")
+    folder = scene.parent / "out" / "scene"
+    run = start(scene, "--frames", "1..4000", "--resume")
+    while not frame_path(folder, 12).exists() and run.poll() is None:
+        time.sleep(0.001)
+    for _ in range(3):
+        os.killpg(run.pid, signal.SIGTERM)
+    code, words = finished(run)
+    assert code == 75 and "which has a checkpoint" in words and "--resume" in words, words
+    cache = open_cache(folder)
+    assert cache.checkpoints()[-1] == cache.frames()[-1] >= 12
+    if cache.frames()[-1] < 60:
+        assert ran(scene, "--resume")[0] == 0
+        assert read_hashes(folder / "hashes.jsonl") == unbroken[1]
+
+
+def test_a_termination_before_the_first_frame_has_the_same_exit_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    scene = project(tmp_path / "p")
+    for place in ("antdsl.pipeline.open_scene", "antdsl.outputs.recording.begin"):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, lambda *words, **more: signal.raise_signal(signal.SIGTERM))
+            patch.setattr("sys.argv", ["antdsl", "run", str(scene)])
+            before = signal.getsignal(signal.SIGTERM)
+            assert run_in_process() == 75 and signal.getsignal(signal.SIGTERM) is before
+            assert "stopped before the first frame" in capfd.readouterr().err
 
 
 def test_ctrl_c_leaves_a_cache_that_goes_on(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:

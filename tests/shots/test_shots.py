@@ -15,6 +15,7 @@ from antdsl.executors import Lost, Refused, Task, Worker
 from antdsl.executors.parcel import Parcel, Seen, inside, pack
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.drawing import Drawer, Drawn
+from antdsl.outputs.kept_stills import Stills
 from antdsl.pipeline import Choices, open_scene
 from antdsl.scene.paths import sought
 from antdsl.scene.values import FrameRange
@@ -105,11 +106,17 @@ def test_stills_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
     there = walkers / "there"
     there.mkdir()
     with destination(there) as to:
-        jobs = list(stills.tasks(cache, wanted, range(1, 7), to))
+        jobs = list(stills.tasks(cache, wanted, range(1, 7), range(1, 7), to))
         assert [job.document["frames"] for job in jobs] == [[1, 2, 3, 4], [5, 6]]
         assert all(answered.answer is not None for answered in fetched(jobs, afar, lambda task: there))
     drawer = Drawer(wanted.gallery(open_cache(cache)), wanted, range(1, 7), 1)
-    assert files(there) == {f"picture.{frame:04d}.png": stills.png(drawer.draw(frame)) for frame in range(1, 7)}
+    here = walkers / "here"
+    here.mkdir()
+    kept = Stills.of(here, open_cache(cache), wanted, range(1, 7))
+    for frame in range(1, 7):
+        kept.put(frame, drawer.draw(frame))
+    assert files(there) == files(here) and len(files(here)) == 6
+    assert all(Stills.of(there, open_cache(cache), wanted, range(1, 7)).kept(frame) is not None for frame in range(1, 7))
 
 
 def test_exports_of_another_machine_are_those_of_this_one(walkers: Path) -> None:

@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +17,13 @@ import pytest
 
 from antdsl.cli import _run as run_in_process
 from antdsl.executors import Processes
+from antdsl.pipeline import open_scene
 from antdsl.runtime import Built
 from antdsl.sweep import Job, Keeper, Variation, jobs, rows, run_all, variations
+from antdsl.sweep.designs import choose
+from antdsl.sweep.factors import Factor
 from antdsl.sweep.finished_runs import OtherFiles
+from antdsl.sweep.jobs import beginning, key_of
 from antdsl.sweep.measuring import measure
 from antdsl.sweep.table import NOT_COMPARED, as_csv, quantile, shown, text
 
@@ -54,10 +59,16 @@ def folder(tmp_path: Path) -> Path:
 
 
 def made(folder: Path, seeds: range = range(1, 3), until: tuple[str, ...] = (), **vary: tuple[str, ...]) -> list[Job]:
-    values = {f"walker.{name}": given for name, given in vary.items()}
-    found, report = jobs(variations([folder / "scene.yaml"], values), seeds, frames=None, until=until, grants={})
+    points = grid(**vary)
+    found, report = jobs(variations([folder / "scene.yaml"], points), seeds, frames=None, until=until, grants={})
     assert report.ok, report.errors
     return found
+
+
+def grid(**vary: tuple[str, ...]) -> list[Mapping[str, str]]:
+    chosen, _ = choose("grid", [Factor(f"walker.{name}", values) for name, values in vary.items()], None, 1)
+    assert chosen is not None
+    return chosen.once
 
 
 def same(measures: dict[str, object] | None) -> dict[str, object]:
@@ -66,9 +77,9 @@ def same(measures: dict[str, object] | None) -> dict[str, object]:
 
 
 def test_every_combination_with_every_seed_seed_by_seed() -> None:
-    chosen = variations([Path("a.yaml"), Path("b.yaml")], {"x.p": ("1", "2"), "x.q": ("3",)})
+    chosen = variations([Path("a.yaml"), Path("b.yaml")], grid(p=("1", "2"), q=("3",)))
     assert [v.label for v in chosen] == ["a, p 1, q 3", "a, p 2, q 3", "b, p 1, q 3", "b, p 2, q 3"]
-    assert variations([Path("a.yaml")], {}) == [Variation(Path("a.yaml"), {}, "a")]
+    assert variations([Path("a.yaml")], grid()) == [Variation(Path("a.yaml"), {}, "a")]
 
 
 def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
@@ -81,8 +92,15 @@ def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
     assert not {job.key for job in made(folder, smell=("30mm", "60mm"))} & {job.key for job in first}
 
 
+def test_a_key_is_that_of_the_scene_opened_by_itself(folder: Path) -> None:
+    """Where a run is made the scene is opened anew, and refused where its key is another."""
+    for job in made(folder, smell=("30mm", "60mm")):
+        shot, _ = open_scene(folder / "scene.yaml", job.choices())
+        assert shot is not None and key_of(shot, job.seed, job.until, beginning(shot)) == job.key
+
+
 def test_what_is_wrong_is_told_before_anything_runs(folder: Path) -> None:
-    chosen = variations([folder / "scene.yaml"], {"walker.smell": ("60mm", "4s", "4m")})
+    chosen = variations([folder / "scene.yaml"], grid(smell=("60mm", "4s", "4m")))
     _, report = jobs(chosen, range(1, 3), frames=None, until=("food.lod",), grants={})
     assert sorted(d.code for d in report.errors) == ["out-of-range", "unknown-thing", "wrong-unit"]
 

@@ -1,0 +1,161 @@
+"""`antdsl jobs SCENE --to FILE`: a shot as a job of a render farm."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from antdsl.cli.destinations import file_to_write, is_output, keeping_inputs, put
+from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import say
+
+if TYPE_CHECKING:
+    from antdsl.farm import Job
+
+OPEN, LINES = (".yaml", ".yml", ".json"), (".jsonl",)
+# Words of `antdsl render` that a job writes itself, and what to write instead.
+OWN = {
+    "frames": "write it of the job: `antdsl jobs … --frames A..B`",
+    "every": "write it of the job: `antdsl jobs … --every N`",
+    "out": "write `antdsl jobs … --pictures DIR`",
+    "shot": "leave it out: the job writes it",
+    "resume": "leave it out: the job writes it",
+    "film": "leave it out: the job makes a film, unless `--no-film` says otherwise",
+    "sheet": "leave it out: a job draws single pictures",
+}
+
+
+def jobs(
+    scene: Path = typer.Argument(..., help="A scene.yaml."),
+    to: Path = typer.Option(
+        ...,
+        "--to",
+        metavar="FILE",
+        help="Where to: .yaml or .json is a template of Open Job Description, .jsonl a line a command.",
+    ),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Other frames than the scene's."),
+    chunk: int = typer.Option(10, "--chunk", metavar="N", min=1, max=1_000_000, help="Pictures that one task draws."),
+    every: int = typer.Option(1, "--every", metavar="N", min=1, max=1_000_000, help="Draw every so many frames."),
+    seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
+    set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
+    root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
+    render: str = typer.Option("", "--render", metavar="'WORDS'", help="How pictures look: '--camera eye --width 1920'."),
+    out: Path = typer.Option(
+        None, "--out", metavar="DIR", help="Where the cache goes. [default: out/SCENE beside the scene]", show_default=False
+    ),
+    pictures: Path = typer.Option(
+        None, "--pictures", metavar="DIR", help="Where pictures go. [default: pictures in the cache]", show_default=False
+    ),
+    film: bool = typer.Option(True, "--film/--no-film", help="Make a film of the pictures at the end; needs the extra [video]."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
+) -> None:
+    """Write a shot as a job for a render farm: simulation, then frames in chunks, then the film."""
+    import sys
+
+    from antdsl.cli.arguments import frame_range, grants, pairs
+    from antdsl.cli.printing.reports import demand
+    from antdsl.farm import Shot, json_lines, shot_job, template
+    from antdsl.pipeline import Choices, open_scene
+
+    if scene.suffix == ".ant":
+        raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
+    if to.suffix not in (*OPEN, *LINES):
+        raise typer.BadParameter(f"`{to.name}` is none of {', '.join((*OPEN, *LINES))}", param_hint="--to")
+    file_to_write(to, "--to")
+    look = _looks(render)
+    granted, given = grants(root), pairs(set_, "--set")
+    with keeping_inputs({"--to": to}) as inputs:
+        inputs.append(scene)
+        opened, report = open_scene(scene, Choices(granted, frame_range(frames), seed, given), thorough=False)
+    demand(report)
+    assert opened is not None
+    cache = out if out is not None else scene.resolve().parent / "out" / scene.stem
+    seeded = () if seed is None else ("--seed", str(seed))
+    shot = Shot(
+        scene=scene.resolve(),
+        cache=cache,
+        pictures=pictures if pictures is not None else cache / "pictures",
+        first=opened.frames.first,
+        last=opened.frames.last,
+        every=every,
+        chunk=chunk,
+        run=(*seeded, *(word for name, value in given.items() for word in ("--set", f"{name}={value}"))),
+        render=look,
+        roots=tuple(granted.items()),
+        film=film,
+    )
+    job = shot_job(shot, scene.resolve().stem)
+    if to.suffix in LINES:
+        put(to, json_lines(job).encode(), sys.stdout)
+    else:
+        _demand_template(job, shot.every, opened.frames.last - opened.frames.first + 1)
+        put(to, _text(template(job, to.resolve().parent), to.suffix), sys.stdout)
+    if not quiet and not is_output(to):
+        _tell(job, to)
+
+
+def _looks(text: str) -> tuple[str, ...]:
+    """Further words of `antdsl render`, once that command takes them."""
+    from antdsl.cli.render import render
+
+    # typer's versions have click beside them or within
+    wrong_use: tuple[type[BaseException], ...] = typer.BadParameter.__bases__
+    advice = "`antdsl render --help` lists its words"
+    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    alone.command()(render)
+    try:
+        found = tuple(shlex.split(text))
+        context = typer.main.get_command(alone).make_context("render", ["CACHE", *found])
+    except ValueError:
+        raise typer.BadParameter(f"`{text}` has a quote that is not closed", param_hint="--render") from None
+    except typer.Exit:  # of `--help`
+        raise typer.BadParameter(f"`{text}` draws nothing; {advice}", param_hint="--render") from None
+    except wrong_use as why:
+        raise Stop(Exit.USAGE, f"error: `--render`: {getattr(why, 'message', why)}", advice) from None
+    for name, instead in OWN.items():
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            raise typer.BadParameter(f"`--{name}` is no matter of looks; {instead}", param_hint="--render")
+    return found
+
+
+def _demand_template(job: Job, every: int, frames: int) -> None:
+    """What a template cannot say."""
+    from antdsl.farm.open_job import MOST_TASKS
+
+    tasks = max(len(step.chunks) for step in job.steps)
+    if tasks > MOST_TASKS:
+        enough = math.ceil(math.ceil(frames / every) / MOST_TASKS)
+        words = f"error: {tasks:,} tasks are more than the {MOST_TASKS:,} that a template may list"
+        raise Stop(Exit.USAGE, words, f"write `--chunk {enough}`, or lines: `--to job.jsonl`")
+    for word in (word for step in job.steps for word in step.command):
+        texts = (word,) if isinstance(word, str) else (word.before, word.after)
+        for text in texts:
+            if "{{" in text:
+                words = f"error: `{text}` has `{{{{`, with which a template names its parameters"
+                raise Stop(Exit.USAGE, words, "give it another name, or write lines: `--to job.jsonl`")
+
+
+def _text(document: dict[str, object], ending: str) -> bytes:
+    if ending == ".json":
+        return (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode()
+    import yaml
+
+    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120).encode()
+
+
+def _tell(job: Job, to: Path) -> None:
+    from antdsl.farm.open_job import unnamed
+
+    counts = [f"{step.name} ({len(step.chunks)} tasks)" if step.chunks else step.name for step in job.steps]
+    say(f"{to}: {', '.join(counts)}")
+    missing = unnamed(job, to.resolve().parent) if to.suffix in OPEN else []
+    if missing:
+        say("these do not lie below it, so name them when you submit it:")
+        for place in missing:
+            say(f"  {place.name}={place.path.resolve()}")

@@ -1,0 +1,118 @@
+"""The words of `antdsl sweep` to the runs that there are: what is asked, or was asked in a folder, checked before any runs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+
+if TYPE_CHECKING:
+    from antdsl.diagnostics import Report
+    from antdsl.sweep import Job
+    from antdsl.sweep.asked import Asked
+    from antdsl.sweep.stopping import Width
+    from antdsl.sweep.study import Study
+
+
+def nothing() -> list[str]:
+    """That no scene is named."""
+    raise typer.BadParameter("name a scene, or go on with a sweep: `--resume --out DIR`", param_hint="SCENE")
+
+
+# The words that say which runs there are: those of a sweep that goes on are kept with it.
+_DECIDES = {
+    "scenes": "the scenes",
+    "vary": "`--vary`",
+    "design": "`--design`",
+    "points": "`--points`",
+    "design_seed": "`--design-seed`",
+    "seeds": "`--seeds`",
+    "frames": "`--frames`",
+    "until": "`--until-empty`",
+    "until_known": "`--until-known`",
+    "root": "`--root`",
+    "again": "`--again`",
+}
+
+
+def asked_before(context: typer.Context, out: Path | None) -> Asked:
+    """What the sweep in a folder was asked for, where nothing is asked besides."""
+    from antdsl.sweep.asked import NotAsked, kept
+
+    for name, words in _DECIDES.items():
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            raise typer.BadParameter(f"it goes on as it was asked: leave out {words}", param_hint="--resume")
+    if out is None:
+        raise typer.BadParameter("say which sweep goes on: `--resume --out DIR`", param_hint="--resume")
+    try:
+        return kept(out)
+    except NotAsked as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "begin one: `antdsl sweep SCENE… --out DIR`") from None
+
+
+def study_of(asked: Asked) -> tuple[Study, list[Job], Report]:
+    """The points of the design, and all runs of them; what is wrong with words ends the command as wrong use."""
+    from antdsl.cli.arguments import frame_range, grants, pairs
+    from antdsl.sweep import jobs, variations
+    from antdsl.sweep.designs import choose
+    from antdsl.sweep.factors import ends, factors
+    from antdsl.sweep.study import Study
+
+    scenes = [Path(scene) for scene in dict.fromkeys(asked.scenes)]
+    for scene in scenes:
+        if scene.suffix == ".ant":
+            raise typer.BadParameter(f"`{scene}` is a program; name scenes that use it", param_hint="SCENE")
+    found, report = factors(pairs(asked.vary, "--vary"))
+    _demand_words(report)
+    chosen, report = choose(asked.design, found, asked.points, asked.design_seed)
+    _demand_words(report)
+    assert chosen is not None
+    about = {"frames": frame_range(asked.frames), "until": tuple(asked.until_empty), "grants": grants(asked.root)}
+    numbers = _seeds(asked.seeds)
+    _, report = jobs(variations(scenes, ends(found) or [{}]), (), **about)  # each end once, and not each point beyond one
+    if not report.ok:
+        return Study(chosen, (), ()), [], report
+    run = variations(scenes, chosen.once)
+    made, findings = jobs(run, numbers, **about)
+    report.extend(findings)
+    return Study(chosen, tuple(scenes), tuple(run)), made, report
+
+
+def _demand_words(report: Report) -> None:
+    from antdsl.cli.printing.reports import show
+
+    if not report.ok:
+        show(report, to_stderr=True)
+        raise Stop(Exit.USAGE)
+
+
+def widths_of(asked: Asked) -> list[Width]:
+    """The widths of `NAME=WIDTH` words, where there are seeds enough for any."""
+    from antdsl.cli.arguments import pairs
+    from antdsl.sweep.median_interval import least_runs
+    from antdsl.sweep.stopping import Width
+
+    found = []
+    for name, text in pairs(asked.until_known, "--until-known").items():
+        number = re.fullmatch(r"([0-9]*\.?[0-9]+)\s*(%?)", text, re.ASCII)
+        if number is None or not float(number[1]):
+            words = f"`{text}` is no width: write `{name}=0.5`, or a share of the median: `{name}=10%`"
+            raise typer.BadParameter(words, param_hint="--until-known")
+        found.append(Width(name, float(number[1]) * (0.01 if number[2] else 1.0), bool(number[2])))
+    if found and len(_seeds(asked.seeds)) < least_runs():
+        words = f"no median is known of fewer than {least_runs()} runs: write `--seeds 50`, which is how many at most"
+        raise typer.BadParameter(words, param_hint="--until-known")
+    return found
+
+
+def _seeds(text: str) -> range:
+    found = re.fullmatch(r"([0-9]{1,6})(?:\.\.([0-9]{1,6}))?", text.strip())
+    first, last = (1, int(found[1])) if found and found[2] is None else (int(found[1]), int(found[2])) if found else (1, 0)
+    if not found or last < first:
+        raise typer.BadParameter(f"`{text}` is no number of seeds: write N, or A..B", param_hint="--seeds")
+    return range(first, last + 1)

@@ -1,0 +1,30 @@
+"""A job as JSON lines, one a command, for farms and scripts that know no other form."""
+
+from __future__ import annotations
+
+import json
+
+from antdsl.farm.shot_job import Job, Step, words
+
+
+def json_lines(job: Job) -> str:
+    """A line for each command, in an order in which they can be run: `name`, `step`, `command` as words, and `needs`, the names
+    of the commands that have to be done before it. Paths are whole ones of this machine."""
+    paths = {place.name: str(place.path.resolve()) for place in job.places}
+    names = {step.name: [_name(step, frames) for frames in step.chunks or ("",)] for step in job.steps}
+    lines = []
+    for step in job.steps:
+        needs = [name for before in step.needs for name in names[before]]
+        for frames in step.chunks or ("",):
+            about = {
+                "name": _name(step, frames),
+                "step": step.name,
+                "command": words(step.command, frames, paths),
+                "needs": needs,
+            }
+            lines.append(json.dumps(about, ensure_ascii=False))
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _name(step: Step, frames: str) -> str:
+    return f"{step.name} {frames}" if frames else step.name

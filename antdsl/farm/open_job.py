@@ -1,0 +1,61 @@
+"""A job as a template of Open Job Description, revision 2023-09, without any extension of it:
+https://github.com/OpenJobDescription/openjd-specifications/wiki/2023-09-Template-Schemas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from antdsl.farm.shot_job import CHUNK, Job, Place, Step, words
+
+MOST_TASKS = 1024  # values that a list of a parameter may have
+
+
+def template(job: Job, folder: Path) -> dict[str, Any]:
+    """The template, in JSON's values. `folder`: where its file will lie; places below it are named as seen from there, others
+    have to be named by whoever submits the job, as the specification lets no template lead out of its folder."""
+    return {
+        "specificationVersion": "jobtemplate-2023-09",
+        "name": job.name,
+        "parameterDefinitions": [_parameter(place, folder) for place in job.places],
+        "steps": [_step(step) for step in job.steps],
+    }
+
+
+def unnamed(job: Job, folder: Path) -> list[Place]:
+    """The places that whoever submits the job has to name."""
+    return [place for place in job.places if _below(place, folder) is None]
+
+
+def _below(place: Place, folder: Path) -> str | None:
+    path, start = place.path.resolve(), folder.resolve()
+    return path.relative_to(start).as_posix() if path.is_relative_to(start) else None
+
+
+def _parameter(place: Place, folder: Path) -> dict[str, Any]:
+    found = {"name": place.name, "type": "PATH", "objectType": "DIRECTORY", "dataFlow": place.flow, "description": place.about}
+    below = _below(place, folder)
+    return found if below is None else found | {"default": below}
+
+
+def _step(step: Step) -> dict[str, Any]:
+    command, *rest = words(step.command, f"{{{{Task.Param.{CHUNK}}}}}", _Named())
+    action = {
+        "command": command,
+        "args": rest,
+        "cancelation": {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": step.grace},
+    }
+    found: dict[str, Any] = {"name": step.name, "description": step.about}
+    if step.needs:
+        found["dependencies"] = [{"dependsOn": name} for name in step.needs]
+    if step.chunks:
+        tasks = {"name": CHUNK, "type": "STRING", "range": list(step.chunks)}
+        found["parameterSpace"] = {"taskParameterDefinitions": [tasks]}
+    return found | {"script": {"actions": {"onRun": action}}}
+
+
+class _Named(dict[str, str]):
+    """Places by the expressions that stand for their paths, which a farm maps."""
+
+    def __missing__(self, name: str) -> str:
+        return f"{{{{Param.{name}}}}}"

@@ -1,0 +1,129 @@
+"""The steps of a shot: simulation, then frames in chunks, then the film."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+CHUNK = "Frames"  # what stands for a task's frames
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A path that may be another on another machine. `flow`: whether it is read, written, or both."""
+
+    name: str
+    path: Path
+    flow: Literal["IN", "OUT", "INOUT"]
+    about: str
+
+
+@dataclass(frozen=True, slots=True)
+class Arg:
+    """A word of a command: `before`, then the path of a place, then `after`."""
+
+    before: str
+    place: Place
+    after: str = ""
+
+
+Word = str | Arg
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One command, or one for each chunk of frames, where `CHUNKED` stands for these. `needs`: steps that come before it."""
+
+    name: str
+    about: str
+    command: tuple[Word, ...]
+    needs: tuple[str, ...] = ()
+    chunks: tuple[str, ...] = ()
+    grace: int = 120  # seconds from SIGTERM to SIGKILL
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """All steps of a shot, in an order in which they can be run."""
+
+    name: str
+    places: tuple[Place, ...]
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """What is to be made: frames `first` to `last` of a scene, `every` so many of them drawn, `chunk` pictures a task. `run` and
+    `render`: further words of these commands."""
+
+    scene: Path
+    cache: Path
+    pictures: Path
+    first: int
+    last: int
+    every: int = 1
+    chunk: int = 10
+    run: tuple[str, ...] = ()
+    render: tuple[str, ...] = ()
+    roots: tuple[tuple[str, Path], ...] = ()
+    film: bool = True
+
+
+CHUNKED = "\0frames"  # no word of a command line has this character
+
+
+def shot_job(shot: Shot, name: str) -> Job:
+    """The job that makes a shot."""
+    project = Place("Project", shot.scene.parent, "IN", "The folder of the scene, with all that lies below it")
+    cache = Place("Cache", shot.cache, "INOUT", "The folder of the cache")
+    pictures = Place("Pictures", shot.pictures, "INOUT", "The folder of the pictures")
+    roots = tuple(Place(f"Root_{root}", path, "IN", f"The folder that the scene calls {root}") for root, path in shot.roots)
+    between = f"{shot.first}..{shot.last}"
+    named = zip(shot.roots, roots, strict=True)
+    granted: list[Word] = [word for (root, _), place in named for word in ("--root", Arg(f"{root}=", place))]
+    simulate: list[Word] = [
+        "antdsl",
+        "run",
+        Arg("", project, f"/{shot.scene.name}"),
+        "--frames",
+        between,
+        "--out",
+        Arg("", cache),
+    ]
+    draw: list[Word] = ["antdsl", "render", Arg("", cache), "--out", Arg("", pictures)]
+    look = (*(("--every", str(shot.every)) if shot.every > 1 else ()), *shot.render)
+    steps = [
+        Step(
+            "simulation",
+            "Frames are simulated one after the other, on one machine; a run that was ended goes on from its last checkpoint",
+            (*simulate, *granted, *shot.run, "--resume"),
+        ),
+        Step(
+            "frames",
+            "Pictures are drawn in chunks, each on any machine; those that are there, whole, are not drawn again",
+            (*draw, "--frames", CHUNKED, "--shot", between, *look, "--resume"),
+            ("simulation",),
+            chunks(shot.first, shot.last, shot.every, shot.chunk),
+            30,
+        ),
+    ]
+    if shot.film:
+        film = (*draw, "--film", "--frames", between, *look, "--resume")
+        steps.append(Step("film", "The pictures become a film; one that is missing is drawn", film, ("frames",), (), 30))
+    return Job(name, (project, *roots, cache, pictures), tuple(steps))
+
+
+def chunks(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
+    """Ranges of frames that have `count` pictures each, the last perhaps fewer; each begins with a picture."""
+    starts = range(first, last + 1, every * count)
+    return tuple(f"{start}..{min(start + every * count - 1, last)}" for start in starts)
+
+
+def words(command: Sequence[Word], frames: str, paths: Mapping[str, str]) -> list[str]:
+    """A command as text, with `frames` in the place of a task's frames and `paths` by the names of places."""
+    return [
+        f"{word.before}{paths[word.place.name]}{word.after}" if isinstance(word, Arg) else frames if word == CHUNKED else word
+        for word in command
+    ]

@@ -1,0 +1,68 @@
+"""What a sweep was asked for, kept in its folder as `asked.json`, so that it can go on without being asked again."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from antdsl import limits
+from antdsl.bounded import read_bounded
+from antdsl.outputs.cache.npz import write_whole
+
+NAME = "asked.json"
+
+
+class NotAsked(Exception):
+    """A folder has no sweep to go on with; the message says why."""
+
+
+class Asked(BaseModel):
+    """The words of the command line that decide which runs there are, and which the table counts."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    scenes: list[str] = Field(min_length=1, max_length=limits.SWEEP_POINTS)
+    vary: list[str] = []
+    design: str = "grid"
+    points: int | None = None
+    design_seed: int = 1
+    seeds: str = "5"
+    frames: str | None = None
+    until_empty: list[str] = []
+    until_known: list[str] = []
+    root: list[str] = []
+
+    def keep(self, folder: Path) -> None:
+        """Write it, with paths as they are seen from the folder, so that all may be moved together."""
+        there = self.model_copy(update={"scenes": [_seen(path, folder) for path in self.scenes], "root": self._roots(folder)})
+        write_whole(folder / NAME, (there.model_dump_json(indent=1) + "\n").encode(), sync=False)
+
+    def _roots(self, folder: Path) -> list[str]:
+        return [f"{name}={_seen(path.strip(), folder)}" for name, _, path in (word.partition("=") for word in self.root)]
+
+
+def kept(folder: Path) -> Asked:
+    """What was asked for in a folder, with paths as they are seen from here. NotAsked where nothing was."""
+    try:
+        asked = Asked.model_validate_json(read_bounded(folder / NAME, limits.MIB))
+    except OSError:
+        raise NotAsked(f"`{folder}` has no sweep to go on with") from None
+    except ValidationError:
+        raise NotAsked(f"`{folder / NAME}` is damaged") from None
+    roots = [f"{name}={_from(path, folder)}" for name, _, path in (word.partition("=") for word in asked.root)]
+    changed: dict[str, Any] = {"scenes": [_from(path, folder) for path in asked.scenes], "root": roots}
+    return asked.model_copy(update=changed)
+
+
+def _seen(path: str, folder: Path) -> str:
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # on another drive
+        return os.path.abspath(path)
+
+
+def _from(path: str, folder: Path) -> str:
+    return os.path.relpath(folder / path) if not os.path.isabs(path) else path

@@ -1,0 +1,154 @@
+"""Designs of experiments: which points of the space that a sweep's factors span are run.
+
+A design gives shares of the way along each factor, from 0 to 1, a row a point; factors turn shares into values. All draws come
+from one seed, so the same words choose the same points."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.diagnostics import Report
+from antdsl.sweep import sensitivity
+from antdsl.sweep.factors import Factor
+
+Shares = NDArray[np.float64]
+Point = Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """`shares(factors, count, seed)`: an array (points, factors) of numbers from 0 to 1. `count` means what `counted` says.
+    `analysis`: what the results tell of how much each factor matters, for designs that are made for that."""
+
+    word: str
+    is_one: str
+    counted: str = ""  # what `--points` counts; empty where it is not taken
+    shares: Callable[[int, int, int], Shares] | None = None
+    more: int | None = None  # each of what is counted makes so many points, and one more for each factor; None: it makes one
+    power_of_two: bool = False
+    ranges_only: bool = False
+    analysis: sensitivity.Analysis | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The points of a design in its order, some perhaps twice, with the shares that they came of."""
+
+    design: Design
+    factors: tuple[Factor, ...]
+    points: tuple[Point, ...]
+    shares: Shares | None = None
+
+    @property
+    def once(self) -> list[Point]:
+        """Every point once, in order."""
+        found = {tuple(point.values()): point for point in self.points}
+        return list(found.values())
+
+
+def _latin(factors: int, count: int, seed: int) -> Shares:
+    """M. D. McKay, R. J. Beckman, W. J. Conover: A comparison of three methods for selecting values of input variables in the
+    analysis of output from a computer code, Technometrics 21 (1979)."""
+    from scipy.stats import qmc
+
+    return np.asarray(qmc.LatinHypercube(factors, seed=np.random.default_rng(seed)).random(count))
+
+
+def _sobol(factors: int, count: int, seed: int) -> Shares:
+    """I. M. Sobol': On the distribution of points in a cube, USSR Comp. Math. Math. Phys. 7 (1967), scrambled after A. B. Owen:
+    Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998)."""
+    from scipy.stats import qmc
+
+    return np.asarray(qmc.Sobol(factors, scramble=True, seed=np.random.default_rng(seed)).random(count))
+
+
+GRID = Design("grid", "every combination of the values")
+DESIGNS = (
+    GRID,
+    Design("latin", "a Latin hypercube: each factor's range in as many parts as points, a point in each", "points", _latin),
+    Design("sobol", "points of a Sobol sequence, which fill the space evenly", "points", _sobol, power_of_two=True),
+    Design(
+        "saltelli",
+        "Saltelli's sample, for Sobol indices: which share of the variance each factor makes",
+        "points of the sequence behind it",
+        sensitivity.saltelli_sample,
+        more=2,
+        power_of_two=True,
+        analysis=sensitivity.SOBOL_INDICES,
+    ),
+    Design(
+        "morris",
+        "Morris' trajectories, for elementary effects: which factors matter at all",
+        "trajectories",
+        sensitivity.morris_sample,
+        more=1,
+        ranges_only=True,
+        analysis=sensitivity.ELEMENTARY_EFFECTS,
+    ),
+)
+_BY_WORD = {design.word: design for design in DESIGNS}
+
+
+def choose(word: str, factors: Sequence[Factor], points: int | None, seed: int) -> tuple[Chosen | None, Report]:
+    """The points of the design of that word; what does not fit together is in the report, with what to write instead."""
+    report, design = Report(), _BY_WORD[word]
+    _fits(design, factors, points, report)
+    if not report.ok:
+        return None, report
+    if design.shares is None or points is None:
+        wanted = [factor.levels for factor in factors]
+        combined = tuple(dict(zip((f.name for f in factors), values, strict=True)) for values in itertools.product(*wanted))
+        return Chosen(design, tuple(factors), combined), report
+    shares = design.shares(len(factors), points, seed)
+    named = tuple({factor.name: factor.at(float(share)) for factor, share in zip(factors, row, strict=True)} for row in shares)
+    return Chosen(design, tuple(factors), named, shares), report
+
+
+def _fits(design: Design, factors: Sequence[Factor], points: int | None, report: Report) -> None:
+    ranges = [factor for factor in factors if not factor.levels]
+    said = f"`--design {design.word}`"
+    if design.shares is None:
+        most = math.prod(len(factor.levels) for factor in factors)
+        for factor in ranges:
+            low, high = factor.ends()
+            middle = factor.at(0.5)
+            advice = f"write `--vary {factor.name}={low},{middle},{high}`, or choose points within: `--design latin --points 20`"
+            report.error("wrong-value", f"a grid takes values one by one, and `{factor.name}` is a range", None, advice)
+        if points is not None:
+            report.error("wrong-value", "a grid has as many points as its values make", None, f"leave out `--points {points}`")
+        if most > limits.SWEEP_POINTS:
+            words = f"these values make {most:,} combinations, and more than {limits.SWEEP_POINTS:,} are not run"
+            report.error("too-large", words, None, "choose among them: `--design latin --points 100`")
+        return
+    if not factors:
+        advice = "write what to vary: `--vary forager.smell=30mm..90mm`"
+        report.error("missing-argument", f"{said} has nothing to choose values of", None, advice)
+        return
+    if points is None:
+        usual = 64 if design.power_of_two else 20
+        report.error(
+            "missing-argument", f"{said} does not know how many {design.counted}", None, f"write `{said[1:-1]} --points {usual}`"
+        )
+        return
+    for factor in factors:
+        if factor.levels and design.ranges_only:
+            first, last = factor.levels[0], factor.levels[-1]
+            advice = f"write its ends: `--vary {factor.name}={first}..{last}`"
+            report.error("wrong-value", f"{said} steps along ranges, and `{factor.name}` has values one by one", None, advice)
+    if design.power_of_two and points & (points - 1):
+        near = 1 << points.bit_length()
+        advice = f"write `--points {near}` or `--points {near >> 1}`"
+        report.error("wrong-count", f"a Sobol sequence fills space evenly at powers of 2, and {points} is none", None, advice)
+    most = points * (1 if design.more is None else len(factors) + design.more)
+    if most > limits.SWEEP_POINTS:
+        words = f"{said} with `--points {points}` has {most:,} points, and more than {limits.SWEEP_POINTS:,} are not run"
+        report.error("too-large", words, None, "write a smaller `--points`")
+    if design.analysis is not None and not sensitivity.available():
+        report.error("missing-extra", f"{said} needs SALib", None, sensitivity.HOW)

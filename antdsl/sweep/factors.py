@@ -1,0 +1,98 @@
+"""What a sweep varies: values one by one (`30mm,60mm`), or all between two ends (`30mm..90mm`)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import floor
+
+import numpy as np
+
+from antdsl.diagnostics import Report
+from antdsl.scene.quantities import BadQuantity, parse_number
+
+_END = re.compile(r"\s*([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(.*?)\s*", re.ASCII)
+_DIGITS = 6  # that a value drawn from a range is written with
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """A name with the values that it takes: `levels`, or, where there are none, all from `low` to `high`, in `unit`."""
+
+    name: str
+    levels: tuple[str, ...] = ()
+    low: float = 0.0
+    high: float = 0.0
+    unit: str = ""
+
+    @property
+    def word(self) -> str:
+        """The name without that of its species or field."""
+        return self.name.rpartition(".")[2]
+
+    def at(self, share: float) -> str:
+        """The value at a share, 0 to 1, of the way from the first to the last, as text; levels have equal shares each."""
+        if self.levels:
+            return self.levels[min(floor(share * len(self.levels)), len(self.levels) - 1)]
+        return self._text(self.low + share * (self.high - self.low))
+
+    def ends(self) -> tuple[str, ...]:
+        """The values that say whether all of them are allowed: each level, or the two ends."""
+        return self.levels or (self._text(self.low), self._text(self.high))
+
+    def number(self, text: str) -> float:
+        """A value of a range as a number in `unit`."""
+        return float(text[: len(text) - len(self.unit)])
+
+    def _text(self, value: float) -> str:
+        return np.format_float_positional(float(f"{value:.{_DIGITS}g}"), trim="-") + self.unit
+
+
+def factors(varied: Mapping[str, str]) -> tuple[list[Factor], Report]:
+    """`NAME` to `A,B,C` or `A..B`, as it is written; what cannot be read is in the report."""
+    report = Report()
+    found = [_range(name, text, report) if ".." in text else _levels(name, text, report) for name, text in varied.items()]
+    return [factor for factor in found if factor is not None], report
+
+
+def _levels(name: str, text: str, report: Report) -> Factor | None:
+    parts = tuple(part.strip() for part in text.split(","))
+    if all(parts) and len(set(parts)) == len(parts):
+        return Factor(name, parts)
+    words = f"write values with commas between them, each once: `--vary {name}=1,2,3`"
+    report.error(
+        "wrong-value", f"`--vary {name}={text}` has {'an empty value' if not all(parts) else 'a value twice'}", None, words
+    )
+    return None
+
+
+def _range(name: str, text: str, report: Report) -> Factor | None:
+    said = f"`--vary {name}={text}`"
+    first, last = (_END.fullmatch(end) for end in (text.split("..") if text.count("..") == 1 else ("", "")))
+    if first is None or last is None or "," in text:
+        usual = f"write `--vary {name}=30mm..90mm`, or values one by one: `--vary {name}=30mm,60mm`"
+        report.error("wrong-value", f"{said} is no range from one number to another", None, usual)
+        return None
+    unit = last[2]
+    if first[2] not in ("", unit):
+        better = f"write both ends in one unit: `--vary {name}={first[1]}{first[2]}..90{first[2]}`"
+        report.error("units-differ", f"{said} begins in `{first[2]}` and ends in `{unit or 'no unit'}`", None, better)
+        return None
+    try:
+        low, high = parse_number(first[1]), parse_number(last[1])
+    except BadQuantity as why:
+        report.error("wrong-value", f"an end of {said} {why}", None, why.help or f"write `--vary {name}=30mm..90mm`")
+        return None
+    if low >= high:
+        turned = f"write `--vary {name}={last[1]}{unit}..{first[1]}{unit}`" if low > high else "write one value, or a wider range"
+        report.error("empty-range", f"{said} ends before it begins" if low > high else f"{said} has no width", None, turned)
+        return None
+    return Factor(name, (), low, high, unit)
+
+
+def ends(of: Iterable[Factor]) -> list[dict[str, str]]:
+    """As few points as name every end of every factor once."""
+    chosen = list(of)
+    most = max((len(factor.ends()) for factor in chosen), default=0)
+    return [{factor.name: factor.ends()[min(k, len(factor.ends()) - 1)] for factor in chosen} for k in range(most)]

@@ -1,0 +1,153 @@
+"""How much each factor of a sweep matters: Sobol indices and elementary effects, by SALib (the extra `[sensitivity]`).
+
+What is looked at is the median over seeds of a measure at each point; every point has the same seeds."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+HOW = "install it: pip install 'antdsl[sensitivity]'"
+_LEVELS = 4  # of Morris' grid
+_RESAMPLES = 1000  # of the bootstrap behind the intervals
+_SEED = 1  # of the bootstrap
+
+Numbers = NDArray[np.float64]
+Found = Mapping[str, Numbers]
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """`work(shares, values)` gives columns by name, a number a factor each. `first`: the column that says how much a factor
+    matters, `half`: that with half the width of its 95 % interval."""
+
+    title: str
+    first: str
+    half: str
+    work: Callable[[Numbers, Numbers], Found]
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What one factor does to one measure of one scene."""
+
+    scene: str
+    measure: str
+    factor: str
+    columns: Mapping[str, float]
+
+
+def available() -> bool:
+    """Whether SALib is here; nothing is imported."""
+    return find_spec("SALib") is not None
+
+
+def saltelli_sample(factors: int, count: int, seed: int) -> Numbers:
+    """`count` × (factors + 2) points for Sobol indices of first and total order. A. Saltelli and others: Variance based
+    sensitivity analysis of model output, Comp. Phys. Comm. 181 (2010), on a scrambled Sobol sequence."""
+    from SALib.sample import sobol
+
+    return np.asarray(sobol.sample(_problem(factors), count, calc_second_order=False, seed=seed))
+
+
+def morris_sample(factors: int, count: int, seed: int) -> Numbers:
+    """`count` trajectories of factors + 1 points, each a step along one factor from the one before. M. D. Morris: Factorial
+    sampling plans for preliminary computational experiments, Technometrics 33 (1991)."""
+    from SALib.sample import morris
+
+    return np.asarray(morris.sample(_problem(factors), count, num_levels=_LEVELS, seed=seed))
+
+
+def _sobol_indices(shares: Numbers, values: Numbers) -> Found:
+    from SALib.analyze import sobol
+
+    found = sobol.analyze(_problem(shares.shape[1]), values, calc_second_order=False, num_resamples=_RESAMPLES, seed=_SEED)
+    return {"total": found["ST"], "total_95": found["ST_conf"], "first_order": found["S1"], "first_order_95": found["S1_conf"]}
+
+
+def _elementary_effects(shares: Numbers, values: Numbers) -> Found:
+    """F. Campolongo, J. Cariboni, A. Saltelli: An effective screening design for sensitivity analysis of large models,
+    Environmental Modelling & Software 22 (2007)."""
+    from SALib.analyze import morris
+
+    problem = _problem(shares.shape[1])
+    found = morris.analyze(problem, shares, values, num_levels=_LEVELS, num_resamples=_RESAMPLES, seed=_SEED)
+    named = {"mu_star": "mu_star", "mu_star_95": "mu_star_conf", "mu": "mu", "sigma": "sigma"}
+    return {column: np.asarray(found[theirs], np.float64) for column, theirs in named.items()}
+
+
+SOBOL_INDICES = Analysis("Sobol indices: the share of the variance that a factor makes", "total", "total_95", _sobol_indices)
+ELEMENTARY_EFFECTS = Analysis(
+    "Elementary effects: what a measure changes by over a factor's whole range", "mu_star", "mu_star_95", _elementary_effects
+)
+
+
+def _problem(factors: int) -> dict[str, Any]:
+    return {"num_vars": factors, "names": [str(k) for k in range(factors)], "bounds": [[0.0, 1.0]] * factors}
+
+
+def effects(
+    analysis: Analysis,
+    names: Sequence[str],
+    shares: Numbers,
+    scenes: Mapping[str, Sequence[str]],
+    medians: Mapping[tuple[str, str], float],
+    measures: Sequence[str],
+) -> tuple[list[Effect], list[str]]:
+    """The effect of each factor on each measure, and why some measures have none. `scenes`: by name, the label of each of the
+    design's points; `medians` by label and measure."""
+    found: list[Effect] = []
+    notes: list[str] = []
+    for scene, labels in scenes.items():
+        where = f" of {scene}" if len(scenes) > 1 else ""
+        for measure in measures:
+            values = np.array([medians.get((label, measure), math.nan) for label in labels])
+            missing = int(np.isnan(values).sum())
+            if missing:
+                notes.append(
+                    f"{measure}{where} is not known at {missing} of {len(values)} points, so what it depends on is not told"
+                )
+            elif np.isinf(values).any():
+                late = int(np.isinf(values).sum())
+                notes.append(f"{measure}{where} never happened at {late} of {len(values)} points: more `--frames` may tell")
+            elif np.ptp(values) == 0:
+                notes.append(f"{measure}{where} is {values[0]:g} at all points")
+            else:
+                columns = analysis.work(shares, values)
+                found += [
+                    Effect(scene, measure, name, {column: float(numbers[k]) for column, numbers in columns.items()})
+                    for k, name in enumerate(names)
+                ]
+    return found, notes
+
+
+def text(analysis: Analysis, found: Sequence[Effect]) -> str:
+    """A block of lines a scene and measure, the factor that matters most first."""
+    lines: list[str] = [analysis.title]
+    width = max(len(effect.factor) for effect in found)
+    several = len({effect.scene for effect in found}) > 1
+    for scene, measure in dict.fromkeys((effect.scene, effect.measure) for effect in found):
+        of = sorted((e for e in found if (e.scene, e.measure) == (scene, measure)), key=lambda e: -e.columns[analysis.first])
+        names = list(of[0].columns)
+        lines += ["", f"{measure}{f' of {scene}' if several else ''}"]
+        lines.append(f"  {'':<{width}}  " + "  ".join(f"{name.replace('_95', ' ±'):>14}" for name in names))
+        lines += [f"  {e.factor:<{width}}  " + "  ".join(f"{e.columns[n]:>14.4g}" for n in names) for e in of]
+    return "\n".join(line.rstrip() for line in lines) + "\n"
+
+
+def as_csv(found: Sequence[Effect]) -> str:
+    """One line an effect."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["scene", "measure", "factor", *found[0].columns])
+    for effect in found:
+        writer.writerow([effect.scene, effect.measure, effect.factor, *(f"{value:.9g}" for value in effect.columns.values())])
+    return out.getvalue()

@@ -1,0 +1,123 @@
+"""Which runs are still wanted while results come: a variation is done once its medians are known to the width that was asked for.
+
+What is looked at is always the first so many seeds of a variation, so which run ends first changes neither when it is done nor
+what the table says of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from antdsl.sweep.jobs import Job
+from antdsl.sweep.median_interval import Looks, interval, looks
+from antdsl.sweep.table import quantile
+
+
+@dataclass(frozen=True, slots=True)
+class Width:
+    """How narrow the interval of a median has to be: `most`, or, of its own size, `share`. `measure`: the beginning of a name."""
+
+    measure: str
+    most: float
+    share: bool = False
+
+    def met(self, between: tuple[float, float], median: float) -> bool:
+        low, high = between
+        if low == high:
+            return True  # all the same, or never
+        return high - low <= (self.most * abs(median) if self.share else self.most)
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is known of one measure of one variation: its median lies between `low` and `high`, after so many runs."""
+
+    label: str
+    measure: str
+    runs: int
+    median: float
+    low: float
+    high: float
+    met: bool
+
+
+@dataclass(slots=True)
+class Chooser:
+    """All jobs that may be run, seed by seed, of which `wanted` gives those that are needed. With no widths that is all."""
+
+    jobs: Sequence[Job]
+    widths: Sequence[Width] = ()
+    _looks: Looks | None = field(init=False, default=None)
+    _by_label: dict[str, list[Job]] = field(init=False, default_factory=dict)
+    _measures: dict[str, Mapping[str, Any] | None] = field(init=False, default_factory=dict)
+    _done: dict[str, int] = field(init=False, default_factory=dict)  # by label, after how many runs
+
+    def __post_init__(self) -> None:
+        for job in self.jobs:
+            self._by_label.setdefault(job.label, []).append(job)
+        if self.widths and self._by_label:
+            self._looks = looks(max(map(len, self._by_label.values())))
+
+    def wanted(self) -> Iterator[Job]:
+        """The next job that is needed, as long as there is one: to be asked when a process is free."""
+        for job in self.jobs:
+            if job.key not in self._measures and job.label not in self._done:
+                yield job
+
+    def heard(self, job: Job, measures: Mapping[str, Any] | None) -> None:
+        """A run has ended, with its measures or without."""
+        self._measures[job.key] = measures
+        if self._looks is None or job.label in self._done:
+            return
+        of = self._by_label[job.label]
+        for count in self._looks.after:
+            if any(each.key not in self._measures for each in of[:count]):
+                return
+            if all(known.met for known in self._known(job.label, count)):
+                self._done[job.label] = count
+                return
+
+    @property
+    def counted(self) -> list[Job]:
+        """The jobs whose results the table is made of: all that have ended, of a variation that is done those it was done by."""
+        within = {job.key for label, of in self._by_label.items() for job in of[: self._done.get(label, len(of))]}
+        return [job for job in self.jobs if job.key in within and self._measures.get(job.key) is not None]
+
+    def known(self) -> list[Known]:
+        """What is known at the end of the measures that a width was asked for."""
+        if self._looks is None:
+            return []
+        return [known for label, of in self._by_label.items() for known in self._known(label, self._done.get(label, len(of)))]
+
+    def unheard(self) -> list[str]:
+        """The widths' measures that no run has told of, once one has ended."""
+        names = self._names() if self.widths else ()
+        return [w.measure for w in self.widths if names and not any(name.startswith(w.measure) for name in names)]
+
+    def heard_of(self) -> list[str]:
+        """The first words of the measures that runs have told of."""
+        return list(dict.fromkeys(name.split(".")[0] for name in self._names()))
+
+    def _names(self) -> dict[str, None]:
+        return {name: None for measures in self._measures.values() if measures is not None for name in measures}
+
+    def _known(self, label: str, count: int) -> list[Known]:
+        assert self._looks is not None
+        ended = [each for job in self._by_label[label][:count] if (each := self._measures.get(job.key)) is not None]
+        found: list[Known] = []
+        for width in self.widths:
+            names = dict.fromkeys(name for measures in ended for name in measures if name.startswith(width.measure))
+            if not names:
+                found.append(Known(label, width.measure, len(ended), math.nan, math.nan, math.nan, False))
+            for name in names:
+                numbers = [measures.get(name, 0.0) for measures in ended]
+                if not all(value is None or isinstance(value, int | float) for value in numbers):
+                    continue
+                values = sorted(math.inf if value is None else float(value) for value in numbers)
+                median, between = quantile(values, 0.5), interval(values, self._looks.doubt)
+                low, high = between or (-math.inf, math.inf)
+                met = between is not None and width.met(between, median)
+                found.append(Known(label, name, len(values), median, low, high, met))
+        return found

@@ -1,0 +1,253 @@
+"""Designs of experiments: which points are run, that one seed gives one design, what is told of words that do not fit."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from antdsl import limits
+from antdsl.sweep.designs import DESIGNS, Chosen, choose
+from antdsl.sweep.factors import Factor, ends, factors
+from antdsl.sweep.jobs import Job
+from antdsl.sweep.median_interval import LEVEL, interval, least_runs, looks, rank
+from antdsl.sweep.sensitivity import available, effects
+from antdsl.sweep.stopping import Chooser, Width
+
+SMELL, PACE = Factor("ant.smell", (), 30.0, 90.0, "mm"), Factor("ant.pace", (), 0.0, 1.0)
+
+
+def read(**vary: str) -> tuple[list[Factor], list[tuple[str, str]]]:
+    found, report = factors({f"ant.{name}": text for name, text in vary.items()})
+    return found, [(d.message, d.help or "") for d in report.errors]
+
+
+def chosen(word: str, *of: Factor, points: int | None = None, seed: int = 1) -> Chosen:
+    found, report = choose(word, of, points, seed)
+    assert found is not None, report.errors
+    return found
+
+
+def refused(word: str, *of: Factor, points: int | None = None) -> str:
+    found, report = choose(word, of, points, 1)
+    assert found is None
+    return " ".join(f"{d.message}: {d.help}" for d in report.errors)
+
+
+def test_values_one_by_one_and_ranges_are_read() -> None:
+    assert read(smell="30mm, 60mm")[0] == [Factor("ant.smell", ("30mm", "60mm"))]
+    assert read(smell="30 mm .. 90 mm")[0] == [SMELL] == read(smell="30..90mm")[0]
+    assert read(pace="-1.5..2e-1")[0] == [Factor("ant.pace", (), -1.5, 0.2)]
+
+
+@pytest.mark.parametrize(
+    ("text", "says", "write"),
+    [
+        ("1,,2", "an empty value", "ant.smell=1,2,3"),
+        ("1,1", "a value twice", "each once"),
+        ("90mm..30mm", "ends before it begins", "ant.smell=30mm..90mm"),
+        ("3mm..3mm", "no width", "one value"),
+        ("3mm..9cm", "begins in `mm` and ends in `cm`", "both ends in one unit"),
+        ("3mm..9", "ends in `no unit`", "both ends"),
+        ("1..2..3", "no range", "ant.smell=30mm..90mm"),
+        ("a..b", "no range", "one by one"),
+        ("1,2..3", "no range", "one by one"),
+        ("1..9e9999", "not representable", "ant.smell=30mm..90mm"),
+    ],
+)
+def test_what_cannot_be_read_is_told_with_what_to_write(text: str, says: str, write: str) -> None:
+    found, ((message, help),) = read(smell=text)
+    assert not found and says in message and write in help
+
+
+def test_a_grid_has_every_combination_the_last_name_changing_fastest() -> None:
+    found = chosen("grid", Factor("x.p", ("1", "2")), Factor("x.q", ("3", "4")))
+    assert found.points == tuple({"x.p": p, "x.q": q} for p, q in itertools.product("12", "34"))
+    assert chosen("grid").points == ({},)
+
+
+def test_a_latin_hypercube_has_each_part_of_each_range_once() -> None:
+    found = chosen("latin", SMELL, PACE, points=20)
+    for factor in (SMELL, PACE):
+        shares = [(factor.number(p[factor.name]) - factor.low) / (factor.high - factor.low) for p in found.points]
+        assert sorted(math.floor(20 * share) for share in shares) == list(range(20))
+    levels = chosen("latin", Factor("ant.kind", ("a", "b", "c", "d")), points=20)
+    assert sorted(p["ant.kind"] for p in levels.points) == [k for k in "abcd" for _ in range(5)], "levels have equal shares"
+
+
+def test_a_sobol_sequence_fills_every_cell_of_a_square() -> None:
+    found = chosen("sobol", SMELL, PACE, points=64)
+    assert found.shares is not None
+    cells = {(math.floor(8 * a), math.floor(8 * b)) for a, b in found.shares}
+    assert len(cells) == 64, "a (0, 6, 2)-net in base 2 has one point in each of 64 cells"
+
+
+@pytest.mark.parametrize("word", [d.word for d in DESIGNS if d.shares is not None])
+def test_one_seed_is_one_design_and_another_is_another(word: str) -> None:
+    if word in ("saltelli", "morris"):
+        pytest.importorskip("SALib")
+    first = chosen(word, SMELL, PACE, points=8)
+    assert chosen(word, SMELL, PACE, points=8).points == first.points
+    assert chosen(word, SMELL, PACE, points=8, seed=2).points != first.points
+    design = first.design
+    assert len(first.points) == 8 * (1 if design.more is None else 2 + design.more)
+    for point in first.points:
+        assert 30 <= SMELL.number(point["ant.smell"]) <= 90 and point["ant.smell"].endswith("mm")
+        assert len(point["ant.smell"]) <= len("30.12345mm") and "e" not in point["ant.pace"]
+    assert len(first.once) == len({tuple(p.values()) for p in first.points})
+
+
+def test_small_and_large_numbers_are_written_without_powers_of_ten() -> None:
+    tiny = Factor("x.p", (), 1e-9, 1e-7, "mm")
+    assert tiny.at(0.5) == "0.0000000505mm" and tiny.number(tiny.at(0.5)) == 5.05e-8
+    assert Factor("x.p", (), 0.0, 1e9).at(0.1234567) == "123457000"
+
+
+def test_every_end_is_named_once() -> None:
+    assert ends([SMELL, Factor("x.q", ("1", "2", "3"))]) == [
+        {"ant.smell": "30mm", "x.q": "1"},
+        {"ant.smell": "90mm", "x.q": "2"},
+        {"ant.smell": "90mm", "x.q": "3"},
+    ]
+
+
+def test_words_that_do_not_fit_together_are_told_with_what_to_write() -> None:
+    assert "`--vary ant.smell=30mm,60mm,90mm`, or choose points within: `--design latin --points 20`" in refused("grid", SMELL)
+    assert "leave out `--points 4`" in refused("grid", Factor("x.p", ("1",)), points=4)
+    assert "write `--design latin --points 20`" in refused("latin", SMELL)
+    assert "write what to vary" in refused("latin", points=4)
+    assert "`--points 64` or `--points 32`" in refused("sobol", SMELL, points=50)
+    assert "write its ends: `--vary x.p=1..3`" in refused("morris", Factor("x.p", ("1", "2", "3")), points=10)
+    assert "20,000 are not run" in refused("latin", SMELL, points=limits.SWEEP_POINTS + 1)
+    assert "20,000 are not run" in refused("grid", *(Factor(f"x.p{k}", tuple(map(str, range(100)))) for k in range(3)))
+
+
+def test_without_salib_its_designs_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("antdsl.sweep.sensitivity.find_spec", lambda name: None)
+    assert not available()
+    for word in ("saltelli", "morris"):
+        assert "pip install 'antdsl[sensitivity]'" in refused(word, SMELL, points=8)
+
+
+def ishigami(shares: np.ndarray) -> np.ndarray:
+    z = -np.pi + 2 * np.pi * shares
+    return np.sin(z[:, 0]) + 7 * np.sin(z[:, 1]) ** 2 + 0.1 * z[:, 2] ** 4 * np.sin(z[:, 0])
+
+
+def told_of(word: str, points: int, function, of: int = 3):  # type: ignore[no-untyped-def]
+    found = chosen(word, *(Factor(f"x.p{k}", (), 0.0, 1.0) for k in range(of)), points=points)
+    assert found.shares is not None and found.design.analysis is not None
+    labels = [f"{k}" for k in range(len(found.points))]
+    medians = {(label, "y"): float(value) for label, value in zip(labels, function(found.shares), strict=True)}
+    names = [factor.name for factor in found.factors]
+    return effects(found.design.analysis, names, found.shares, {"scene": labels}, medians, ["y"])
+
+
+def test_sobol_indices_are_those_of_a_function_whose_indices_are_known() -> None:
+    """T. Ishigami, T. Homma: An importance quantification technique in uncertainty analysis (1990)."""
+    pytest.importorskip("SALib")
+    found, notes = told_of("saltelli", 1024, ishigami)
+    assert not notes
+    assert [e.columns["first_order"] for e in found] == pytest.approx([0.3139, 0.4424, 0.0], abs=0.03)
+    assert [e.columns["total"] for e in found] == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.03)
+    assert all(0 < e.columns["total_95"] < 0.1 for e in found)
+
+
+def test_elementary_effects_of_a_sum_are_its_factors() -> None:
+    pytest.importorskip("SALib")
+    found, notes = told_of("morris", 10, lambda shares: shares @ np.array([3.0, -1.0, 0.0]))
+    assert not notes and [e.columns["mu_star"] for e in found] == pytest.approx([3, 1, 0])
+    assert [e.columns["mu"] for e in found] == pytest.approx([3, -1, 0]) and [e.columns["sigma"] for e in found] == pytest.approx(
+        [0] * 3
+    )
+
+
+def test_what_a_measure_without_numbers_depends_on_is_not_made_up() -> None:
+    pytest.importorskip("SALib")
+    assert "is 2 at all points" in told_of("saltelli", 8, lambda s: np.full(len(s), 2.0))[1][0]
+    assert "never happened" in told_of("saltelli", 8, lambda s: np.where(s[:, 0] < 0.5, math.inf, 1.0))[1][0]
+    found, notes = told_of("saltelli", 8, lambda s: np.where(s[:, 0] < 0.5, math.nan, 1.0))
+    assert not found and "not known at" in notes[0]
+
+
+def test_the_interval_is_the_narrowest_of_its_kind_that_holds_what_it_promises() -> None:
+    for count in range(1, 60):
+        place = rank(count)
+        missed = [Fraction(2 * sum(math.comb(count, k) for k in range(least)), 2**count) for least in range(place + 2)]
+        assert (place == 0 or missed[place] <= 1 - LEVEL) and missed[place + 1] > 1 - LEVEL
+    assert [rank(n) for n in (5, 6, 9, 12, 20, 100)] == [0, 1, 2, 3, 6, 40], "as tables of the sign test have it"
+
+
+def test_the_interval_is_that_of_scipy() -> None:
+    from scipy.stats import quantile_test
+
+    rng = np.random.default_rng(4)
+    for count in (6, 7, 25, 80):
+        values = rng.normal(size=count)
+        theirs = quantile_test(values, q=0, p=0.5).confidence_interval(confidence_level=0.95)
+        assert interval(list(values)) == pytest.approx((theirs.low, theirs.high))
+    assert interval([1.0] * 5) is None and interval([1.0, 2, 3, 4, 5, math.inf]) == (1, math.inf)
+
+
+def test_looking_again_and_again_misses_the_median_no_more_often_than_promised() -> None:
+    found = looks(60)
+    assert found is not None and found.after[-1] == 60 and found.doubt * len(found.after) == 1 - LEVEL
+    assert all(rank(n, found.doubt) for n in found.after) and least_runs() == 6 and looks(5) is None
+    rng, missed, sweeps = np.random.default_rng(7), 0, 2000
+    for values in rng.standard_cauchy((sweeps, 60)):
+        for count in found.after:
+            low, high = interval(list(values[:count]), found.doubt) or (-math.inf, math.inf)
+            if high - low < 1.0 or count == 60:
+                missed += not low <= 0 <= high
+                break
+    assert missed / sweeps < 0.05
+
+
+def made(labels: str, seeds: int) -> list[Job]:
+    return [Job("s.yaml", name, (), seed, (1, 9), (), (), f"{name}{seed}") for seed in range(1, seeds + 1) for name in labels]
+
+
+def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None:
+    worth = {"a": lambda seed: 10 + seed % 2 / 10, "b": lambda seed: seed * 7919 % 100}
+    ends = []
+    for at_once in (1, 3, 7):
+        chooser, running = Chooser(made("ab", 40), [Width("y", 5.0)]), []
+        wanted, ran = chooser.wanted(), 0
+        while True:
+            while len(running) < at_once and (job := next(wanted, None)) is not None:
+                running.append(job)
+                ran += 1
+            if not running:
+                break
+            job = running.pop(ran * 5 % len(running))
+            chooser.heard(job, {"y.z": worth[job.label](job.seed)})
+        assert ran < 80 and len([job for job in chooser.counted if job.label == "b"]) == 40
+        ends.append(([job.key for job in chooser.counted], chooser.known()))
+    assert ends[0] == ends[1] == ends[2]
+    known = {known.label: known for known in ends[0][1]}
+    assert known["a"].met and known["a"].runs < 15 and known["a"].high - known["a"].low <= 5
+    assert not known["b"].met and known["b"].low <= known["b"].median <= known["b"].high
+
+
+def test_widths_may_be_shares_and_what_never_happens_is_known_too() -> None:
+    assert Width("y", 0.1, share=True).met((95, 104), 100) and not Width("y", 0.1, share=True).met((90, 104), 100)
+    chooser = Chooser(made("a", 40), [Width("y", 1.0)])
+    for job in chooser.wanted():
+        chooser.heard(job, None if job.seed == 2 else {"y": None})
+    (known,) = chooser.known()
+    assert known.met and known.median == math.inf and known.runs == len(chooser.counted) < 20
+    assert not any(job.seed == 2 for job in chooser.counted), "a run that failed counts nowhere"
+
+
+def test_without_widths_all_runs_are_wanted_and_a_measure_nobody_tells_is_noticed() -> None:
+    chooser = Chooser(made("ab", 2))
+    for job in chooser.wanted():
+        chooser.heard(job, {"y": 1})
+    assert chooser.counted == list(chooser.jobs) and not chooser.unheard()
+    chooser = Chooser(made("a", 9), [Width("nothing", 1.0), Width("y", 1.0)])
+    assert chooser.unheard() == []
+    chooser.heard(chooser.jobs[0], {"y": 1})
+    assert chooser.unheard() == ["nothing"]

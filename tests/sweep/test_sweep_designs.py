@@ -1,0 +1,183 @@
+"""The command with designs: what it writes, that it stops early, that it goes on as it was asked. Runs are a formula."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+from antdsl.cli import _run as run_in_process
+from antdsl.sweep import Job, Outcome
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = """ant 1
+use steering
+world { surface ground }
+species walker {
+  param pace = 30 mm/s in 5 mm/s .. 100 mm/s "How fast"
+  param swing = 0.5 in 0 .. 1 "How far it swings"
+  max_speed pace * swing
+  start walk
+  state walk { steer wander() }
+}
+"""
+SCENE = """antdsl: 1
+frames: 1..30
+world: {ground: {mesh: ground.ply}}
+crowd: [{species: walker, from: walker.ant, count: 12, place: {on: ground, radius: 30 mm}}]
+"""
+PACE, SWING = ("--vary", "walker.pace=10mm/s..90mm/s"), ("--vary", "walker.swing=0..1")
+
+Sweep = Callable[..., tuple[int, str, str]]
+
+
+def formula(job: Job) -> dict[str, float | int | None]:
+    """Pace counts three times what swing does; seeds add a little."""
+    given = dict(job.params)
+    pace, swing = float(given.get("walker.pace", "30mm/s").removesuffix("mm/s")), float(given.get("walker.swing", "0.5"))
+    value = 3 * (pace - 10) / 80 + swing + job.seed % 3 * 0.01
+    return {"frames": 30, "motion.turn": value, "motion.step": 1.0, "empty.food": None if swing > 0.5 else 3}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "walker.ant").write_text(PROGRAM)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    shutil.copy(ROOT / "examples" / "minimal" / "ground.ply", tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def sweep(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Sweep:
+    def ran(*words: str, ends_after: int | None = None, by: int = signal.SIGTERM) -> tuple[int, str, str]:
+        def run_all(jobs: Iterable[Job], *more: object) -> Iterator[Outcome]:
+            for count, job in enumerate(jobs):
+                if count == ends_after:
+                    signal.raise_signal(by)
+                yield Outcome(job, formula(job))
+
+        monkeypatch.setattr("antdsl.sweep.run_all", run_all)
+        monkeypatch.chdir(folder)
+        monkeypatch.setattr("sys.argv", ["antdsl", "sweep", *words, "--no-plots"])
+        code = run_in_process()
+        told = capsys.readouterr()
+        return code, told.out, told.err
+
+    return ran
+
+
+def lines(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def test_a_latin_hypercube_is_run_point_by_point_and_its_values_are_columns(sweep: Sweep, folder: Path) -> None:
+    code, told, _ = sweep(
+        "scene.yaml", *PACE, *SWING, "--design", "latin", "--points", "62", "--seeds", "1", "--show", "motion.turn"
+    )
+    assert code == 0 and "62 of 62" in told and "… and 2 lines more, in table.txt" in told
+    runs = lines(folder / "out" / "sweep" / "runs.csv")
+    assert len(runs) == 62 == len({run["walker.pace (mm/s)"] for run in runs})
+    assert all(10 <= float(run["walker.pace (mm/s)"]) <= 90 and 0 <= float(run["walker.swing"]) <= 1 for run in runs)
+
+
+def test_saltellis_sample_tells_which_share_of_the_variance_each_param_makes(sweep: Sweep, folder: Path) -> None:
+    pytest.importorskip("SALib")
+    words = (*PACE, *SWING, "--design", "saltelli", "--points", "16", "--seeds", "1", "--show", "motion", "--show", "empty")
+    code, told, err = sweep("scene.yaml", *words)
+    assert code == 0 and "Sobol indices" in told
+    found = {line["factor"]: line for line in lines(folder / "out" / "sweep" / "sensitivity.csv")}
+    assert float(found["walker.pace"]["total"]) == pytest.approx(0.9, abs=0.15)
+    assert float(found["walker.swing"]["total"]) == pytest.approx(0.1, abs=0.15)
+    assert "motion.step is 1 at all points" in err and "empty.food never happened at" in err
+    document = json.loads((folder / "out" / "sweep" / "sweep.json").read_text())
+    assert [effect["factor"] for effect in document["sensitivity"]] == ["walker.pace", "walker.swing"]
+
+
+def test_a_sweep_stops_once_medians_are_known(sweep: Sweep, folder: Path) -> None:
+    code, told, _ = sweep(
+        "scene.yaml", "--vary", "walker.pace=10mm/s,90mm/s", "--seeds", "60", "--until-known", "motion.turn=0.1"
+    )
+    assert code == 0 and "of at most 120" in told and "Medians, with 95 % between" in told
+    document = json.loads((folder / "out" / "sweep" / "sweep.json").read_text())
+    assert len(document["runs"]) < 30 and [known["met"] for known in document["medians"]] == [True, True]
+    for known in document["medians"]:
+        assert known["low"] <= known["median"] <= known["high"] <= known["low"] + 0.1
+    code, told, err = sweep("scene.yaml", "--seeds", "60", "--until-known", "motion.turn=0.001%")
+    assert code == 0 and "not as close as was asked for" in told
+    code, _, err = sweep("scene.yaml", "--seeds", "9", "--again", "--until-known", "moton=1")
+    assert code == 2 and "no measure begins with `moton`" in err and "motion" in err
+
+
+def test_a_sweep_that_was_ended_goes_on_as_it_was_asked(sweep: Sweep, folder: Path) -> None:
+    words = ("scene.yaml", *PACE, "--design", "sobol", "--points", "8", "--seeds", "2", "--out", "kept/swept")
+    assert sweep(*words, "--out", "whole")[0] == 0
+    code, _, err = sweep(*words, ends_after=5)
+    assert code == 75 and "5 of 16 runs are finished" in err and "--resume" in err
+    assert sweep(*words, ends_after=5, by=signal.SIGINT)[0] == 130
+    os.rename(folder / "kept", folder / "moved")
+    for name in ("scene.yaml", "walker.ant", "ground.ply"):
+        assert (folder / name).is_file()
+    code, told, _ = sweep("--resume", "--out", "moved/swept")
+    assert code == 0 and "10 of 16 runs were finished before" in told
+    assert (folder / "moved" / "swept" / "runs.csv").read_text() == (folder / "whole" / "runs.csv").read_text()
+    (folder / "walker.ant").write_text(PROGRAM + "\n# another\n")
+    code, told, err = sweep("--resume", "--out", "moved/swept")
+    assert code == 0 and "16 runs in moved/swept are of files or values that are others now, and are not counted" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "says"),
+    [
+        ((), 2, "name a scene"),
+        (("--resume",), 2, "say which sweep goes on"),
+        (("--resume", "--out", "out", "scene.yaml"), 2, "leave out the scenes"),
+        (("--resume", "--out", "out", "--vary", "a=1"), 2, "leave out `--vary`"),
+        (("--resume", "--out", "out"), 3, "has no sweep to go on with"),
+        (("scene.yaml", *PACE), 2, "--design latin --points 20"),
+        (("scene.yaml", *PACE, "--design", "latin"), 2, "--design latin --points 20"),
+        (("scene.yaml", "--vary", "walker.pace=3..2", "--design", "latin", "--points", "9"), 2, "walker.pace=2..3"),
+        (("scene.yaml", "--vary", "walker.pace=1mm/s..9mm/s", "--design", "latin", "--points", "9"), 1, "outside 5 mm/s"),
+        (("scene.yaml", "--vary", "walker.pace=1..9", "--design", "latin", "--points", "9"), 1, "mm/s"),
+        (("scene.yaml", "--vary", "walker.pac=1..9", "--design", "latin", "--points", "9"), 1, "did you mean `walker.pace`?"),
+        (("scene.yaml", "--until-known", "motion=0"), 2, "motion=10%"),
+        (("scene.yaml", "--until-known", "motion=1"), 2, "--seeds 50"),
+    ],
+)
+def test_words_that_do_not_fit_are_told_before_anything_runs(sweep: Sweep, words: tuple[str, ...], code: int, says: str) -> None:
+    found, _, err = sweep(*words, ends_after=0)
+    assert found == code and says in err, err
+
+
+def test_a_damaged_or_foreign_asked_file_is_told(sweep: Sweep, folder: Path) -> None:
+    assert sweep("scene.yaml", "--seeds", "1", "--out", "swept")[0] == 0
+    asked = folder / "swept" / "asked.json"
+    for text in (
+        "{",
+        "[]",
+        '{"scenes": []}',
+        asked.read_text().replace('"grid"', "3"),
+        asked.read_text().replace("{", '{"more": 1,', 1),
+    ):
+        asked.write_text(text)
+        code, _, err = sweep("--resume", "--out", "swept")
+        assert code == 3 and "asked.json` is damaged" in err
+
+
+def test_factors_are_drawn(sweep: Sweep, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    from PIL import Image
+
+    words = (*PACE, *SWING, "--design", "sobol", "--points", "16", "--seeds", "3", "--show", "motion.turn", "--show", "empty")
+    assert sweep("scene.yaml", *words)[0] == 0
+    monkeypatch.setattr(
+        "sys.argv", ["antdsl", "sweep", "--resume", "--out", "out/sweep", "--show", "motion.turn", "--show", "empty"]
+    )
+    assert run_in_process() == 0 and not (folder / "out" / "sweep" / "table.png").exists()
+    with Image.open(folder / "out" / "sweep" / "factors.png") as picture:
+        assert picture.width > 800 and picture.height > 500 and len(picture.convert("RGB").getcolors(1 << 20) or ()) > 8
