@@ -26,9 +26,14 @@ def certificates(folder: Path) -> Path:
     return folder
 
 
+def _python_path() -> str:
+    """The checkout's package first, then what the tests were given."""
+    return os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+
+
 def _environment(more: Mapping[str, str]) -> dict[str, str]:
     routes = {f"DASK_DISTRIBUTED__{who}__HTTP__ROUTES": "[]" for who in ("SCHEDULER", "WORKER", "NANNY")}
-    return {**os.environ, "PYTHONPATH": str(ROOT), **routes, **more}
+    return {**os.environ, "PYTHONPATH": _python_path(), **routes, **more}
 
 
 @dataclass
@@ -99,5 +104,5 @@ def staged(folder: Path) -> Iterator[Stage]:
 def antdsl(*words: str, cwd: Path, **environment: str) -> subprocess.Popen[str]:
     """A command of antdsl in a process of its own."""
     command = [sys.executable, "-m", "antdsl", *words]
-    env = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+    env = {**os.environ, "PYTHONPATH": _python_path(), **environment}
     return subprocess.Popen(command, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
