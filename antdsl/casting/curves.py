@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.rays import Vectors
+from antdsl.casting.nearby import Vectors
 from antdsl.numerics.vector_rows import unit
 
 _SAMPLES = 4096

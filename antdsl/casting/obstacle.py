@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.rays import Columns, FeelerHits
+from antdsl.casting.nearby import Columns, FeelerHits
 
 
 class Obstacle(Protocol):

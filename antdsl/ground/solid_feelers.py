@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.rays import Columns, FeelerHits
+from antdsl.casting.nearby import Columns, FeelerHits
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from antdsl.ground.solid.projecting import FLAT, SETTLING
 from antdsl.ground.solid.trilinear import LEAN
-from antdsl.ground.solid.walking import BACK, BISECTIONS, CROSSINGS, DONE, EDGE, FARTHER, LEAST, NEWTON, OFF, STRIDE, THIN
+from antdsl.ground.solid.walk_rules import BACK, BISECTIONS, CROSSINGS, DONE, EDGE, FARTHER, LEAST, NEWTON, OFF, STRIDE, THIN
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, called, inlined, kernel
 from antdsl.numerics.vectors_compiled import cross, dot
 

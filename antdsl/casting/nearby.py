@@ -1,0 +1,224 @@
+"""What agents ask of triangles near them: how far away they are, what feelers touch, and the way out.
+
+Whoever is too far from everything to touch it is not asked about, by a grid of least distances (performance: most agents)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.distance_grid import DistanceGrid
+from antdsl.casting.faces import Faces
+from antdsl.casting.tolerances import TOUCHING
+from antdsl.casting.triangle_grid import Felt, TriangleGrid
+from antdsl.numerics import compiled
+
+Vectors = NDArray[np.float64]
+Index = NDArray[np.int64]
+Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+
+END = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
+_NOBODY = np.empty(0, np.intp)
+_CROWD = 2_000  # places asked about at once, from which on finer distances pay
+_BRIEF_CELLS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class FeelerHits:
+    """What feelers touched: `hit`, its distance `t` (mm, inf = nothing) and the face's normal towards the asker."""
+
+    hit: NDArray[np.bool_]
+    t: NDArray[np.float32]
+    nx: NDArray[np.float32]
+    ny: NDArray[np.float32]
+    nz: NDArray[np.float32]
+
+
+class Nearby:
+    """Questions about triangles near places; `casting.rays` answers what they are made of."""
+
+    origin: Vectors
+    _brief: bool
+    _faces: Faces
+    _first_face: Index
+    _scene: Any
+    _grid: DistanceGrid | None
+    _refined: bool
+
+    def closest(
+        self, points: Vectors, threads: int = 1, within: NDArray[Any] | float = np.inf
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, Vectors]:
+        """Mesh, face, place and distance of the nearest face to each point."""
+        raise NotImplementedError
+
+    def _within(self, origin: Vectors, way: Vectors, threads: int, most_hit: bool = False) -> tuple[Index, Vectors, Index]:
+        raise NotImplementedError
+
+    def _towards(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
+        raise NotImplementedError
+
+    def _triangles(self) -> TriangleGrid | None:
+        raise NotImplementedError
+
+    def _about(self, points: Vectors) -> Vectors:
+        raise NotImplementedError
+
+    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
+        """A distance (mm, float32[n]) within which places have no face; 0 when near, inf without faces."""
+        if self._scene is None:
+            return np.full(len(x), np.inf, np.float32)
+        if self._grid is None:
+            self._grid = self._distances()
+        if len(x) >= _CROWD and not self._refined and not self._brief:
+            self._refined = True
+            self._grid.refine(self._about)
+        return self._grid.at_least(x, y, z)
+
+    def _distances(self) -> DistanceGrid:
+        args = (_BRIEF_CELLS,) if self._brief else ()
+        return DistanceGrid(self._faces.corners + self.origin, *args)
+
+    def feelers(
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        dx: NDArray[Any],
+        dy: NDArray[Any],
+        dz: NDArray[Any],
+        reach: NDArray[Any] | float,
+        threads: int = 1,
+    ) -> FeelerHits:
+        """What lies within `reach` (mm, one or float[n]) of places along unit directions, all 1-D arrays of one length.
+
+        Whoever is too far from everything to touch it is not asked (performance: most agents), and gets the same answer.
+        """
+        n = len(x)
+        if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
+            reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
+        assert isinstance(reach, np.ndarray)
+        grid = self._compiled((x, y, z, dx, dy, dz))
+        if grid is not None:
+            found, left = grid.feelers((x, y, z), (dx, dy, dz), reach)
+            if left:
+                asked = np.flatnonzero(np.isnan(found[0]))
+                rays = tuple(each.take(asked) for each in (x, y, z, dx, dy, dz))
+                found[0, asked], found[1:, asked] = self._touched(rays, reach.take(asked), threads)
+            t, normal = found[0], found[1:]
+        else:
+            t, normal = self._touched((x, y, z, dx, dy, dz), reach, threads)
+        return FeelerHits(t < np.inf, t, *normal)
+
+    def felt(
+        self, place: Columns, rows: NDArray[np.intp], way: Columns, reach: NDArray[Any], clear: NDArray[np.float32], found: Felt
+    ) -> NDArray[np.intp]:
+        """As `feelers`, in one call for `rows` of all places [n], who have no face within `clear` [n], along ways [k] of any
+        length, as far as `reach` [k]: into `found` (whether, distance, normal [3,k]), which says until then that nothing is
+        touched. Gives back who of the k has still to ask by `feelers`: all where the grid's kernels do not run."""
+        grid = self._compiled((*place, *way, reach, clear))
+        if grid is None:
+            return np.arange(len(rows))
+        if not grid.felt(place, rows, way, reach, clear, found):
+            return _NOBODY
+        asked = np.flatnonzero(np.isnan(found[1]))
+        found[1][asked] = np.inf
+        return asked
+
+    def _compiled(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
+        """The grid, where its kernels run and take these columns."""
+        if not compiled.wanted(len(columns[0])) or any(each.dtype != np.float32 for each in columns):
+            return None
+        return self._triangles()
+
+    def _touched(
+        self, rays: tuple[NDArray[Any], ...], reach: NDArray[np.float32], threads: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Distance and normal of what feelers touch: six columns, by arrays."""
+        x, y, z, dx, dy, dz = rays
+        t = np.full(len(x), np.inf, np.float32)
+        normal = np.zeros((3, len(x)), np.float32)
+        near = self._reachable(x, y, z, dx, dy, dz, reach)
+        if near.size:
+            length = reach.take(near)
+            origin, way = np.empty((3, near.size)), np.empty((3, near.size))
+            for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
+                np.subtract(place.take(near), self.origin[axis], out=origin[axis])
+                np.multiply(step.take(near), length, out=way[axis], dtype=np.float64)
+            met, part, face = self._within(origin.T, way.T, threads)
+            if met.size:
+                near = near.take(met)
+                t[near] = part * length.take(met)
+                normal[:, near] = self._towards(face, way.T[met]).T
+        return t, normal
+
+    def near(
+        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
+    ) -> FeelerHits:
+        """The nearest face within `reach` (mm, one or float[n]) of places, 1-D arrays: distance, and unit way to the asker."""
+        n = len(x)
+        reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
+        t = np.full(n, np.inf, np.float32)
+        normal = np.zeros((3, n), np.float32)
+        if self._scene is not None and n:
+            if self._grid is None:
+                self._grid = self._distances()
+            asked = np.flatnonzero(self._grid.at_least(x, y, z) <= reach)
+            points = np.stack([x[asked], y[asked], z[asked]], axis=1).astype(np.float64)
+            _, _, place, distance = self.closest(points, threads, reach[asked] * END)
+            met = np.flatnonzero(distance.astype(np.float32) <= reach[asked])
+            away = (points[met] - place[met]) / np.maximum(distance[met], 1e-12)[:, None]
+            t[asked[met]] = distance[met]
+            normal[:, asked[met]] = away.T
+        return FeelerHits(np.isfinite(t), t, *normal)
+
+    def apart(
+        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], within: NDArray[Any] | float, threads: int = 1
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """How far (mm, float32[n]) places are out of the meshes, below 0 inside, and the unit way out, float32[3,n].
+
+        Inside is behind the nearest face; slow far from the surface."""
+        grid = self._compiled((x, y, z))
+        if grid is None:
+            return self._apart(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
+        found, left = grid.apart((x, y, z))
+        if left:
+            asked = np.flatnonzero(np.isnan(found[0]))
+            points = np.stack([each.take(asked) for each in (x, y, z)], axis=1).astype(np.float64)
+            most = np.broadcast_to(np.asarray(within), (len(x),)).take(asked)
+            found[0, asked], found[1:, asked] = self._apart(points, most, threads)
+        return found[0], found[1:]
+
+    def _apart(
+        self, points: Vectors, within: NDArray[Any] | float, threads: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        mesh, face, place, distance = self.closest(points, threads, within)
+        if self._scene is None or not len(points):
+            return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
+        normal = self._faces.normal(face + self._first_face[mesh])
+        away = points - place
+        side = np.where((away[:, 0] * normal[:, 0] + away[:, 1] * normal[:, 1]) + away[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
+        touching = distance < TOUCHING
+        out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, TOUCHING))[:, None])
+        return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
+
+    def _reachable(
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        dx: NDArray[Any],
+        dy: NDArray[Any],
+        dz: NDArray[Any],
+        reach: NDArray[Any],
+    ) -> NDArray[np.int64]:
+        """Rays that may hit: those whose ball around the middle of the feeler is not known to be empty."""
+        if self._scene is None:
+            return np.empty(0, np.int64)
+        if self._grid is None:
+            self._grid = self._distances()
+        half = reach * np.float32(0.5)
+        least = self._grid.at_least(x + dx * half, y + dy * half, z + dz * half)
+        return np.flatnonzero(least <= half * np.float32(1 + 1e-4) + np.float32(1e-4))
