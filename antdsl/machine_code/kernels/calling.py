@@ -85,9 +85,8 @@ def caller(name: str, code: machine.Code, types: Sequence[Any], result: Item, st
             value = values[k]
             if known[at]() is not value:
                 type, place, write = described[at]
-                for word in _described(name, type, value, write):
+                for place, word in enumerate(_described(name, type, value, write), place):  # noqa: B020
                     whole[place] = word
-                    place += 1
                 known[at] = ref(value)
         if reals:
             real = table.real
@@ -140,7 +139,12 @@ def _described(name: str, type: Any, array: Any, written: bool) -> tuple[int, ..
         raise ValueError(f"{name} writes to an array that is read-only")
     if not type.strided:
         return (address(array), *shape)
-    size = dtype.itemsize
-    if array.size and any(step % size for step in array.strides):
+    size, (one, two) = dtype.itemsize, array.strides
+    if (one % size or two % size) and array.size:
         raise ValueError(f"{name} wants whole elements from one index to the next")
-    return (array.__array_interface__["data"][0], *shape, *(step // size for step in array.strides))
+    if array.flags.c_contiguous:
+        place = address(array)
+    else:
+        turned = array.T
+        place = address(turned) if turned.flags.c_contiguous else array.__array_interface__["data"][0]
+    return (place, *shape, one // size, two // size)

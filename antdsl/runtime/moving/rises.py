@@ -168,9 +168,12 @@ def _rises_fast(
     """As `rises` for the `rows` near something that rises, to the same bits."""
     from antdsl.runtime.moving.rises_compiled import look, walls
 
-    now, most = population.now, 2 * len(rows)
-    which, halves, sizes = np.empty(most, np.int64), np.empty(most), np.empty(most)
-    ahead, normal, origin, ray = np.empty((4, 3, most))
+    now, most = population.now, 1 << len(rows).bit_length()  # as long as about as many look out, in the same room
+    (which,), (halves, sizes) = (
+        population.room("looks", 1, (2 * most,), np.int64),
+        population.room("sizes", 2, (2 * most,), np.float64),
+    )
+    ahead, normal, origin, ray = population.room("ways", 4, (3, 2 * most), np.float64)
     looks = (which, halves, sizes, ahead, normal)
     face = vec.named(now, "~face") if FACE in now else step
     count = look(
