@@ -44,7 +44,9 @@ def caller(name: str, code: machine.Code, types: Sequence[Any], result: Item, st
         words += 1 + each.axes * (2 if each.strided else 1) if isinstance(each, ArrayType) else 1
     arrays = [(k, place) for k, (place, each) in enumerate(zip(places, flat, strict=True)) if isinstance(each, ArrayType)]
     written = [each in stored for each in range(len(arrays))]
-    described = [(flat[k], place, write) for (k, place), write in zip(arrays, written, strict=True)]
+    described = [
+        (flat[k], place, write, None if write else _listed(flat[k])) for (k, place), write in zip(arrays, written, strict=True)
+    ]
     reals, wholes, unsigned = (
         [(k, places[k]) for k, each in enumerate(flat) if isinstance(each, Scalar) and _CODES[each.kind] == code_of]
         for code_of in (_REAL, _WHOLE, _UNSIGNED)
@@ -84,7 +86,11 @@ def caller(name: str, code: machine.Code, types: Sequence[Any], result: Item, st
         for at, k in enumerate(numbers):
             value = values[k]
             if known[at]() is not value:
-                type, place, write = described[at]
+                type, place, write, dtype = described[at]
+                if dtype is value.dtype and len(value.shape) == 1:  # as nearly all are
+                    whole[place], whole[place + 1] = address(value), len(value)
+                    known[at] = ref(value)
+                    continue
                 for place, word in enumerate(_described(name, type, value, write), place):  # noqa: B020
                     whole[place] = word
                 known[at] = ref(value)
@@ -127,6 +133,11 @@ def _flat(types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[Any]:
             yield from _flat(type, argument)
         else:
             yield argument
+
+
+def _listed(type: Any) -> Any:
+    """The dtype of an array with one axis, None of others."""
+    return type.of.dtype if type.axes == 1 and not type.strided else None
 
 
 def _described(name: str, type: Any, array: Any, written: bool) -> tuple[int, ...]:
