@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compilers import need_numba
+from compilers import need_kernels
 
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.plane import Plane
@@ -77,7 +77,7 @@ def ground() -> MeshGround:
 
 @pytest.mark.parametrize("facing", [False, True])
 def test_bodies_have_the_same_bits(ground: MeshGround, facing: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     found = []
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
@@ -103,7 +103,7 @@ def test_bodies_have_the_same_bits(ground: MeshGround, facing: bool, monkeypatch
 
 
 def test_bodies_are_laid_and_stand_up_with_the_same_bits(ground: MeshGround, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     found = []
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
@@ -119,7 +119,7 @@ def test_bodies_are_laid_and_stand_up_with_the_same_bits(ground: MeshGround, mon
 
 
 def test_straight_walks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     rng, plane = np.random.default_rng(7), Plane(np.array([0.36, 0.48, 0.8]))
     footing, _ = plane.nearest(rng.normal(0, 30, (N, 3)))
     way, heading = rng.normal(size=(N, 3)) * rng.choice([0, 1e-200, 1], (N, 1)), unit(rng).astype(np.float64)
@@ -133,7 +133,7 @@ def test_straight_walks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_who_may_touch_an_obstacle_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     rng, asked, found = np.random.default_rng(8), [], []
 
     def bent(*given: Any) -> Any:
