@@ -195,8 +195,7 @@ def _state_bytes(world: World) -> int:
         held = [population.ids, population.born, population.quarantined, population.position, population.normal]
         for part in (population.start, population.now, population.events, population.raised, population.cells):
             held += part.values()
-        footing = population.footing
-        held += [value for name in footing.__slots__ if isinstance(value := getattr(footing, name), np.ndarray)]
+        held += population.footing.columns.values()
         arrays |= {id(array): array.nbytes for array in held}
     return sum(arrays.values())
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compilers import need_numba
+from compilers import need_kernels
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.surface import MeshGround
@@ -78,7 +78,7 @@ def ground() -> MeshGround:
 
 @pytest.mark.parametrize("facing", [False, True])
 def test_bodies_have_the_same_bits(ground: MeshGround, facing: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     found = []
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
@@ -104,7 +104,7 @@ def test_bodies_have_the_same_bits(ground: MeshGround, facing: bool, monkeypatch
 
 
 def test_bodies_are_laid_and_stand_up_with_the_same_bits(ground: MeshGround, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     found = []
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
@@ -120,7 +120,7 @@ def test_bodies_are_laid_and_stand_up_with_the_same_bits(ground: MeshGround, mon
 
 
 def test_straight_walks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     rng, plane = np.random.default_rng(7), Plane(np.array([0.36, 0.48, 0.8]))
     footing, _ = plane.nearest(rng.normal(0, 30, (N, 3)))
     way, heading = rng.normal(size=(N, 3)) * rng.choice([0, 1e-200, 1], (N, 1)), unit(rng).astype(np.float64)
@@ -133,6 +133,7 @@ def test_straight_walks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> N
     assert_same(*found)
 
 
+<<<<<<< HEAD
 def test_steps_along_an_obstacle_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     need_numba()
     rng, found = np.random.default_rng(8), []
@@ -141,6 +142,19 @@ def test_steps_along_an_obstacle_are_the_same(monkeypatch: pytest.MonkeyPatch) -
     up = tuple(np.ascontiguousarray(unit(rng).T))
     for component in step:
         component[:50] = 0
+=======
+def test_who_may_touch_an_obstacle_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    need_kernels()
+    rng, asked, found = np.random.default_rng(8), [], []
+
+    def bent(*given: Any) -> Any:
+        asked.append({str(k): v for k, v in enumerate((*given[1], *given[2], *given[3], *given[4:7]))})
+        return vec.scale(given[2], np.float32(0.5))
+
+    monkeypatch.setattr(obstacles, "_bent", bent)
+    three = [tuple(rng.normal(size=(3, N)).astype(np.float32)) for _ in range(3)]
+    three[1][0][:50] = three[1][1][:50] = three[1][2][:50] = 0
+>>>>>>> docs16
     radius, clear = odd(rng, 0, -1, np.nan, np.inf), odd(rng, 0, np.inf, 1)
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
