@@ -133,28 +133,14 @@ def test_straight_walks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> N
     assert_same(*found)
 
 
-<<<<<<< HEAD
 def test_steps_along_an_obstacle_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_numba()
+    need_kernels()
     rng, found = np.random.default_rng(8), []
     scene = RayScene(*box((-2, -2, -2), (2, 3, 1)))
     place, step = (tuple((size * rng.normal(size=(3, N))).astype(np.float32)) for size in (3, 2))
     up = tuple(np.ascontiguousarray(unit(rng).T))
     for component in step:
         component[:50] = 0
-=======
-def test_who_may_touch_an_obstacle_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
-    rng, asked, found = np.random.default_rng(8), [], []
-
-    def bent(*given: Any) -> Any:
-        asked.append({str(k): v for k, v in enumerate((*given[1], *given[2], *given[3], *given[4:7]))})
-        return vec.scale(given[2], np.float32(0.5))
-
-    monkeypatch.setattr(obstacles, "_bent", bent)
-    three = [tuple(rng.normal(size=(3, N)).astype(np.float32)) for _ in range(3)]
-    three[1][0][:50] = three[1][1][:50] = three[1][2][:50] = 0
->>>>>>> docs16
     radius, clear = odd(rng, 0, -1, np.nan, np.inf), odd(rng, 0, np.inf, 1)
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
