@@ -13,6 +13,8 @@ EXTRAS = {
     "pxr": "sets and bodies in USD files: pip install 'antdsl[usd]'",
     "matplotlib": "plots of sweeps: pip install 'antdsl[plots]'",
     "SALib": "sensitivity of sweeps: pip install 'antdsl[sensitivity]'",
+    "distributed": "sweeps, shots and pictures on more than one machine: pip install 'antdsl[cluster]'",
+    "pyarrow": "tables of sweeps as Parquet: pip install 'antdsl[parquet]'",
     "graphlay": "pictures of state machines: pip install 'antdsl[graph]'",
     "pygls": "editors: pip install 'antdsl[lsp]'",
     "websockets": "the preview: pip install 'antdsl[preview]'",

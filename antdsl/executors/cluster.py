@@ -17,7 +17,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 import dask
-from distributed import Client, LocalCluster, Security
+from distributed import Client, KilledWorker, LocalCluster, Security
 
 from antdsl.executors.addresses import TLS_FILES
 from antdsl.executors.cluster_worker import Project, forget, identity, other_sources, perform_there, read_part, sees
@@ -27,6 +27,8 @@ from antdsl.executors.tasks import LOOK, Lost, Refused, Task
 
 _CONNECT = 15  # seconds to wait for a scheduler
 _FIRST = 5.0  # seconds for the files to be there, until tasks are given
+_IN_VAIN = 3  # times that all is given anew, where nothing is answered in between
+_ALL_LOST = "each worker that it was given to was lost"
 _TOLD = 2000  # characters of one sentence of a worker
 
 
@@ -90,6 +92,7 @@ class Cluster:
         self._looked = -1e9
         self._given: dict[Future[str], tuple[Task, Future[str]]] = {}
         self._attempt = 0
+        self._in_vain = 0  # times that all was given anew since something was answered
         self._lock = threading.RLock()
 
     def begin(self) -> None:
@@ -147,11 +150,13 @@ class Cluster:
             if self._given.get(outer, (None, None))[1] is not inner:
                 return  # it was given anew
             del self._given[outer]
+            self._in_vain = 0
         if inner.cancelled():
             outer.cancel()
             outer.set_running_or_notify_cancel()
         elif (why := inner.exception()) is not None:
-            outer.set_exception(why)
+            ended = Refused(_ALL_LOST) if isinstance(why, KilledWorker) else why
+            outer.set_exception(ended)
         else:
             outer.set_result(inner.result())
 
@@ -188,10 +193,14 @@ class Cluster:
             return  # of a scheduler that is gone; the tasks say so
         if there and not there & self._there:
             with self._lock:
-                self._attempt += 1
+                self._attempt, self._in_vain = self._attempt + 1, self._in_vain + 1
                 given = list(self._given.items())
                 for outer, (task, inner) in given:
-                    self._give(self._executor, outer, task)
+                    if self._in_vain > _IN_VAIN:
+                        del self._given[outer]
+                        outer.set_exception(Refused(_ALL_LOST))
+                    else:
+                        self._give(self._executor, outer, task)
                     inner.cancel()
         self._there = there
 

@@ -14,6 +14,7 @@ from antdsl import limits
 from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import Mesh
+from antdsl.fields.numbered import NO_CELLS, NO_INDEX, Index, rank, summed
 from antdsl.ground.mesh.topology import facing
 from antdsl.numerics import compiled
 
@@ -22,7 +23,6 @@ Cells = NDArray[np.int32]
 
 NEAREST = 16
 _DENSE = 8_000_000  # voxels of a box that may be listed one by one
-_BLOCKS = 8_000_000  # at most, that tell about where a key is
 _ALONG = 1 << 19  # voxels along an axis; three packed with a side stay in 63 bits
 BLOCK = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
 _CHUNK = 1 << 15
@@ -179,7 +179,7 @@ class SurfaceCells:
         known = before
         if known is None or known.of is not self or len(known.key) != len(points):
             known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
-        index, direct = (self._index, _NO_CELLS) if self._direct is None else (_NO_INDEX, self._direct)
+        index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
         keys = (self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
         return int(located(points, side, *keys, known.key, known.cell, cell)), known
 
@@ -243,8 +243,8 @@ class SurfaceCells:
         return cell
 
     @cached_property
-    def _index(self) -> _Index:
-        return _Index.of(self._keys, 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2]))
+    def _index(self) -> Index:
+        return Index.of(self._keys, 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2]))
 
     @cached_property
     def _direct(self) -> Cells | None:
@@ -357,12 +357,12 @@ class SurfaceCells:
                 for axis in range(3):
                     gap += (there[:, axis] - place[:, axis]) ** 2
                 order = np.lexsort((two, gap, one))
-                left = asked[order[_rank(count[crowded]) >= k]]
+                left = asked[order[rank(count[crowded]) >= k]]
                 kept = np.ones(len(own), np.bool_)
                 kept[left] = False
                 own, other = own[kept], other[kept]
                 count = np.minimum(count, k)
-            table[a + own, _rank(count)] = other
+            table[a + own, rank(count)] = other
         return table
 
 
@@ -376,54 +376,7 @@ class Known:
     cell: Cells
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Index:
-    """Ascending numbers cut into blocks of 2**shift: where each begins, and how many halvings find a number in the fullest."""
-
-    shift: int
-    start: NDArray[np.int32]
-    halvings: int
-
-    @staticmethod
-    def of(numbers: NDArray[np.int64], end: int) -> _Index:
-        """For numbers from 0 to before `end`."""
-        shift = max(0, int(end // min(_BLOCKS, 4 * len(numbers) + 1)).bit_length())
-        start = np.zeros((end >> shift) + 2, np.int32)
-        np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
-        return _Index(shift, start, int(np.diff(start).max(initial=0)).bit_length())
-
-    def place(self, numbers: NDArray[np.int64], asked: NDArray[np.int64]) -> NDArray[np.int64]:
-        """How many of the numbers are less, for each of those asked, from 0 to before the end."""
-        block = asked >> self.shift
-        low, high = self.start.take(block).astype(np.int64), self.start.take(block + 1).astype(np.int64)
-        for _ in range(self.halvings):
-            middle = (low + high) >> 1
-            less = (numbers.take(np.minimum(middle, len(numbers) - 1)) < asked) & (low < high)
-            low, high = np.where(less, middle + 1, low), np.where(less, high, middle)
-        return low
-
-
-_NO_INDEX = _Index(0, np.zeros(1, np.int32), 0)
-_NO_CELLS = np.empty(0, np.int32)
-
-
-def _rank(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """0, 1, … for each of groups of so many that follow each other."""
-    rank: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
-    return rank
-
-
 def compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether sides are not opposite: what an agent can walk from one to the other of in one cell."""
     other: NDArray[np.bool_] = (a ^ 1) != b
     return other
-
-
-def summed(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Distinct keys, ascending, with the sums of their parts."""
-    order = np.argsort(keys, kind="stable")
-    keys, parts = keys[order], parts[order]
-    if not len(keys):
-        return keys, parts
-    first = np.flatnonzero(np.concatenate(([True], keys[1:] != keys[:-1])))
-    return keys[first], np.add.reduceat(parts, first, axis=0)

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.casting.rays import Mesh
-from antdsl.fields.cells import BLOCK, Cells, Floats, SurfaceCells, compatible, summed
+from antdsl.fields.cells import BLOCK, Cells, Floats, SurfaceCells, compatible
+from antdsl.fields.numbered import summed
 from antdsl.ground.mesh.topology import facing
 from antdsl.numerics import compiled
 

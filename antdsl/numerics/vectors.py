@@ -80,8 +80,7 @@ def across(up: Vector) -> Vector:
 
 def columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> Vector:
     """(n, 3) as three arrays."""
-    x, y, z = (np.ascontiguousarray(a[:, k], dtype) for k in range(3))
-    return x, y, z
+    return np.ascontiguousarray(a[:, 0], dtype), np.ascontiguousarray(a[:, 1], dtype), np.ascontiguousarray(a[:, 2], dtype)
 
 
 def named(registers: Mapping[str, Array], name: str) -> Vector:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
+import os
 import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ from cluster_stage import ROOT, Stage, antdsl, staged
 from commands import run
 
 from antdsl import __version__
+from antdsl.executors import Task, Worker, run_tasks
 from antdsl.executors.machine import sources
 
 RUNS = 40
@@ -78,6 +80,23 @@ def lost_and_done_again(project: Path, stage: Stage, count: int, frames: int) ->
     assert found == rows(project / "alone") and [row["seed"] for row in found] == [str(n + 1) for n in range(count)]
     assert (project / "swept" / "table.csv").read_bytes() == (project / "alone" / "table.csv").read_bytes()
     assert all(row["processor"] and row["antdsl"].startswith("0.") for row in found)
+
+
+def lethal(document: Mapping[str, object], worker: Worker) -> dict[str, object]:
+    """Takes its worker with it."""
+    os._exit(1)
+
+
+@pytest.mark.slow
+def test_a_task_that_takes_each_worker_with_it_is_told_as_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.executors.cluster import connected, local_cluster
+
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join((str(ROOT), str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT / "tests/cli")))
+    )
+    with local_cluster(2, 1) as (address, security), connected(address, security, []) as cluster:
+        (answered,) = run_tasks([Task("x", lethal, {})], cluster)
+    assert answered.answer is None and "was lost" in answered.problem
 
 
 @pytest.mark.slow

@@ -103,13 +103,14 @@ def test_who_is_followed_is_looked_up_again_only_in_another_voxel(monkeypatch):
     monkeypatch.setattr(module, "_DENSE", 0)
     mesh, rng = ball(30, (3, 4, 5)), np.random.default_rng(2)
     cells, (points, normals) = SurfaceCells([mesh], 4.0), on_surface(mesh, 2000)
+    monkeypatch.setattr(module.compiled, "wanted", lambda count: False)
     side, known, asked = facing(normals), None, []
     find = SurfaceCells._find
     monkeypatch.setattr(SurfaceCells, "_find", lambda self, key, within: asked.append(len(key)) or find(self, key, within))
     for step in range(8):
         points = points + rng.normal(0, 0.4, points.shape)
         points[step], points[10 * step] = np.nan, 1e9
-        side = np.where(rng.random(2000) < 0.02, rng.integers(0, 6, 2000), side)
+        side = np.where(rng.random(2000) < 0.02, rng.integers(0, 6, 2000), side).astype(np.int8)
         found, known = cells.follow(points, side, known)
         assert np.array_equal(found, cells.lookup_sides(points, side))
     assert asked[0] == 2000 and max(asked[2::2]) < 1400  # every other one asks about all

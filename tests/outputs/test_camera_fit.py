@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from antdsl.cli import app
-from antdsl.cli.render import View, _camera
 from antdsl.outputs.cache.cache_reader import open_cache
+from antdsl.outputs.drawing import Drawer, Drawn
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.camera import view
 from antdsl.pipeline import open_scene
@@ -32,7 +32,8 @@ def test_the_flock_is_in_its_own_picture(flock: Path, frames: list[int]) -> None
     gallery = Gallery(open_cache(flock))
     assert gallery.camera_fits and gallery.camera(1) is None and not gallery.camera_moves
     width, height = 960, 540
-    camera = _camera(gallery, gallery.picture(frames[0]), View.scene, (), width / height, frames)
+    wanted = Drawn(width, height, "scene", (), legend=False)
+    camera = Drawer(gallery, wanted, frames, threads=1)._camera(gallery.picture(frames[0]))
     seen = view(camera, width, height, (0.0, 1.0, 0.0))
     widest = 0.0
     for frame in frames:

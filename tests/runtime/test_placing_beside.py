@@ -12,7 +12,7 @@ import pytest
 from test_placing_apart import world
 from test_scene_files import SCENE, folder, opened  # noqa: F401
 
-from antdsl.outputs.writer.frame_writer import surface_error
+from antdsl.outputs.surface_error import surface_error
 from antdsl.preview.session import Session
 from antdsl.runtime import bind
 from antdsl.scene.setting import CrowdData, MeshData, PlaceData, SolidData

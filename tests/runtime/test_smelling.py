@@ -76,7 +76,7 @@ def stand(world: World, points: np.ndarray, heading: np.ndarray, up: np.ndarray)
     points, heading = points[rows], heading[rows]
     footing, _ = ground.nearest(points)
     moved = ground.move(footing, np.zeros_like(points), heading, np.broadcast_to(up, points.shape), 4.0)
-    ants.footing, ants.position, ants.normal = moved.footing, moved.position, moved.up.astype(np.float32)
+    ants.footing, ants.position, ants.normal = moved.footing, moved.position, moved.up.astype(np.float32, order="C")
     for name, vectors in (("position", moved.position), ("up", moved.up), ("heading", moved.heading)):
         for k, axis in enumerate("xyz"):
             for held in (ants.now, ants.start):

@@ -55,7 +55,10 @@ class Walk:
             waiting = loop.walk_all(table, near, *at, body, vectors, reals, wholes, done, placed, moved, begin, end)
             return reals[:, :waiting], wholes[:, :waiting]
 
-        reals, wholes = (np.concatenate(half, axis=1) for half in zip(*compiled.in_parts(part, n, threads), strict=True))
+        parted = compiled.in_parts(part, n, threads)
+        if not any(some.size for _, some in parted):
+            return done
+        reals, wholes = (np.concatenate(half, axis=1) for half in zip(*parted, strict=True))
         topology = self._table
         sides, tree = (topology.piece, topology.way), (boxes.order, boxes.first, boxes.bounds)
         cuts = (topology.cuts.first, topology.cuts.other)
@@ -65,6 +68,5 @@ class Walk:
             found = np.empty(boxes.order.size, np.int64)
             loop.walk_on(table, near, *known, straight, found, body, reals, wholes, done, placed, moved, blocked, begin, end)
 
-        if wholes.size:
-            compiled.in_parts(further, wholes.shape[1], threads)
+        compiled.in_parts(further, wholes.shape[1], threads)
         return done

@@ -101,7 +101,9 @@ def _arrive(
             most, dt, _share(dt), _SLOW, _BOUNCE, _BEYOND, FACE in now, _read(population, "~face" if FACE in now else "velocity"),
             *(_read(population, name) for name in ("position", "velocity", "heading", "up")), hasty,
         )  # fmt: skip
-        population.normal = np.stack(old_up, axis=1)
+        normal = np.empty((len(population), 3), np.float32)
+        normal[:, 0], normal[:, 1], normal[:, 2] = old_up
+        population.normal = normal
         return hasty
     new_up = vec.columns(moved.up, np.float32)
     speed = vec.length(velocity)

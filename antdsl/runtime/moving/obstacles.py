@@ -62,23 +62,54 @@ def _along(
     threads: int,
 ) -> Vector:
     if compiled.wanted(len(radius)):
-        from antdsl.runtime.moving.obstacles_compiled import touching
-
-        rows, lengths = np.empty(len(radius), np.int64), np.empty((2, len(radius)), np.float32)
-        count = touching(step, radius, clear, rows, *lengths)
-        near, (size, margin) = rows[:count], lengths[:, :count]
-    else:
-        size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
-        near = np.flatnonzero((size > _F(1e-9)) & may_touch(clear, size + margin))
-        size, margin = size[near], margin[near]
+        return _along_fast(scene, place, step, up, radius, clear, threads)
+    size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
+    near = np.flatnonzero((size > _F(1e-9)) & may_touch(clear, size + margin))
     if not len(near):
         return step
     place, up, clear = vec.take(place, near), vec.take(up, near), clear[near]
-    bent = _bent(scene, place, vec.take(step, near), up, size, margin, clear, threads)
+    return _put(step, near, _bent(scene, place, vec.take(step, near), up, size[near], margin[near], clear, threads))
+
+
+def _put(step: Vector, rows: NDArray[np.intp], own: Vector) -> Vector:
+    """Steps, of some rows others."""
     result = vec.copy(step)
-    for component, value in zip(result, bent, strict=True):
-        component[near] = value
+    for component, value in zip(result, own, strict=True):
+        component[rows] = value
     return result
+
+
+def _along_fast(
+    scene: RayScene,
+    place: Vector,
+    step: Vector,
+    up: Vector,
+    radius: NDArray[np.float32],
+    clear: NDArray[np.float32],
+    threads: int,
+) -> Vector:
+    """As `_along`, to the same bits, by kernels."""
+    from antdsl.runtime.moving.obstacles_compiled import kept_off, touching
+
+    rows, found = np.empty(len(radius), np.int64), np.empty((12, len(radius)), np.float32)
+    count = touching(place, step, up, radius, clear, rows, found)
+    if not count:
+        return step
+    found = found[:, :count] if count == len(radius) else np.ascontiguousarray(found[:, :count])
+    size, margin, _, x, y, z, _, _, _, *above = found
+    gap, out = scene.apart(x, y, z, size + margin, threads)
+    bent, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
+    asking = kept_off(found, gap, out, bent, going, rays)
+    a, b, c = bent
+    if asking:
+        px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
+        hits = scene.feelers(px, py, pz, dx, dy, dz, reach, threads=threads)
+        met = np.flatnonzero(hits.hit)
+        if len(met):
+            free, normal = np.clip(hits.t[met] - margin[met], _F(0), size[met]), (hits.nx[met], hits.ny[met], hits.nz[met])
+            u = (above[0], above[1], above[2])
+            _turn_aside(scene, (x, y, z), (a, b, c), u, found[1], going[met], free, normal, threads)
+    return _put(step, rows[:count], (a, b, c))
 
 
 def _bent(
@@ -95,8 +126,23 @@ def _bent(
     step, gap = _keep_off(scene, place, step, up, size, margin, threads)
     clear = np.where(gap < 0, _F(np.inf), np.maximum(clear, gap))  # nothing holds who is inside
     met, free, normal = _ahead(scene, place, step, margin, threads, clear)
-    if not len(met):
-        return step
+    if len(met):
+        _turn_aside(scene, place, step, up, margin, met, free, normal, threads)
+    return step
+
+
+def _turn_aside(
+    scene: RayScene,
+    place: Vector,
+    step: Vector,
+    up: Vector,
+    margin: NDArray[np.float32],
+    met: NDArray[np.intp],
+    free: NDArray[np.float32],
+    normal: Vector,
+    threads: int,
+) -> None:
+    """Bend the steps of those who have `met` a face of a normal after what is `free` (mm) of them; changes them in place."""
     u, wanted = vec.take(up, met), vec.take(step, met)
     size = vec.length(wanted)
     wall = vec.unit(vec.flat(normal, u), normal)
@@ -113,7 +159,6 @@ def _bent(
             component[again] = value
     for component, value in zip(step, bent, strict=True):
         component[met] = value
-    return step
 
 
 def _keep_off(

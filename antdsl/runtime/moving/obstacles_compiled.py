@@ -4,33 +4,73 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, I64, Array1, kernel
-from antdsl.numerics.vectors_compiled import dot
+from antdsl.machine_code.kernels import F32, I64, Array1, Array2, kernel
+from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 _F = np.float32
-_ZERO, _LEAST, _MARGIN = _F(0), _F(1e-9), _F(0.5)  # as `obstacles`
+_ZERO, _HALF, _ONE, _FAR = _F(0), _F(0.5), _F(1), _F(np.inf)
+_LEAST, _MARGIN = _F(1e-9), _F(0.5)  # as `obstacles`
+_TINY = _F(1e-12)  # as `vectors.unit`
 _SLACK = _F(1e-4)  # as `obstacle_clearance`
 _WIDER = _F(1) + _SLACK
 
 
 @kernel
 def touching(
-    step: Three,
-    radius: Array1[F32],
-    clear: Array1[F32],
-    rows: Array1[I64],
-    sizes: Array1[F32],
-    margins: Array1[F32],
+    place: Three, step: Three, up: Three, radius: Array1[F32], clear: Array1[F32], rows: Array1[I64], found: Array2[F32]
 ) -> I64:
-    """How many may touch an obstacle on their step, which is `clear` of them: their rows, lengths of steps and margins (mm)."""
+    """How many may touch an obstacle on their step, which is `clear` of them: their rows, and of each `found` [12, ..]: how long
+    its step is, its margin (mm) and `clear`, then the three vectors."""
     count = 0
     for i in range(radius.size):
         way = (step[0][i], step[1][i], step[2][i])
         size = np.sqrt(dot(way, way))
         margin = (_ZERO if radius[i] <= 0 else radius[i]) * _MARGIN
         if size > _LEAST and clear[i] <= (size + margin) * _WIDER + _SLACK:
-            rows[count], sizes[count], margins[count] = i, size, margin
+            rows[count], found[0, count], found[1, count], found[2, count] = i, size, margin, clear[i]
+            for k in range(3):
+                found[3 + k, count], found[6 + k, count], found[9 + k, count] = place[k][i], step[k][i], up[k][i]
+            count += 1
+    return count
+
+
+@kernel
+def kept_off(
+    near: Array2[F32], gaps: Array1[F32], out: Array2[F32], bent: Array2[F32], going: Array1[I64], rays: Array2[F32]
+) -> I64:
+    """Steps of those whom `touching` has found, `bent` [3, n] such that they keep the margin from the nearest face, which lies so
+    far (`gaps`) along `out` [3, n]; and how many may meet a face on them: which ones they are, and their `rays` [9, n]: place,
+    direction, how far they look, the length of the step and the margin."""
+    count = 0
+    for i in range(gaps.size):
+        size, margin, clear, gap = near[0, i], near[1, i], near[2, i], gaps[i]
+        step, up = (near[6, i], near[7, i], near[8, i]), (near[9, i], near[10, i], near[11, i])
+        away = (out[0, i], out[1, i], out[2, i])
+        wall = minus(away, times(up, dot(away, up)))
+        long = np.sqrt(dot(wall, wall))
+        if long > _TINY and np.isfinite(long):
+            wall = times(wall, _ONE / long)
+        else:
+            wall = (_ZERO, _ZERO, _ZERO)
+        least, half = margin - gap, size * _HALF
+        least = (half if half < least else least) - dot(step, wall)
+        step = plus(step, times(wall, _ZERO if least <= 0 else least))
+        long = np.sqrt(dot(step, step))
+        if long > size:
+            step = times(step, size / long)
+        bent[0, i], bent[1, i], bent[2, i] = step
+        if gap < 0:
+            clear = _FAR  # nothing holds who is inside
+        elif not gap <= clear:
+            clear = gap
+        size = np.sqrt(dot(step, step))
+        if size > _LEAST and clear <= (size + margin) * _WIDER + _SLACK:
+            going[count] = i
+            inverse = _ONE / size
+            for k in range(3):
+                rays[k, count], rays[3 + k, count] = near[3 + k, i], step[k] * inverse
+            rays[6, count], rays[7, count], rays[8, count] = size + margin, size, margin
             count += 1
     return count
 

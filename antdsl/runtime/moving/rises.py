@@ -22,6 +22,7 @@ FACE = "~face.x"  # a register of those species alone that ask for it
 _STEEP = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
 _EYE = 0.03  # of a body: how high above the feet a ray looks for walls
 _ASIDE = 0.97  # cosine of the angle between look and way above which one ray tells of both
+_FEW = 512  # agents for whom there is always room
 WIDEST = 3.0  # half bodies before a wall within which a body tilts, at most
 
 
@@ -168,9 +169,12 @@ def _rises_fast(
     """As `rises` for the `rows` near something that rises, to the same bits."""
     from antdsl.runtime.moving.rises_compiled import look, walls
 
-    now, most = population.now, 2 * len(rows)
-    which, halves, sizes = np.empty(most, np.int64), np.empty(most), np.empty(most)
-    ahead, normal, origin, ray = np.empty((4, 3, most))
+    now, most = population.now, max(_FEW, 1 << len(rows).bit_length())  # the same room while about as many look out
+    (which,), (halves, sizes) = (
+        population.room("looks", 1, (2 * most,), np.int64),
+        population.room("sizes", 2, (2 * most,), np.float64),
+    )
+    ahead, normal, origin, ray = population.room("ways", 4, (3, 2 * most), np.float64)
     looks = (which, halves, sizes, ahead, normal)
     face = vec.named(now, "~face") if FACE in now else step
     count = look(

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from concurrent.futures import wait
 from dataclasses import dataclass, field
+from itertools import accumulate
 from time import perf_counter
 from typing import Any
 
@@ -196,21 +197,22 @@ class Chunk:
                 self._took(began, some, [len(rows)])
             return
         chosen = [self._rows_of(code.guarded.get(each, code.schedule.slot(each.scope.rows))) for each in some]
-        ends = np.cumsum([len(rows) for rows in chosen])
+        ends = list(accumulate(len(rows) for rows in chosen))
         if not ends[-1]:
             return
         columns = []
         for place in range(len(some[0].inputs)):
             parts = [self._operand(each.inputs[place], rows) for each, rows in zip(some, chosen, strict=True)]
-            spread = (np.full(len(rows), part) if np.ndim(part) == 0 else part for part, rows in zip(parts, chosen, strict=True))
-            columns.append(np.concatenate(list(spread)))
+            spread = [np.full(len(rows), part) if np.ndim(part) == 0 else part for part, rows in zip(parts, chosen, strict=True)]
+            columns.append(np.concatenate(spread))
         node = some[0].what
         assert isinstance(node, ir.Node)
         asking = np.concatenate(chosen) + self.begin
         found = SENSES[node.op](self.block.world, self.block.population, node, asking, *columns)
-        parts_of = [np.split(part, ends[:-1]) for part in (found if isinstance(found, tuple) else (found,))]
-        for k, (each, rows) in enumerate(zip(some, chosen, strict=True)):
-            self._leave(each, rows, tuple(part[k] for part in parts_of))
+        parts_of = found if isinstance(found, tuple) else (found,)
+        for each, rows, end in zip(some, chosen, ends, strict=True):
+            if len(rows):
+                self._leave(each, rows, tuple(part[end - len(rows) : end] for part in parts_of))
         self._took(began, some, [len(rows) for rows in chosen])
 
     def _leave(self, each: Instruction, rows: NDArray[np.intp], found: Any) -> None:

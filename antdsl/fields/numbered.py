@@ -1,0 +1,59 @@
+"""Whole numbers that ascend: where one is among them, and what groups of them have together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_BLOCKS = 8_000_000  # at most, that tell about where a number is
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Index:
+    """Ascending numbers cut into blocks of 2**shift: where each begins, and how many halvings find a number in the fullest."""
+
+    shift: int
+    start: NDArray[np.int32]
+    halvings: int
+
+    @staticmethod
+    def of(numbers: NDArray[np.int64], end: int) -> Index:
+        """For numbers from 0 to before `end`."""
+        shift = max(0, int(end // min(_BLOCKS, 4 * len(numbers) + 1)).bit_length())
+        start = np.zeros((end >> shift) + 2, np.int32)
+        np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
+        return Index(shift, start, int(np.diff(start).max(initial=0)).bit_length())
+
+    def place(self, numbers: NDArray[np.int64], asked: NDArray[np.int64]) -> NDArray[np.int64]:
+        """How many of the numbers are less, for each of those asked, from 0 to before the end."""
+        block = asked >> self.shift
+        low, high = self.start.take(block).astype(np.int64), self.start.take(block + 1).astype(np.int64)
+        for _ in range(self.halvings):
+            middle = (low + high) >> 1
+            less = (numbers.take(np.minimum(middle, len(numbers) - 1)) < asked) & (low < high)
+            low, high = np.where(less, middle + 1, low), np.where(less, high, middle)
+        return low
+
+
+NO_INDEX = Index(0, np.zeros(1, np.int32), 0)
+NO_CELLS = np.empty(0, np.int32)
+
+
+def rank(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """0, 1, … for each of groups of so many that follow each other."""
+    found: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+    return found
+
+
+def summed(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Distinct keys, ascending, with the sums of their parts."""
+    order = np.argsort(keys, kind="stable")
+    keys, parts = keys[order], parts[order]
+    if not len(keys):
+        return keys, parts
+    first = np.flatnonzero(np.concatenate(([True], keys[1:] != keys[:-1])))
+    return keys[first], np.add.reduceat(parts, first, axis=0)
