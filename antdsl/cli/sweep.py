@@ -145,7 +145,10 @@ def sweep(
         say(f"{len(done)} of {len(made)} runs were finished before")
     others = keeper.others(made) if resume else 0
     if others:
-        say(f"{others} runs in {folder} are of files, values or sources of antdsl that are others now, and are not counted", err=True)
+        say(
+            f"{others} runs in {folder} are of files, values or sources of antdsl that are others now, and are not counted",
+            err=True,
+        )
     processes = min(jobs or cores(), max(todo, 1))
     threads = max(1, cores() // processes)
     failed: list[Outcome] = []
