@@ -10,7 +10,7 @@ import typer
 from antdsl.cli.cache_tasks import answers
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 
 
 def export(
@@ -78,6 +78,7 @@ def export(
     from antdsl.scene.geometry.usd import UsdError
     from antdsl.shots.exports import tasks
 
+    demand_scheduler(scheduler, tls, no_tls)
     export = export_for(to)
     if export is None:
         endings = ", ".join(ending for each in EXPORTS for ending in each.endings)

@@ -12,7 +12,7 @@ import typer
 from antdsl.cli.cache_tasks import Where, answers
 from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
 
 if TYPE_CHECKING:
@@ -113,6 +113,7 @@ def render(
     from antdsl.outputs.drawing import Drawn
     from antdsl.outputs.kept_stills import Stills
 
+    demand_scheduler(scheduler, tls, no_tls)
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
     _window(window)
     _cut(cut)

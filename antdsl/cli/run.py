@@ -14,7 +14,7 @@ from antdsl.cli.cores import cores
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.shots import run_shots
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ def run(
     from antdsl.outputs.cache.cache_reader import NAMES
     from antdsl.pipeline import Choices, open_scene
 
+    demand_scheduler(scheduler, tls, no_tls)
     for scene in scenes:
         if scene.suffix == ".ant":
             raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")

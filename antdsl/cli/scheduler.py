@@ -39,6 +39,17 @@ NO_TLS: Any = typer.Option(
 _HOW = "pip install 'antdsl[cluster]'"
 
 
+def demand_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> None:
+    """That the words for a scheduler fit together, before anything is made; wrong ones end the command."""
+    if address is not None:
+        _allowed(address, tls, no_tls)
+    elif tls is not None or no_tls:
+        flag = "--tls" if tls is not None else "--no-tls"
+        raise typer.BadParameter(
+            "this is of a scheduler: name it with `--scheduler tls://HOST:8786`, or leave this out", param_hint=flag
+        )
+
+
 @contextmanager
 def cluster(
     address: str,
@@ -83,7 +94,7 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
         if tls is not None or no_tls:
             raise typer.BadParameter("a cluster that is started here has certificates of its own", param_hint="--tls")
         return None
-    if found is None:
+    if found is None or not 0 < int(found[3]) < 1 << 16:
         raise typer.BadParameter(
             f"`{address}` is no scheduler: write `local`, or an address such as tls://render1:8786", param_hint="--scheduler"
         )
@@ -95,6 +106,7 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
         missing = [name for name in TLS_FILES if not (tls / name).is_file()]
         if missing:
             raise typer.BadParameter(f"`{tls}` has no `{missing[0]}`", param_hint="--tls")
+        _demand_certificates(tls)
         return tls
     if tls is not None:
         raise typer.BadParameter(f"`{address}` is in the clear; write tls://{found[2]}:{found[3]}", param_hint="--scheduler")
@@ -105,6 +117,26 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
             param_hint="--scheduler",
         )
     return None
+
+
+def _demand_certificates(folder: Path) -> None:
+    """That the files of a folder are certificates, and the key that of the second: Dask would only say that nobody answers."""
+    import ssl
+
+    from antdsl.executors.addresses import TLS_FILES
+
+    authority, certificate, key = (folder / name for name in TLS_FILES)
+    for made, words in ((authority, "is no certificate"), (certificate, "and `key.pem` are no certificate and its key")):
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        try:
+            if made == authority:
+                context.load_verify_locations(authority)
+            else:
+                context.load_cert_chain(certificate, key, password="")  # else it would ask
+        except (OSError, ValueError):  # an SSLError is an OSError
+            raise typer.BadParameter(
+                f"`{made}` {words}; the page on clusters of the documentation has the commands that make them", param_hint="--tls"
+            ) from None
 
 
 def _loopback(host: str) -> bool:

@@ -13,7 +13,7 @@ import typer
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
 
 if TYPE_CHECKING:
@@ -102,6 +102,7 @@ def sweep(
     from antdsl.sweep.asked import Asked
     from antdsl.sweep.finished_runs import OtherFiles
 
+    demand_scheduler(scheduler, tls, no_tls)
     asked = (
         asked_before(context, out)
         if resume
@@ -144,7 +145,10 @@ def sweep(
         say(f"{len(done)} of {len(made)} runs were finished before")
     others = keeper.others(made) if resume else 0
     if others:
-        say(f"{others} runs in {folder} are of files or values that are others now, and are not counted", err=True)
+        say(
+            f"{others} runs in {folder} are of files, values or sources of antdsl that are others now, and are not counted",
+            err=True,
+        )
     processes = min(jobs or cores(), max(todo, 1))
     threads = max(1, cores() // processes)
     failed: list[Outcome] = []

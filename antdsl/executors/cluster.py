@@ -85,6 +85,7 @@ class Cluster:
         self.name: str = self._project.name
         self._heard: SimpleQueue[dict[str, Any]] = SimpleQueue()
         self._told: list[str] = []
+        self._once: set[str] = set()  # sentences that were told
         self._frames: dict[str, int] = {}
         self._keys: dict[int, str] = {}
         self._fit: set[str] = set()  # workers that have said so
@@ -166,7 +167,9 @@ class Cluster:
     def notes(self) -> Iterable[str]:
         self._listen()
         self._look()
-        told, self._told = self._told, []
+        told = [sentence for sentence in dict.fromkeys(self._told) if sentence not in self._once]
+        self._told = []
+        self._once.update(told)  # a worker that is refused says so too
         return told
 
     def _listen(self) -> None:

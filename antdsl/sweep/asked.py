@@ -6,11 +6,12 @@ import os
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from antdsl import limits
 from antdsl.bounded import read_bounded
 from antdsl.outputs.cache.npz import write_whole
+from antdsl.sweep.designs import DESIGNS
 
 NAME = "asked.json"
 
@@ -27,13 +28,27 @@ class Asked(BaseModel):
     scenes: list[str] = Field(min_length=1, max_length=limits.SWEEP_POINTS)
     vary: list[str] = []
     design: str = "grid"
-    points: int | None = None
-    design_seed: int = 1
+    points: int | None = Field(default=None, ge=2, le=1_000_000)
+    design_seed: int = Field(default=1, ge=1, le=2**31 - 1)
     seeds: str = "5"
     frames: str | None = None
     until_empty: list[str] = []
     until_known: list[str] = []
     root: list[str] = []
+
+    @field_validator("design")
+    @classmethod
+    def _there(cls, word: str) -> str:
+        if all(word != design.word for design in DESIGNS):
+            raise ValueError(f"there is no design `{word}`")
+        return word
+
+    @field_validator("scenes", "root")
+    @classmethod
+    def _paths(cls, words: list[str]) -> list[str]:
+        if any("\0" in word for word in words):
+            raise ValueError("no path has a null character")
+        return words
 
     def keep(self, folder: Path) -> None:
         """Write it, with paths as they are seen from the folder, so that all may be moved together."""

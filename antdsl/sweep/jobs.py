@@ -11,6 +11,7 @@ from typing import Any
 
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
+from antdsl.executors.machine import sources
 from antdsl.loading import CheckedOnce
 from antdsl.outputs.cache.manifest import MANIFEST
 from antdsl.outputs.starting import StartError, source_of, start_hash
@@ -127,7 +128,7 @@ def key_of(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, st
 
 def _key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
     hashes = {**inputs, "scene": scene.changed(seed=seed).digest()}
-    about = {"inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
+    about = {"sources": sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
     return hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from cluster_stage import certificates
 from typer.testing import CliRunner
 
 from antdsl.cli import app
@@ -28,12 +29,34 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (("tcp://10.0.0.7:8786",), "is in the clear"),
         (("tcp://127.0.0.1:8786", "--tls", "walkers"), "write tls://127.0.0.1:8786"),
         (("local", "--tls", "walkers"), "certificates of its own"),
+        (("tcp://127.0.0.1:99999",), "is no scheduler"),
     ],
 )
 def test_only_what_is_safe_is_spoken_to(words: tuple[str, ...], told: str) -> None:
     for command in (("sweep", "walkers/scene.yaml", "--seeds", "1"), ("run", "walkers/scene.yaml")):
         done = CliRunner().invoke(app, [*command, "--scheduler", *words], env={"COLUMNS": "400"})
         assert done.exit_code == 2 and told in done.output
+
+
+@pytest.mark.parametrize("flag", [("--tls", "walkers"), ("--no-tls",)])
+def test_words_of_a_scheduler_that_is_not_named_are_told(flag: tuple[str, ...]) -> None:
+    scene = "walkers/scene.yaml"
+    for command in (("sweep", scene), ("run", scene), ("render", "walkers"), ("export", "walkers", "--to", "a.ply")):
+        done = CliRunner().invoke(app, [*command, *flag], env={"COLUMNS": "400"})
+        assert done.exit_code == 2 and "name it with `--scheduler tls://HOST:8786`" in done.output
+
+
+def test_certificates_that_are_none_are_told(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography")
+    pytest.importorskip("distributed")
+    tls = certificates(tmp_path / "tls")
+    words = ["sweep", "walkers/scene.yaml", "--scheduler", "tls://127.0.0.1:1", "--tls", str(tls)]
+    whole = (tls / "key.pem").read_text()
+    for name, text, told in (("key.pem", "none", "cert.pem` and `key.pem`"), ("ca.pem", "none", "ca.pem` is no certificate")):
+        (tls / name).write_text(text)
+        done = CliRunner().invoke(app, words, env={"COLUMNS": "400"})
+        assert done.exit_code == 2 and told in done.output
+        (tls / "key.pem").write_text(whole)
 
 
 def test_without_the_extra_it_is_told_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

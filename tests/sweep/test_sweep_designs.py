@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 import os
 import shutil
@@ -128,7 +129,7 @@ def test_a_sweep_that_was_ended_goes_on_as_it_was_asked(sweep: Sweep, folder: Pa
     assert (folder / "moved" / "swept" / "runs.csv").read_text() == (folder / "whole" / "runs.csv").read_text()
     (folder / "walker.ant").write_text(PROGRAM + "\n# another\n")
     code, told, err = sweep("--resume", "--out", "moved/swept")
-    assert code == 0 and "16 runs in moved/swept are of files or values that are others now, and are not counted" in err
+    assert code == 0 and "16 runs in moved/swept are of files, values or sources of antdsl that are others now" in err
 
 
 @pytest.mark.parametrize(
@@ -163,10 +164,42 @@ def test_a_damaged_or_foreign_asked_file_is_told(sweep: Sweep, folder: Path) -> 
         '{"scenes": []}',
         asked.read_text().replace('"grid"', "3"),
         asked.read_text().replace("{", '{"more": 1,', 1),
+        asked.read_text().replace('"grid"', '"gird"'),
+        asked.read_text().replace('"grid"', '"latin"').replace("null", "-4", 1),
+        asked.read_text().replace('"design_seed": 1', '"design_seed": -1'),
+        asked.read_text().replace("scene.yaml", "scene\\u0000.yaml"),
     ):
         asked.write_text(text)
         code, _, err = sweep("--resume", "--out", "swept")
         assert code == 3 and "asked.json` is damaged" in err
+
+
+def test_the_table_is_parquet_too_with_numbers_as_numbers(sweep: Sweep, folder: Path) -> None:
+    pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    words = (*PACE, "--vary", "walker.swing=0.2,0.8", "--design", "latin", "--points", "6", "--seeds", "2")
+    assert sweep("scene.yaml", *words, "--show", "motion.turn")[0] == 0
+    table = parquet.read_table(folder / "out" / "sweep" / "runs.parquet")
+    written = lines(folder / "out" / "sweep" / "runs.csv")
+    assert table.column_names == list(written[0]) and table.num_rows == len(written) == 12
+    kinds = {name: str(table.schema.field(name).type) for name in table.column_names}
+    assert (kinds["label"], kinds["walker.swing"]) == ("string", "string")
+    assert (kinds["seed"], kinds["frames"], kinds["empty.food"]) == ("int64", "int64", "int64")
+    assert (kinds["walker.pace (mm/s)"], kinds["motion.turn"]) == ("double", "double")
+    for row, line in zip(table.to_pylist(), written, strict=True):
+        for name, value in row.items():
+            said = line[name]
+            assert (value is None) if said == "" else value == type(value)(said), name
+    assert {row["empty.food"] for row in table.to_pylist()} == {None, 3}
+
+
+def test_runs_of_other_sources_do_not_count(sweep: Sweep, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert sweep("scene.yaml", "--seeds", "3", "--out", "swept")[0] == 0
+    monkeypatch.setattr(importlib.import_module("antdsl.sweep.jobs"), "sources", lambda: "0" * 24)
+    code, told, err = sweep("--resume", "--out", "swept")
+    assert code == 0 and "finished before" not in told and "3 of 3" in told
+    assert "3 runs in swept are of files, values or sources of antdsl that are others now" in err
 
 
 def test_factors_are_drawn(sweep: Sweep, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
