@@ -244,7 +244,7 @@ class Writer(Expressions):
             begin, end = (constant(0), numbers[0]) if len(numbers) == 1 else numbers[:2]
             if begin.known is not None and end.known is not None:
                 turns = range(int(begin.known), int(end.known), step)
-                if len(turns) <= _WRITTEN_OUT or getattr(known, "written_out", False):
+                if len(turns) <= _WRITTEN_OUT:
                     self.written_out(node, target, [constant(k) for k in turns], body)
                     return
             if known is independent:
