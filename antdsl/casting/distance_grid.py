@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,14 +49,15 @@ class DistanceGrid:
         least = apart - np.sqrt(0.75) * self._width * (1 + 1e-6) - error
         self._least[near] = np.maximum(self._least[near], least.astype(np.float32))
 
-    def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
+    def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
         if compiled.wanted(len(x)) and all(np.asarray(v).dtype == np.float32 for v in (x, y, z)):
             from antdsl.casting.distance_grid_compiled import at_least
 
             found = np.empty(len(x), np.float32)
             cells = (self._low, self._high, self._size, self._width)
-            at_least(compiled.plain(x, y, z), cells, self._least, found)
+            given = (compiled.plain(x, y, z), cells, self._least, found)
+            compiled.in_parts(partial(at_least, *given), len(x), threads, compiled.LIGHT)
             return found
         flat: NDArray[np.int64] | int = 0
         outside: NDArray[Any] | float = 0.0

@@ -11,14 +11,14 @@ Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin an
 
 
 @kernel
-def at_least(places: Columns, cells: Cells, least: Array1[F32], found: Array1[F32]) -> None:
-    """Writes the distances."""
+def at_least(places: Columns, cells: Cells, least: Array1[F32], found: Array1[F32], begin: I64, end: I64) -> None:
+    """Writes the distances of places from `begin` to before `end`."""
     x, y, z = places
     low, high, size, width = cells
     part = 1.0 / width
     lx, ly, lz, hx, hy, hz = low[0], low[1], low[2], high[0], high[1], high[2]
     nx, ny, nz = size[0], size[1], size[2]
-    for n in independent(0, found.size):
+    for n in independent(begin, end):
         px, py, pz = np.float64(x[n]), np.float64(y[n]), np.float64(z[n])
         ix, iy, iz = _inside(px, lx, hx), _inside(py, ly, hy), _inside(pz, lz, hz)
         gx, gy, gz = px - ix, py - iy, pz - iz

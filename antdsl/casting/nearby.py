@@ -66,7 +66,7 @@ class Nearby:
     def _about(self, points: Vectors) -> Vectors:
         raise NotImplementedError
 
-    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
+    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which places have no face; 0 when near, inf without faces."""
         if self._scene is None:
             return np.full(len(x), np.inf, np.float32)
@@ -75,7 +75,7 @@ class Nearby:
         if len(x) >= _CROWD and not self._refined and not self._brief:
             self._refined = True
             self._grid.refine(self._about)
-        return self._grid.at_least(x, y, z)
+        return self._grid.at_least(x, y, z, threads)
 
     def _distances(self) -> DistanceGrid:
         args = (_BRIEF_CELLS,) if self._brief else ()
@@ -183,7 +183,7 @@ class Nearby:
         grid = self._compiled((x, y, z))
         if grid is None:
             return self._apart(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
-        found, left = grid.apart((x, y, z))
+        found, left = grid.apart((x, y, z), threads)
         if left:
             asked = np.flatnonzero(np.isnan(found[0]))
             points = np.stack([each.take(asked) for each in (x, y, z)], axis=1).astype(np.float64)

@@ -14,7 +14,7 @@ class Obstacle(Protocol):
     """What agents can sense before them: a mesh (`RayScene`) or a solid (`SolidFeelers`). Places and directions are 1-D arrays of
     one length n, lengths mm."""
 
-    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
+    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """A distance (float32[n]) within which places have no surface; 0 when near."""
 
     def feelers(

@@ -153,7 +153,7 @@ class RayScene(Nearby):
         grid = self._triangles()
         if grid is None:
             return self._first(origin, way, 1.0, threads, most_hit)[:3]
-        t, face = grid.first(origin, way)
+        t, face = grid.first(origin, way, threads)
         further = np.flatnonzero(face == FURTHER)
         if further.size:
             face[further] = NOTHING

@@ -8,6 +8,7 @@ faces, the least distance and then the least number, whatever the cubes are: the
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ _FACE_EDGES = 1.0  # cube's edge, in mean edges of faces
 _CELLS = 400_000
 _LISTED = 4_000_000  # faces in cubes, one in several counted as often
 _CROWDED = 48.0  # faces in the cube of a face, on average: from there on a tree asks about fewer
+_RAYS = 128  # rays or places for which a thread pays
 _MARGIN = 1e-6  # cubes: further than rounding and `CLOSED` move a place off a face
 _THIN = 1e-8  # sine of the corner of a face, below which its plane is noise and rays go through it
 
@@ -80,14 +82,15 @@ class TriangleGrid:
 
     # ---- rays
 
-    def first(self, origin: Floats, way: Floats) -> tuple[Floats, Index]:
+    def first(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Floats, Index]:
         """The first face that rays from `origin` [n,3] meet within their `way` [n,3], after what part of it, but not within a
         hair of their start. NOTHING where there is none, FURTHER for rays that are too long."""
         if compiled.wanted(len(origin)):
             from antdsl.casting import triangle_grid_compiled
 
             t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
-            triangle_grid_compiled.firsts(self.tables, origin, way, t, face)
+            work = partial(triangle_grid_compiled.firsts, self.tables, origin, way, t, face)
+            compiled.in_parts(work, len(origin), threads, _RAYS)
             return t, face
         with np.errstate(all="ignore"):
             return self._first(origin, way)
@@ -165,13 +168,14 @@ class TriangleGrid:
 
     # ---- nearest faces
 
-    def apart(self, place: Columns) -> tuple[Singles, int]:
+    def apart(self, place: Columns, threads: int = 1) -> tuple[Singles, int]:
         """How far (mm) places are out of the faces, below 0 behind the nearest, NaN for who has to ask elsewhere, and the unit
         way out, float32[4,n]; and how many have to. Compiled."""
         from antdsl.casting import triangle_grid_compiled
 
         found = np.empty((4, len(place[0])), np.float32)
-        return found, triangle_grid_compiled.apart(self.tables, _plain(*place), found)
+        work = partial(triangle_grid_compiled.apart, self.tables, _plain(*place), found)
+        return found, sum(compiled.in_parts(work, len(place[0]), threads, _RAYS))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """The place nearest to each point [n,3], its square distance and its face; FURTHER where none is near enough to tell."""

@@ -19,9 +19,11 @@ _STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its l
 
 
 @kernel
-def firsts(grid: Grid, origin: Strided2[F64], way: Strided2[F64], t: Array1[F64], face: Array1[I64]) -> None:
-    """As `TriangleGrid.first`, into the last two arrays."""
-    for i in range(face.size):
+def firsts(
+    grid: Grid, origin: Strided2[F64], way: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
+) -> None:
+    """As `TriangleGrid.first`, into `t` and `face`, of rays from `begin` to before `end`."""
+    for i in range(begin, end):
         t[i], face[i] = _first(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
 
 
@@ -80,12 +82,13 @@ def _feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def apart(grid: Grid, places: Three, found: Array2[F32]) -> I64:
-    """As `TriangleGrid.apart`, into the last array: gap, NaN for who has to ask elsewhere, and way out; how many have."""
+def apart(grid: Grid, places: Three, found: Array2[F32], begin: I64, end: I64) -> I64:
+    """As `TriangleGrid.apart` of places from `begin` to before `end`, into `found`: gap, NaN for who has to ask elsewhere, and
+    way out; how many have."""
     x, y, z = places
     shape, normals = grid[0], grid[7]
     count = 0
-    for i in range(x.size):
+    for i in range(begin, end):
         p = np.float64(x[i]), np.float64(y[i]), np.float64(z[i])
         square, face, q = _nearest(grid, (p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]))
         if face < 0:

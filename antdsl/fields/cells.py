@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -153,7 +153,7 @@ class SurfaceCells:
         return self.follow(points, side, None)[0]
 
     def follow(
-        self, points: Floats, side: NDArray[np.int8], before: Known | None, out: Cells | None = None
+        self, points: Floats, side: NDArray[np.int8], before: Known | None, out: Cells | None = None, threads: int = 1
     ) -> tuple[Cells, Known | None]:
         """As `lookup_sides`, given what was found for as many points before: only those in another voxel or on another side are
         looked up. `out`: int32[n] to write into. Gives what to remember too; None where looking up costs no more than that."""
@@ -163,7 +163,7 @@ class SurfaceCells:
             cell.fill(-1)
             return cell, None
         find = self._located if compiled.wanted(len(points)) and self._numbered else self._located_plainly
-        missing, known = find(points, side, before, cell)
+        missing, known = find(points, side, before, cell, threads)
         if missing:
             missed = np.flatnonzero(cell < 0)
             missed = missed[np.isfinite(points[missed]).all(axis=1)]
@@ -172,7 +172,9 @@ class SurfaceCells:
             cell[missed] = self._nearby(points[missed], voxel, side[missed].astype(np.int64))
         return cell, known
 
-    def _located(self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells) -> tuple[int, Known | None]:
+    def _located(
+        self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells, threads: int
+    ) -> tuple[int, Known | None]:
         """Write the cell of each point's own voxel and side, -1 for none; gives how many have none, and what to remember."""
         from antdsl.fields.cells_compiled import located
 
@@ -181,10 +183,11 @@ class SurfaceCells:
             known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
         index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
         keys = (self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
-        return int(located(points, side, *keys, known.key, known.cell, cell)), known
+        work = partial(located, points, side, *keys, known.key, known.cell, cell)
+        return sum(compiled.in_parts(work, len(points), threads)), known
 
     def _located_plainly(
-        self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells
+        self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells, threads: int
     ) -> tuple[int, Known | None]:
         """The same with NumPy."""
         key = np.empty(len(points), np.int64)

@@ -28,14 +28,17 @@ def located(
     known: Array1[I64],
     here: Array1[I32],
     found: Array1[I32],
+    begin: I64,
+    end: I64,
 ) -> int:
-    """Write the cell of the voxel and side of each point into `found` [n]; gives how many have none, which get -1.
+    """Write the cell of the voxel and side of each point from `begin` to before `end` into `found` [n]; gives how many have
+    none, which get -1.
 
     `points` [n,3] mm, `low` and `size` [3] of the box. Cells stand in `direct` by key, or where that is empty, by halving among
     the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each. `known` and `here` [n]: keys of the
     points before, -1 outside the box, and their cells; they are renewed."""
     missed, listed = 0, direct.size > 0
-    for n in range(found.size):
+    for n in range(begin, end):
         x = _along(points[n, 0], cell, low[0], size[0])
         y = _along(points[n, 1], cell, low[1], size[1])
         z = _along(points[n, 2], cell, low[2], size[2])

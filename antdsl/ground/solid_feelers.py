@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from antdsl.casting.nearby import Columns, FeelerHits
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
+from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
 
@@ -31,9 +32,13 @@ class SolidFeelers:
         self.volume = volume
         self._far: tuple[float, Any, Floats] | None = None  # of the volume dug so far: a tree of places on the surface
 
-    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
+    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which places have no surface; 0 when near."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
+        found = compiled.in_parts(lambda begin, end: self._clearance(place[begin:end]), len(place), threads)
+        return found[0] if len(found) == 1 else np.concatenate(found)
+
+    def _clearance(self, place: Floats) -> NDArray[np.float32]:
         away = np.maximum(np.maximum(self.volume.low - place, place - self.volume.high), 0.0)
         outside: NDArray[np.float32] = np.sqrt((away * away).sum(axis=1)).astype(np.float32)
         within = np.flatnonzero(outside == 0)

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,6 +27,7 @@ from antdsl.numerics.float_environment import be_standard
 T = TypeVar("T")
 VARIABLE = "ANTDSL_KERNELS"
 PART = 4_096  # agents for whom a thread pays
+LIGHT = 7_000  # the same, of work that is a few operations each
 LEAST = 2_000  # agents; a step of these without kernels takes so long that a few make up for loading them
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _AT_ONCE = 50_000  # numbers, worked on before any step: then a world is made ready that is large
@@ -111,10 +113,16 @@ def workers(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, "kernels", be_standard)
 
 
-def in_parts(work: Callable[[int, int], T], count: int, threads: int) -> list[T]:
-    """`work(begin, end)` over so many agents, in as many parts as pay, side by side; what each gave, in order."""
-    parts = min(threads, max(1, count // PART))
-    bounds = [count * k // parts for k in range(parts + 1)]
+def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int = PART) -> list[T]:
+    """`work(begin, end)` over so many agents, in as many parts as pay, of no fewer than `least` each, side by side; what each
+    gave, in order. The thread that asks takes the first."""
+    parts = min(threads, max(1, count // least))
     if parts == 1:
         return [work(0, count)]
-    return list(workers(threads).map(work, bounds[:-1], bounds[1:]))
+    bounds = [count * k // parts for k in range(parts + 1)]
+    others = [workers(threads).submit(work, begin, end) for begin, end in pairwise(bounds[1:])]
+    try:
+        first = work(0, bounds[1])
+    finally:
+        wait(others)
+    return [first, *(other.result() for other in others)]

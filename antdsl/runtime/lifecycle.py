@@ -32,7 +32,9 @@ def find_cells(world: World, population: Population) -> None:
         for name, field in world.fields.items():
             if id(field.cells) not in found:
                 known, room = population.voxels.get(name), population.cells.get(name)
-                found[id(field.cells)], population.voxels[name] = field.cells.follow(place, sides, known, room)
+                found[id(field.cells)], population.voxels[name] = field.cells.follow(
+                    place, sides, known, room, world.options.threads
+                )
             population.cells[name] = found[id(field.cells)]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
+from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.setting import DetailData, MeshData
 
@@ -88,7 +89,7 @@ class Detail:
         key = (population.name, f"~boxes of {name}", population.version)
         found: NDArray[np.float32] | None = world.clearances.get(key)
         if found is None:
-            found = self._scenes[name].clearance(*(population.start[f"position.{axis}"] for axis in AXES))
+            found = self._scenes[name].clearance(*vec.named(population.start, "position"), world.options.threads)
             world.clearances[key] = found
         return found
 

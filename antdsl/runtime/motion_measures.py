@@ -130,14 +130,16 @@ class Motion:
         window = self._window(population)
         steps = max(1, round(_WINDOW / world.dt))
         count = self._counted if compiled.wanted(len(population)) else self._counted_plainly
-        straight = count(population, window, np.float32(world.dt), steps)
+        straight = count(population, window, np.float32(world.dt), steps, world.options.threads)
         self.wishing += len(population)
         if len(straight):
             self.ways += len(straight)
             self.circling += int(np.count_nonzero(straight < _CIRCLING))
             self.straightness += float(straight.sum())
 
-    def _counted_plainly(self, population: Population, window: Window, dt: np.float32, steps: int) -> NDArray[np.float64]:
+    def _counted_plainly(
+        self, population: Population, window: Window, dt: np.float32, steps: int, threads: int
+    ) -> NDArray[np.float64]:
         """Adds a step to the counts and to the ways; gives how straight those are that have ended, 0 to 1."""
         now, start = population.now, population.start
         self.turns += _histogram(_turned(population, "heading"))
@@ -161,22 +163,31 @@ class Motion:
         straight: NDArray[np.float64] = np.minimum(net[walked] / path[walked], 1.0)
         return straight
 
-    def _counted(self, population: Population, window: Window, dt: np.float32, steps: int) -> NDArray[np.float64]:
+    def _counted(self, population: Population, window: Window, dt: np.float32, steps: int, threads: int) -> NDArray[np.float64]:
         """The same by a kernel."""
         from antdsl.runtime.motion_measures_compiled import counted
 
         now, start = population.now, population.start
-        seen = (vec.named(each, name) for each in (now, start) for name in _SEEN)
-        ways = (window.start, window.path, window.age)
+        seen = [vec.named(each, name) for each in (now, start) for name in _SEEN]
         meant = (np.float32(_WISH), np.float32(_STILL), np.float32(_MOVED))
-        ended, standing, half, share = counted(
-            *seen, vec.named(now, "velocity"), vec.named(now, "push"), now["max_speed"], now["size"], population.position, *ways,
-            self.turns, self.tilts, *_bins(), window.straight, dt, *meant, steps,
-        )  # fmt: skip
-        self.tilt_max = max(self.tilt_max, float(_angle(np.array([half], np.float32))[0]))
-        self.step_max = max(self.step_max, share)
-        self.standing += standing
-        return window.straight[:ended]
+        wanted = (vec.named(now, "velocity"), vec.named(now, "push"), now["max_speed"], now["size"])
+        given = (*seen, *wanted, population.position, window.start, window.path, window.age)
+
+        def part(begin: int, end: int) -> tuple[Any, ...]:
+            own = (self.turns, self.tilts) if begin == 0 else (np.zeros_like(self.turns), np.zeros_like(self.tilts))
+            found = counted(*given, *own, *_bins(), window.straight, dt, *meant, steps, begin, end)
+            return begin, own, *found
+
+        straight = []
+        for begin, (turns, tilts), ended, standing, half, share in compiled.in_parts(part, len(population), threads):
+            if begin:
+                self.turns += turns
+                self.tilts += tilts
+            self.tilt_max = max(self.tilt_max, float(_angle(np.array([half], np.float32))[0]))
+            self.step_max = max(self.step_max, share)
+            self.standing += standing
+            straight.append(window.straight[begin : begin + ended])
+        return straight[0] if len(straight) == 1 else np.concatenate(straight)
 
     def _window(self, population: Population) -> Window:
         """The window of a species, its rows brought into those of the agents."""

@@ -53,10 +53,12 @@ def counted(
     still: F32,
     far: F32,
     steps: I64,
+    begin: I64,
+    end: I64,
 ) -> tuple[int, int, float, float]:
-    """Adds one step of agents to the measures: to the bins of turns and tilts, and to `path` and `age` of the ways that they
-    `began`. Gives how many ways have ended, whose straightness is written to `straight`; how many stand; the greatest half chord
-    of a tilt, and the greatest share of the longest step.
+    """Adds one step of agents from `begin` to before `end` to the measures: to the bins of turns and tilts, and to `path` and
+    `age` of the ways that they `began`. Gives how many ways have ended, whose straightness is written to `straight` from
+    `begin` on; how many stand; the greatest half chord of a tilt, and the greatest share of the longest step.
 
     `fastest` (mm/s) and `size` (mm) of each; `least` half chord of each bin, and the `first` to look at. `dt` s; `wish`: the
     least push that is meant; `still`: the share of speed that is standing; a way ends after `steps` and counts when it is `far`
@@ -65,21 +67,20 @@ def counted(
     tilted, longest = np.float32(0.0), np.float32(0.0)
     turn, tilt, share, speed = scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32)
     wanted = scratch(_PART, F32)
-    count = path.size
-    for begin in range(0, count, 512):
-        end = min(begin + _PART, count)
-        for i in independent(begin, end):
-            turn[i - begin] = _between(heading, heading_before, i) * np.float32(0.5)
-        for i in independent(begin, end):
-            tilt[i - begin] = _between(up, up_before, i) * np.float32(0.5)
-        for i in independent(begin, end):
-            share[i - begin] = _between(position, position_before, i) / (fastest[i] * dt)
-        for i in independent(begin, end):
-            speed[i - begin] = _length(velocity[0][i], velocity[1][i], velocity[2][i])
-        for i in independent(begin, end):
-            wanted[i - begin] = _length(push[0][i], push[1][i], push[2][i])
-        for i in range(begin, end):
-            at = i - begin
+    for low in range(begin, end, 512):
+        high = min(low + _PART, end)
+        for i in independent(low, high):
+            turn[i - low] = _between(heading, heading_before, i) * np.float32(0.5)
+        for i in independent(low, high):
+            tilt[i - low] = _between(up, up_before, i) * np.float32(0.5)
+        for i in independent(low, high):
+            share[i - low] = _between(position, position_before, i) / (fastest[i] * dt)
+        for i in independent(low, high):
+            speed[i - low] = _length(velocity[0][i], velocity[1][i], velocity[2][i])
+        for i in independent(low, high):
+            wanted[i - low] = _length(push[0][i], push[1][i], push[2][i])
+        for i in range(low, high):
+            at = i - low
             _count(min(turn[at], np.float32(1.0)), least, first, turns)
             half = min(tilt[at], np.float32(1.0))
             _count(half, least, first, tilts)
@@ -93,7 +94,7 @@ def counted(
             if age[i] >= steps:
                 if path[i] > np.float64(far * size[i]):
                     net = _length(place[i, 0] - began[i, 0], place[i, 1] - began[i, 1], place[i, 2] - began[i, 2])
-                    straight[ended] = min(net / path[i], 1.0)
+                    straight[begin + ended] = min(net / path[i], 1.0)
                     ended += 1
                 for k in range(3):
                     began[i, k] = place[i, k]

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import compiled
 from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
@@ -20,6 +22,7 @@ from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, w
 from antdsl.runtime.world import PUSHED, Population, World, select_rows
 
 _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
+_COPIED = 32_768  # agents: copies of fewer are over before a thread has begun
 
 
 def sense(world: World) -> None:
@@ -129,9 +132,9 @@ def bear(world: World) -> None:
 def commit(world: World) -> None:
     """What was written in this step becomes the state that agents see in the next."""
     for population in world.populations.values():
-        for name, array in population.now.items():
-            if population.start[name] is not array:
-                np.copyto(population.start[name], array)
+        start, now = population.start, population.now
+        changed = [(start[name], array) for name, array in now.items() if start[name] is not array]
+        compiled.in_parts(partial(_copied, changed), len(population), world.options.threads, _COPIED)
         for name in population.events:
             population.events[name], population.raised[name] = population.raised[name], population.events[name]
             population.raised[name].fill(False)
@@ -140,6 +143,11 @@ def commit(world: World) -> None:
         for population in world.populations.values():
             if len(population) >= _SORT_FROM:
                 select_rows(population, _by_place(population))
+
+
+def _copied(pairs: list[tuple[NDArray[Any], NDArray[Any]]], begin: int, end: int) -> None:
+    for to, array in pairs:
+        np.copyto(to[begin:end], array[begin:end])
 
 
 def _by_place(population: Population) -> NDArray[np.intp]:

@@ -241,7 +241,7 @@ def test_arriving_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
         velocity = tuple(v.copy() for v in velocity)
         with np.errstate(all="ignore"):
             most, dt = rng.random(N).astype(np.float32), np.float32(1 / 24)
-            hasty = advance._arrive(crowd_, velocity, step, moved, most, dt, dt)
+            hasty = advance._arrive(crowd_, velocity, step, moved, most, dt, dt, 1)
         assert 0 < hasty.sum() < N
         found.append({**crowd_.now, "hasty": hasty, "normal": crowd_.normal})
     assert_same_arrays(*found)

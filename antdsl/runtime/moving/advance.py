@@ -7,6 +7,7 @@ a second. Who has a way to face turns there instead, and walks backward and side
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -50,13 +51,13 @@ def move(world: World, population: Population, substep: int) -> None:
     wanted = vec.scale(velocity, dt)
     step = _no_slower(world, population, slide(world, population, wanted, up, now["radius"]), up, dt)
     if step is not wanted:
-        velocity = _slowed(population, wanted, step, velocity, _F(1) / dt)
+        velocity = _slowed(population, wanted, step, velocity, _F(1) / dt, world.options.threads)
     body = bodies(world, population, step, dt)
     going = body.paced(step, velocity)
     moved = world.ground.move(population.footing, going.wish, going.looking, going.up, going.size, world.options.threads)
     if world.solids:
         moved = in_the_air(world, population, moved, dt)
-    hasty = _arrive(population, going.velocity, going.step, moved, going.at_once, dt, _F(world.dt))
+    hasty = _arrive(population, going.velocity, going.step, moved, going.at_once, dt, _F(world.dt), world.options.threads)
     came_from = population.position
     population.footing, population.position = moved.footing, moved.position
     if before is not None:
@@ -65,13 +66,14 @@ def move(world: World, population: Population, substep: int) -> None:
     body.follow(hasty, came_from, dt)
 
 
-def _slowed(population: Population, wanted: Vector, step: Vector, velocity: Vector, rate: np.float32) -> Vector:
+def _slowed(population: Population, wanted: Vector, step: Vector, velocity: Vector, rate: np.float32, threads: int) -> Vector:
     """Velocities, of those whose steps are not as wanted any more as these steps are."""
     if compiled.wanted(len(population)):
         from antdsl.runtime.moving.obstacles_compiled import slowed
 
         x, y, z = population.room("slowed", 3, (len(population),), np.float32)
-        slowed(wanted, step, velocity, rate, (x, y, z))
+        work = partial(slowed, wanted, step, velocity, rate, (x, y, z))
+        compiled.in_parts(work, len(population), threads, compiled.LIGHT)
         return x, y, z
     stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
     return vec.choose(stopped, vec.scale(step, rate), velocity)
@@ -85,6 +87,7 @@ def _arrive(
     most: NDArray[np.float32],
     dt: np.float32,
     whole: np.float32,
+    threads: int,
 ) -> NDArray[np.bool_]:
     """Velocity and heading where the walk of a substep has led, with place, and up as that of the ground there; says whose body
     would tilt by more than `most` (radians) by that, or turn by more than `max_turn` allows. What it tilts by, up to `most`,
@@ -96,11 +99,13 @@ def _arrive(
 
         walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
         hasty = np.empty(len(population), np.bool_)
-        arrive(
+        work = partial(
+            arrive,
             velocity, step, population.position, walked, now["max_speed"], now["max_turn"], now["response"], whole * _F(1.0001),
             most, dt, _share(dt), _SLOW, _BOUNCE, _BEYOND, FACE in now, _read(population, "~face" if FACE in now else "velocity"),
             *(_read(population, name) for name in ("position", "velocity", "heading", "up")), hasty,
         )  # fmt: skip
+        compiled.in_parts(work, len(population), threads, compiled.LIGHT)
         normal = np.empty((len(population), 3), np.float32)
         normal[:, 0], normal[:, 1], normal[:, 2] = old_up
         population.normal = normal
@@ -158,9 +163,9 @@ def _velocity(world: World, population: Population, up: Vector, dt: np.float32, 
         limits = (now[name] for name in ("max_speed", "max_force", "mass", "response", "max_turn"))
         step = _F(world.dt)
         least, heading = (now["min_speed"], _read(population, "heading")) if LEAST in now else (now["max_speed"], before)
-        velocities(
-            push, before, up, *limits, LEAST in now, least, heading, step * _F(1.0001), step if substep == 0 else _F(0), dt, found
-        )
+        times = (step * _F(1.0001), step if substep == 0 else _F(0), dt)
+        work = partial(velocities, push, before, up, *limits, LEAST in now, least, heading, *times, found)
+        compiled.in_parts(work, len(population), world.options.threads, compiled.LIGHT)
         return found[0], found[1], found[2]
     velocity = _pushed(now, push, vec.flat(before, up), up, _time(now, _F(world.dt), dt, substep))
     turning = np.flatnonzero(np.isfinite(now["max_turn"]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, Array1, Array2, Strided2, called, independent, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, independent, inlined, kernel
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
@@ -36,11 +36,13 @@ def velocities(
     first: F32,
     dt: F32,
     to: Array2[F32],
+    begin: I64,
+    end: I64,
 ) -> None:
-    """Velocities after the push, within the limits of speed and turn, into `to` (3, n). `at_once` is the longest response that
-    takes its whole time, `first`, in one substep; `dt` the time of others. `keeps`: whether `min_speed` and `heading` count. All
-    float32, vectors three arrays."""
-    for i in independent(0, mass.size):
+    """Velocities of agents from `begin` to before `end` after the push, within the limits of speed and turn, into `to` (3, n).
+    `at_once` is the longest response that takes its whole time, `first`, in one substep; `dt` the time of others. `keeps`:
+    whether `min_speed` and `heading` count. All float32, vectors three arrays."""
+    for i in independent(begin, end):
         u = (up[0][i], up[1][i], up[2][i])
         wish = _flat((push[0][i], push[1][i], push[2][i]), u)
         wish = times(wish, _ONE / _maximum(_length(wish), _ONE))
@@ -128,9 +130,12 @@ def arrive(
     heading: Three,
     up: Three,
     hasty: Array1[BOOL],
+    begin: I64,
+    end: I64,
 ) -> None:
-    """Velocity and heading where the walk has led, with place and up, into three arrays each: `position`, `to`, `heading`, `up`;
-    and in `hasty` whose up turns by more than `most` (radians), or whose body by more than `max_turn` allows and `beyond` that.
+    """Velocity and heading of agents from `begin` to before `end` where the walk has led, with place and up, into three arrays
+    each: `position`, `to`, `heading`, `up`; and in `hasty` whose up turns by more than `most` (radians), or whose body by more
+    than `max_turn` allows and `beyond` that.
 
     `velocity`, `step`: before the walk, float32; `old` the place before it, (n, 3); `walked`: place, up, heading and direction of
     the walk, (3, n), and who is blocked. `faces`: whether `face` has ways to face. `at_once` is the longest
@@ -138,7 +143,7 @@ def arrive(
     """
     place, above, ahead, direction, blocked = walked
     rate = _ONE / dt
-    for i in independent(0, blocked.size):
+    for i in independent(begin, end):
         u = (_F(above[0, i]), _F(above[1, i]), _F(above[2, i]))
         v = (velocity[0][i], velocity[1][i], velocity[2][i])
         v = times((_F(direction[0, i]), _F(direction[1, i]), _F(direction[2, i])), _length(v))

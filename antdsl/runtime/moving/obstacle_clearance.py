@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.tolerances import FAR_OFF
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.numerics import vectors as vec
+from antdsl.runtime.world import Population, World
 
 _SLACK = np.float32(FAR_OFF)
 
@@ -16,7 +17,8 @@ def clearance(world: World, population: Population, obstacle: str) -> NDArray[np
     key = (population.name, obstacle, population.version)
     found = world.clearances.get(key)
     if found is None:
-        found = world.obstacles[obstacle].clearance(*(population.start[f"position.{axis}"] for axis in AXES))
+        place = vec.named(population.start, "position")
+        found = world.obstacles[obstacle].clearance(*place, world.options.threads)
         world.clearances[key] = found
     return found
 

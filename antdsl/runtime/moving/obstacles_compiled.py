@@ -76,9 +76,10 @@ def kept_off(
 
 
 @kernel
-def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, to: Three) -> None:
-    """Velocities into `to`: of those whose steps are not as `wanted`, `rate` times their steps."""
-    for i in range(wanted[0].size):
+def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, to: Three, begin: I64, end: I64) -> None:
+    """Velocities of agents from `begin` to before `end` into `to`: of those whose steps are not as `wanted`, `rate` times their
+    steps."""
+    for i in range(begin, end):
         stopped = step[0][i] != wanted[0][i] or step[1][i] != wanted[1][i] or step[2][i] != wanted[2][i]
         for k in range(3):
             to[k][i] = step[k][i] * rate if stopped else velocity[k][i]

@@ -10,6 +10,7 @@ over about its own length; where it cannot tilt as fast as it walks, the feet wa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,7 @@ class Bodies:
     rises: Rises
     looking: NDArray[np.float32]  # (3, n): headings laid along the ground that the feet are on
     state: NDArray[np.int64] | None = None
+    threads: int = 1
 
     def paced(self, step: Vector, velocity: Vector) -> Paced:
         """What bodies are about to do, with steps (mm) and velocities such that they can follow."""
@@ -148,7 +150,9 @@ class Bodies:
         x, y, z, vx, vy, vz, at_once = p.room("paced", 7, (n,), np.float32)
         walk = wish, looking, up = p.room("walk", 3, (3, n), np.float64)
         bodies = (self.up, self.looking, p.normal, self.most)
-        pace(state, step, velocity, *bodies, self._walls(), _F(_WAITING), (x, y, z), (vx, vy, vz), at_once, walk)
+        paced = ((x, y, z), (vx, vy, vz), at_once, walk)
+        work = partial(pace, state, step, velocity, *bodies, self._walls(), _F(_WAITING), *paced)
+        compiled.in_parts(work, n, self.threads, compiled.LIGHT)
         return Paced((x, y, z), (vx, vy, vz), at_once, wish.T, looking.T, up.T, p.rooms["lengths"][0])
 
     def _follow_fast(self, hasty: NDArray[np.bool_], before: Floats, dt: np.float32, state: NDArray[np.int64]) -> None:
@@ -192,9 +196,11 @@ def _bodies_fast(world: World, population: Population, step: Vector, dt: np.floa
     (most,), (state,) = population.room("most", 1, (n,), np.float32), population.room("state", 1, (n,), np.int64)
     given = (now["max_speed"], now["size"], now["max_turn"])
     stands = (vec.named(now, "up"), vec.named(now, "heading"), population.normal)
-    stand(*stands, given, dt, WIDEST, vectors, most, lengths, state)
+    threads = world.options.threads
+    work = partial(stand, *stands, given, dt, WIDEST, vectors, most, lengths, state)
+    compiled.in_parts(work, n, threads, compiled.LIGHT)
     found = rises(world, population, looking, step, (half, reach), state)
-    return Bodies(population, up, heading, most, _NOBODY, found, looking, state)
+    return Bodies(population, up, heading, most, _NOBODY, found, looking, state, threads)
 
 
 def settle(world: World, population: Population, rows: Rows) -> None:

@@ -122,14 +122,16 @@ def stand(
     most: Array1[F32],
     lengths: tuple[Array1[F64], Array1[F64], Array1[F64]],
     state: Array1[I64],
+    begin: I64,
+    end: I64,
 ) -> None:
-    """Bodies as a step begins, from `max_speed`, `size` and `max_turn` (`limits`): up, heading, and heading along the ground into
-    `vectors` (3, n); by how much (radians) each tilts at `most` in a time; size, half of it and `widest` times that (`reaches`)
-    into `lengths`; and their `state`, without walls."""
+    """Bodies from `begin` to before `end` as a step begins, from `max_speed`, `size` and `max_turn` (`limits`): up, heading,
+    and heading along the ground into `vectors` (3, n); by how much (radians) each tilts at `most` in a time; size, half of it
+    and `widest` times that (`reaches`) into `lengths`; and their `state`, without walls."""
     max_speed, size, max_turn = limits
     to_up, to_heading, looking = vectors
     whole, half, reach = lengths
-    for i in range(most.size):
+    for i in range(begin, end):
         to_up[0, i], to_up[1, i], to_up[2, i] = up[0][i], up[1][i], up[2][i]
         to_heading[0, i], to_heading[1, i], to_heading[2, i] = heading[0][i], heading[1][i], heading[2][i]
         walking = _maximum(max_speed[i], _ZERO) / (size[i] if size[i] > 0 else _ONE) * _RIGHT_ANGLE
@@ -220,13 +222,15 @@ def pace(
     velocities: Three,
     at_once: Array1[F32],
     walk: tuple[Array2[F64], Array2[F64], Array2[F64]],
+    begin: I64,
+    end: I64,
 ) -> None:
-    """As `Bodies.paced`: steps and velocities into `steps` and `velocities`, what bodies may tilt at once into `at_once`, and
-    steps, headings and up in float64 into `walk`, (3, n) each."""
+    """As `Bodies.paced`, of bodies from `begin` to before `end`: steps and velocities into `steps` and `velocities`, what
+    bodies may tilt at once into `at_once`, and steps, headings and up in float64 into `walk`, (3, n) each."""
     wall, ahead, angle, far, over = walls
     wish, forward, above = walk
     zero = (0.0, 0.0, 0.0)
-    for i in range(state.size):
+    for i in range(begin, end):
         j, part, kept = state[i], _ONE, _ONE
         at_once[i] = most[i] if j == STANDS else _ZERO
         if j != STANDS:
