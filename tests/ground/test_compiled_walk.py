@@ -218,7 +218,9 @@ def test_velocities_after_a_push_have_the_same_bits(substep: int, monkeypatch: p
         use(monkeypatch, fast)
         up = advance._read(crowd_, "up")
         with np.errstate(all="ignore"):
-            velocity = advance._velocity(SimpleNamespace(dt=1 / 24), crowd_, up, np.float32(1 / 48), substep)
+            velocity = advance._velocity(
+                SimpleNamespace(dt=1 / 24, options=SimpleNamespace(threads=1)), crowd_, up, np.float32(1 / 48), substep
+            )
         found.append(dict(zip("xyz", velocity, strict=True)))
     assert_same_arrays(*found)
 

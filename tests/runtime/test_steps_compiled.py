@@ -12,7 +12,7 @@ from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.machine_code.memory import has_room, roomy, roomy_rows
 from antdsl.numerics import compiled
-from antdsl.runtime import Options, bind, motion_measures
+from antdsl.runtime import Options, bind, motion_measures, state_hash, step
 from antdsl.runtime.world import select_rows
 from antdsl.senses.overlaps import worst_overlaps
 from tests.compilers import need_llvmlite
@@ -148,3 +148,24 @@ def test_rows_are_put_in_order_in_arrays_with_room():
     assert np.array_equal(found, array[rows]) and has_room(found) and has_room(roomy(array))
     assert not found.base[70:].any()
     assert not any(map(has_room, (array, array[:95], array[4:50], np.zeros((3, 50), np.float32)[0])))
+
+
+def test_parts_on_threads_give_the_same_bits_as_one(by_kernels, monkeypatch):
+    by_kernels(True)
+    shot, whole, split = case_of("foraging").make(1_500), compiled.in_parts, []
+
+    def parted(work, count, threads, least=0):
+        split.append(min(threads, count // 50) > 1)
+        return whole(work, count, threads, 50)
+
+    def stepped(threads):
+        world = bind(shot.plan, shot.setting, Options(backend="native", threads=threads, wait_for_code=True))
+        for _ in range(3):
+            step(world)
+        return state_hash(world), world.motion.arrays()
+
+    alone, counted = stepped(1)
+    monkeypatch.setattr(compiled, "in_parts", parted)
+    found, other = stepped(3)
+    assert found == alone and sum(split) > 30
+    assert counted.keys() == other.keys() and all(np.array_equal(counted[name], other[name]) for name in counted)

@@ -145,7 +145,7 @@ def test_steps_along_an_obstacle_are_the_same(monkeypatch: pytest.MonkeyPatch) -
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
         along = obstacles._along(scene, place, step, up, radius, clear, 1)  # type: ignore[arg-type]
-        slowed = advance._slowed(People(rooms={}), step, along, place, np.float32(24))  # type: ignore[arg-type]
+        slowed = advance._slowed(People(rooms={}), step, along, place, np.float32(24), 1)  # type: ignore[arg-type]
         found.append({str(k): v for k, v in enumerate((*along, *slowed))})
     assert_same(*found)
     bent = sum(found[0][str(k)] != step[k] for k in range(3)) > 0
