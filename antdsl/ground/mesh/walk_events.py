@@ -16,6 +16,7 @@ from antdsl.ground.mesh.topology import Topology
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
+_WAITING = 64  # agents who look out for other surfaces, for whom a thread pays
 
 
 class Walk:
@@ -68,5 +69,5 @@ class Walk:
             found = np.empty(boxes.order.size, np.int64)
             loop.walk_on(table, near, *known, straight, found, body, reals, wholes, done, placed, moved, blocked, begin, end)
 
-        compiled.in_parts(further, wholes.shape[1], threads)
+        compiled.in_parts(further, wholes.shape[1], threads, _WAITING)
         return done
