@@ -72,7 +72,7 @@ class Emitter:
         """Room on the stack, for one value or for an array of so many."""
         type = kind if one else f"<{WIDTH} x {kind}>"
         name = self.name("a")
-        self.allocas.append(f"  {name} = alloca {f'[{count} x {type}]' if count else type}, align 32")
+        self.allocas.append(f"  {name} = alloca {f'[{count} x {type}]' if count else type}, align 64")
         return name
 
     def label(self, stem: str) -> str:

@@ -144,10 +144,17 @@ def test_what_turns_would_change_together_is_refused() -> None:
         several(np.ones(9), np.zeros(1))
 
 
-@pytest.mark.parametrize("triple", ["x86_64-unknown-linux-gnu", "aarch64-unknown-linux-gnu"])
-def test_no_operation_is_fused(triple: str) -> None:
-    features = "+avx2,-fma" if triple.startswith("x86") else ""
-    target = machine.Target(triple, "x86-64-v3" if features else "generic", features)
+TARGETS = [
+    machine.ANY,
+    machine.Target(
+        machine.ANY.triple, "znver4", machine.named({"avx2": True, "fma": True, "avx512f": True, "avx512vbmi2": True})
+    ),
+    machine.Target("aarch64-unknown-linux-gnu", "generic", ""),
+]
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_no_operation_is_fused(target: machine.Target) -> None:
     text = machine.assembly(questions.text(target), target) + machine.assembly(tables.text(target), target)
     assert "mul" in text
     assert not any(word in text for word in ("fmadd", "fmsub", "fnmadd", "fmla", "fmls"))

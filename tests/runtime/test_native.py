@@ -250,9 +250,11 @@ def test_without_llvmlite_numpy_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
 
 
+WIDE = dict.fromkeys(("avx2", "fma", "fma4", "avx512f", "avx512vl", "avx512dq", "avx512bw", "avx512vbmi2"), True)
 TARGETS = {
     "host": machine.host,
-    "with fma": lambda: replace(machine.host(), features=machine.host().features.replace("-fma", "+fma")),
+    "with fma": lambda: replace(machine.ANY, features="+avx2,+fma"),
+    "of 512 bits": lambda: machine.Target(machine.ANY.triple, "icelake-server", machine.named(WIDE)),
     "arm": lambda: machine.Target("aarch64-unknown-linux-gnu", "cortex-a72", "+neon"),
 }
 FUSED = ("fmadd", "fmsub", "fnmadd", "fnmsub", "fmla", "fmls")
@@ -265,6 +267,7 @@ def test_no_operations_are_fused(target: str) -> None:
     code = machine.assembly(listing.of_plan(plans.rich(), chosen).text, chosen)
     assert len(code.splitlines()) > 2000
     assert not [line for line in code.splitlines() if any(word in line for word in FUSED)]
+    assert ("zmm" in code) == (target == "of 512 bits" or "+avx512f" in chosen.features)
 
 
 def test_what_implies_that_operations_are_fused_does_not_bring_it_back() -> None:

@@ -252,7 +252,7 @@ class Expressions(Elements):
             if count.known is None or not isinstance(dtype, Scalar):
                 self.fail(node, "scratch(COUNT, TYPE) with a count of the text")
             name = self.name("s")
-            self.allocas.append(f"  {name} = alloca [{count.known} x {dtype.stored}], align 32")
+            self.allocas.append(f"  {name} = alloca [{count.known} x {dtype.stored}], align 64")
             return Array(dtype, name, (count,))
         inputs = [self.value(each) for each in arguments]
         if known in (four, fetch_ahead):
