@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, Strided2, inlined, kernel
+from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, Strided2, independent, inlined, kernel
 
 
 @inlined
@@ -37,8 +37,8 @@ def located(
     `points` [n,3] mm, `low` and `size` [3] of the box. Cells stand in `direct` by key, or where that is empty, by halving among
     the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each. `known` and `here` [n]: keys of the
     points before, -1 outside the box, and their cells; they are renewed."""
-    missed, listed = 0, direct.size > 0
-    for n in range(begin, end):
+    listed = direct.size > 0
+    for n in independent(begin, end):
         x = _along(points[n, 0], cell, low[0], size[0])
         y = _along(points[n, 1], cell, low[1], size[1])
         z = _along(points[n, 2], cell, low[2], size[2])
@@ -59,10 +59,8 @@ def located(
                         b = middle
                 if a < keys.size and keys[a] == key:
                     at = a
-        if key != known[n] or at != here[n]:
-            known[n] = key
-            here[n] = at
-        found[n] = at
-        if at < 0:
-            missed += 1
+        known[n], here[n], found[n] = key, at, at
+    missed = 0
+    for n in range(begin, end):
+        missed += 1 if found[n] < 0 else 0
     return missed
