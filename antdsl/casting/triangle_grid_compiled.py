@@ -6,7 +6,23 @@ import numpy as np
 
 from antdsl.casting.faces_compiled import along, nearest_on, square_of, towards
 from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, RINGS, SHORTEST, TOUCHING
-from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, Strided2, called, inlined, kernel
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    Array3,
+    Strided2,
+    called,
+    fetch_ahead,
+    inlined,
+    kernel,
+    scratch,
+    whole,
+)
 from antdsl.numerics.vectors_compiled import minus
 
 # As `TriangleGrid.tables`.
@@ -15,6 +31,7 @@ Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 Seven = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 ONE, SLACK, TINY = np.float32(1), np.float32(FAR_OFF), np.float32(SHORTEST)
+AHEAD = 16  # rays or places whose faces are brought near at once
 _STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its layer
 
 
@@ -23,8 +40,17 @@ def firsts(
     grid: Grid, origin: Strided2[F64], way: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
 ) -> None:
     """As `TriangleGrid.first`, into `t` and `face`, of rays from `begin` to before `end`."""
-    for i in range(begin, end):
-        t[i], face[i] = _first(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
+    cells = scratch(2 * AHEAD, I64)
+    for low in range(begin, end, AHEAD):
+        high = min(low + AHEAD, end)
+        for i in range(low, high):
+            k, a = 2 * (i - low), (origin[i, 0], origin[i, 1], origin[i, 2])
+            cells[k] = _look_at(grid, a)
+            cells[k + 1] = _look_at(grid, (a[0] + way[i, 0], a[1] + way[i, 1], a[2] + way[i, 2]))
+        for k in range(0, 2 * (high - low)):
+            _fetch_list(grid, cells[k])
+        for i in range(low, high):
+            t[i], face[i] = _first(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
 
 
 @kernel
@@ -177,6 +203,31 @@ def _first(grid, a, w):  # type: ignore[no-untyped-def]
         else:
             z += 2 * uz - 1
     return best, face
+
+
+@inlined
+def _look_at(grid, a):  # type: ignore[no-untyped-def]
+    """The cube of a place, or one beside it where there is none, whose beginning is brought near."""
+    shape, size, first = grid[0], grid[1], grid[2]
+    part = 1.0 / shape[3]
+    x = min(max(whole(np.floor((a[0] - shape[0]) * part)), 0), size[0] - 1)
+    y = min(max(whole(np.floor((a[1] - shape[1]) * part)), 0), size[1] - 1)
+    z = min(max(whole(np.floor((a[2] - shape[2]) * part)), 0), size[2] - 1)
+    cell = (x * size[1] + y) * size[2] + z
+    fetch_ahead(first, cell)
+    return cell
+
+
+@inlined
+def _fetch_list(grid, cell):  # type: ignore[no-untyped-def]
+    """Have the first faces of a cube brought near: two lie in a line of memory."""
+    first, listed, bound = grid[2], grid[3], grid[4]
+    k = first[cell]
+    fetch_ahead(listed, k)
+    fetch_ahead(bound, 8 * k)
+    fetch_ahead(bound, 8 * k + 16)
+    fetch_ahead(bound, 8 * k + 32)
+    fetch_ahead(bound, 8 * k + 48)
 
 
 @inlined
