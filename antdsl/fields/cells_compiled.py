@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, Strided2, independent, inlined, kernel
+from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, Strided2, fetch_ahead, independent, inlined, kernel, scratch
+
+_TOGETHER = 64  # points whose cells are brought near at once
 
 
 @inlined
@@ -14,12 +16,27 @@ def _along(place, cell, low, size):  # type: ignore[no-untyped-def]
     return -1
 
 
+@inlined
+def _found(direct, listed, keys, shift, start, key):  # type: ignore[no-untyped-def]
+    """The cell of a key, -1 for none."""
+    if listed:
+        return np.int64(direct[key])
+    a, b = np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1])
+    while a < b:
+        middle = (a + b) >> 1
+        if keys[middle] < key:
+            a = middle + 1
+        else:
+            b = middle
+    return a if a < keys.size and keys[a] == key else -1
+
+
 @kernel
 def located(
     points: Strided2[F64],
     side: Array1[I8],
     cell: F64,
-    low: Array1[I64],
+    box: Array1[I64],
     size: Array1[I64],
     direct: Array1[I32],
     keys: Array1[I64],
@@ -34,32 +51,41 @@ def located(
     """Write the cell of the voxel and side of each point from `begin` to before `end` into `found` [n]; gives how many have
     none, which get -1.
 
-    `points` [n,3] mm, `low` and `size` [3] of the box. Cells stand in `direct` by key, or where that is empty, by halving among
-    the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each. `known` and `here` [n]: keys of the
-    points before, -1 outside the box, and their cells; they are renewed."""
+    `points` [n,3] mm, `box` and `size` [3]: the lowest voxel of the box, and how many. Cells stand in `direct` by key, or where
+    that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each.
+    `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are renewed."""
     listed = direct.size > 0
-    for n in independent(begin, end):
-        x = _along(points[n, 0], cell, low[0], size[0])
-        y = _along(points[n, 1], cell, low[1], size[1])
-        z = _along(points[n, 2], cell, low[2], size[2])
-        at, key = -1, -1
-        if x >= 0 and y >= 0 and z >= 0:
-            key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
-            if key == known[n] and here[n] >= 0:
-                at = here[n]
-            elif listed:
-                at = direct[key]
+    wanted, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
+    for low in range(begin, end, _TOGETHER):
+        high = min(low + _TOGETHER, end)
+        for n in independent(low, high):
+            x = _along(points[n, 0], cell, box[0], size[0])
+            y = _along(points[n, 1], cell, box[1], size[1])
+            z = _along(points[n, 2], cell, box[2], size[2])
+            key = -1
+            if x >= 0 and y >= 0 and z >= 0:
+                key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
+            wanted[n - low] = key
+        count = 0
+        for n in range(low, high):
+            others[count] = n
+            count += 1 if wanted[n - low] != known[n] or here[n] < 0 else 0
+        for k in range(count):
+            key = max(wanted[others[k] - low], 0)
+            if listed:
+                fetch_ahead(direct, key)
             else:
-                a, b = start[key >> shift], start[(key >> shift) + 1]
-                while a < b:
-                    middle = (a + b) >> 1
-                    if keys[middle] < key:
-                        a = middle + 1
-                    else:
-                        b = middle
-                if a < keys.size and keys[a] == key:
-                    at = a
-        known[n], here[n], found[n] = key, at, at
+                fetch_ahead(start, key >> shift)
+        if not listed:
+            for k in range(count):
+                fetch_ahead(keys, start[max(wanted[others[k] - low], 0) >> shift])
+        for k in range(count):
+            n = others[k]
+            key = wanted[n - low]
+            known[n] = key
+            here[n] = _found(direct, listed, keys, shift, start, key) if key >= 0 else -1
+        for n in independent(low, high):
+            found[n] = here[n]
     missed = 0
     for n in range(begin, end):
         missed += 1 if found[n] < 0 else 0
