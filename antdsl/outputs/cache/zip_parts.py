@@ -8,7 +8,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Sequence
 from struct import Struct
-from zlib import crc32
+
+from antdsl.numerics.check_sums import crc32
 
 Parts = Sequence[bytes | memoryview]
 
