@@ -85,7 +85,7 @@ def _header(kind: str, shape: tuple[int, ...]) -> bytes:
 def write_whole(path: Path, data: bytes | Parts, *, sync: bool) -> None:
     """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing. `data`: its bytes, or
     parts that are these end to end."""
-    with whole(path) as part, open(part, "r+b", buffering=0) as file:  # empty; a file that is cut is put on the disk when closed
+    with whole(path) as part, open(part, "wb", buffering=0) as file:
         _put(file, [data] if isinstance(data, bytes) else data)
         if sync:
             os.fsync(file.fileno())
