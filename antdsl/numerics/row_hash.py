@@ -15,7 +15,7 @@ the keys and looks for one that is missed: this finds faults, not forgeries.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -35,8 +35,13 @@ def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> 
     """16 bytes for a table with these columns, [n] each, of 1, 2, 4 or 8 bytes a value. `ids` int64[n] are different from each
     other; None: the numbers of the rows, for a table whose rows have an order."""
     count = len(columns[0]) if ids is None else len(ids)
-    fold, finish = _kernels() if compiled.wanted(count) else (_fold, _finish)
     words = _words(columns)
+    if compiled.wanted(count):
+        fold, finish, numbered = _kernels()
+        if ids is None and len(words) == 1 == len(words[0][1]):
+            return _told(numbered(words[0][1][0], _keys(0, 1)))
+    else:
+        fold, finish = _fold, _finish
     sums = [0, 0]
     for begin in range(0, count, BLOCK):
         size = min(BLOCK, count - begin)
@@ -45,8 +50,12 @@ def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> 
         fold([(0, (block,))], first, second, 0)
         fold(words, first, second, begin)
         for lane, found in enumerate(finish(first, second)):
-            sums[lane] = (sums[lane] + int(found)) & _WHOLE
-    return b"".join(each.to_bytes(8, "little") for each in sums)
+            sums[lane] += int(found)
+    return _told(sums)
+
+
+def _told(sums: Sequence[int]) -> bytes:
+    return b"".join((int(each) & _WHOLE).to_bytes(8, "little") for each in sums)
 
 
 def hashed_rows(ids: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> bytes:
@@ -114,21 +123,26 @@ def _finish(first: Longs, second: Longs) -> tuple[int, int]:
 
 
 @cache
-def _kernels() -> tuple[Any, Any]:
+def _kernels() -> tuple[Any, Any, Any]:
     from antdsl.numerics import row_hash_compiled as kernels
 
     def fold(words: Words, first: Longs, second: Longs, begin: int) -> None:
-        halves = []
-        for number, word in words:
-            if len(word) == 1:
-                kernels.fold_whole(word[0], _keys(number), first, second, begin)
-            else:
-                halves.append((number, word))
-        fours = len(halves) // 4 * 4
-        for k in range(0, fours, 4):
-            numbers, some = zip(*halves[k : k + 4], strict=True)
+        wholes = [(number, word[0]) for number, word in words if len(word) == 1]
+        halves = [(number, word) for number, word in words if len(word) == 2]
+        for numbers, some in _fours(wholes):
+            kernels.fold_wholes(some, _keys(*numbers), first, second, begin)
+        for number, word in wholes[len(wholes) // 4 * 4 :]:
+            kernels.fold_whole(word, _keys(number), first, second, begin)
+        for numbers, some in _fours(halves):
             kernels.fold_halves(*zip(*some, strict=True), _keys(*numbers), first, second, begin)
-        for number, (low, high) in halves[fours:]:
+        for number, (low, high) in halves[len(halves) // 4 * 4 :]:
             kernels.fold_half(low, high, _keys(number), first, second, begin)
 
-    return fold, kernels.finish
+    return fold, kernels.finish, kernels.numbered
+
+
+def _fours(words: Sequence[tuple[int, Any]]) -> Iterator[tuple[tuple[int, ...], tuple[Any, ...]]]:
+    """Numbers and arrays of four words at a time, as far as there are so many."""
+    for k in range(0, len(words) // 4 * 4, 4):
+        numbers, some = zip(*words[k : k + 4], strict=True)
+        yield numbers, some

@@ -278,3 +278,32 @@ def test_the_compiled_walk_gives_the_same_bits_beside_a_mesh_that_moves(monkeypa
         assert_same(*results)
         at = results[0]
     assert at.blocked.any() and (at.footing.mesh == 1).any()
+
+
+@pytest.mark.parametrize("name", ["hills", "flipped, doubled and flat faces", "loose sheets", "a mesh that moves"])
+def test_places_of_footings_have_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_kernels()
+    rng = np.random.default_rng(3)
+    if name == "a mesh that moves":
+        stone = ball(14, (8, 4, 3), 9)
+        ground: MeshGround = MovingGround({"stone": stone, "floor": grid(60, 9)}, ["stone"])
+        ground.pose({"stone": stone[0] * 1.25 + np.array([3.0, 0.1, -0.0])})  # type: ignore[attr-defined]
+    else:
+        ground = MeshGround(GROUNDS[name]())
+    use(monkeypatch, False)
+    footing = crowd(ground, rng).footing
+    for column in (footing.b1, footing.b2):  # corners and the far side of zero too
+        column[:60] = rng.choice([0.0, -0.0, 1.0, np.nan, np.inf], 60)
+    footing.over[::3] = rng.choice([-0.0, 0.3, -2.0, np.nan], len(footing.over[::3]))
+    footing.mesh[5], footing.face[5:7] = -1, -1
+    with np.errstate(invalid="ignore"):
+        wanted = ground.position(footing)
+    use(monkeypatch, True)
+    found = ground.position(footing)
+    unknown = np.isnan(wanted)
+    assert (found.view(np.int64) == wanted.view(np.int64))[~unknown].all() and np.isnan(found[unknown]).all()
+    for column, wrong in ((footing.face, len(ground.triangles[1])), (footing.mesh, len(ground.names) + 1)):
+        kept, column[9] = column[9], wrong
+        with pytest.raises(IndexError):
+            ground.position(footing)
+        column[9] = kept

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from compilers import need_llvmlite
 from plans import bare, block, crowd
 
 from antdsl.numerics import compiled
-from antdsl.outputs.cache.frames import _made, _made_compiled
+from antdsl.outputs.cache.frames import FrameMaker, _made, _made_compiled, _not_zero
+from antdsl.outputs.cache.shown_arrays import _put_on
 from antdsl.outputs.surface_error import surface_error
 from antdsl.runtime import Options, World, bind
 
@@ -55,3 +58,44 @@ def test_the_distance_from_the_ground(world: World, odd: float, monkeypatch: pyt
         monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
         found.append(surface_error(world))
     assert found[0] == found[1] and (found[0] > 0 or np.isnan(odd))
+
+
+@pytest.mark.parametrize("count", [1, 7, 4000])
+def test_cells_of_a_field(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_llvmlite()
+    values = np.random.default_rng(count).choice([0.0, -0.0, 1e-300, -2.5, 1e300, np.inf, np.nan, 0.1], count)
+    found = []
+    for on in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
+        with np.errstate(over="ignore"):
+            found.append(_not_zero(values))
+    for wanted, got in zip(*found, strict=True):
+        assert got.dtype == wanted.dtype and np.array_equal(got, wanted, equal_nan=wanted.dtype.kind == "f")
+
+
+def test_who_wears_a_layer(monkeypatch: pytest.MonkeyPatch) -> None:
+    need_llvmlite()
+    rng = np.random.default_rng(4)
+    on, rows, before = rng.random(500) < 0.3, rng.permutation(500)[:400], rng.integers(0, 2**63, 400).astype(np.uint64)
+    found = []
+    for fast in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+        found.append(before.copy())
+        for bit in (0, 5, 63):
+            _put_on(on, rows, np.uint64(1 << bit), found[-1])
+    assert np.array_equal(*found) and not np.array_equal(found[0], before)
+
+
+def test_colours_of_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    need_llvmlite()
+    states = np.random.default_rng(6).integers(0, 5, 300).astype(np.int32)
+    population = SimpleNamespace(name="ant", plan=SimpleNamespace(machines=[SimpleNamespace(name="m")]), now={"m.state": states})
+    maker = SimpleNamespace(colours={"ant": np.random.default_rng(7).random((5, 3)).astype(np.float32)})
+    rows, found = np.random.default_rng(8).permutation(300), []
+    for on in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
+        found.append(FrameMaker._coloured(maker, population, rows))  # type: ignore[arg-type]
+    assert np.array_equal(*found) and found[1].dtype == np.float32
+    states[17] = 5
+    with pytest.raises(IndexError):
+        FrameMaker._coloured(maker, population, rows)  # type: ignore[arg-type]

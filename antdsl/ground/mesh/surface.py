@@ -117,6 +117,12 @@ class MeshGround:
 
     def position(self, footing: Footing) -> Floats:
         """Places in the world, float64[n,3]; zero for footings nowhere."""
+        if compiled.wanted(len(footing)):
+            from antdsl.ground.mesh.places_compiled import places
+
+            found, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
+            if places(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, found):
+                return found
         face, known = self._faces_of(footing)
         t = self._table
         if not self._faces.size:

@@ -35,12 +35,13 @@ def clips_playing(population: Population, rows: NDArray[np.intp]) -> dict[str, N
     """The arrays of a species: of its agents at some rows."""
     found: dict[str, NDArray[Any]] = {}
     for machine in playing(population):
-        now = {
-            field: population.now[f"{machine}.{register}"].take(rows).astype(kind, copy=False)
-            for field, (register, kind) in _REGISTERS.items()
-        }
+        now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTERS.items()}
         three = bool(((now["earlier_fade"] > 0) & (now["fade"] > 0)).any())
-        found |= {f"clips.{population.name}.{machine}.{field}": now[field] for field in FIELDS if three or field not in EARLIER}
+        found |= {
+            f"clips.{population.name}.{machine}.{field}": now[field].take(rows).astype(_REGISTERS[field][1], copy=False)
+            for field in FIELDS
+            if three or field not in EARLIER
+        }
     return found
 
 

@@ -85,10 +85,7 @@ class FrameMaker:
             arrays |= self._pairs(world.populations[name], rows[name])
             arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
-            values = np.asarray(field.values)
-            cells = np.flatnonzero(values != 0)
-            arrays[f"field.{name}.cells"] = cells.astype(np.int32)
-            arrays[f"field.{name}.values"] = values[cells].astype(np.float32)
+            arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _not_zero(np.asarray(field.values))
             if "places" in field.added:
                 places = field.added["places"][:, :3] + world.origin
                 arrays[f"field.{name}.added"] = (places * self.scale).astype(np.float32)
@@ -129,6 +126,17 @@ class FrameMaker:
             arrays["v_ground"] = (np.concatenate(parts) * self.scale).astype(np.float32)
         return arrays
 
+    def _coloured(self, population: Population, rows: NDArray[np.intp]) -> NDArray[np.float32]:
+        """The colours of the states of the agents at some rows, float32[k, 3]. IndexError for a state that is none."""
+        colours, machines = self.colours[population.name], population.plan.machines
+        if machines and compiled.wanted(len(rows)):
+            from antdsl.outputs.cache import frames_compiled as kernels
+
+            out = np.empty((len(rows), 3), np.float32)
+            if kernels.coloured(colours, population.now[f"{machines[0].name}.state"], rows, out):
+                return out
+        return colours.take(_states(population, rows), axis=0)
+
     def _attribute(self, world: World, attribute: str, number: int, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         population = world.populations[name]
         if attribute in ("P", "v", "orient"):
@@ -139,7 +147,7 @@ class FrameMaker:
         if attribute == "pscale":
             return _register(population, "size", rows) * np.float32(self.scale)
         if attribute == "Cd":
-            return self.colours[name].take(_states(population, rows), axis=0)
+            return self._coloured(population, rows)
         if attribute == "state":
             return _states(population, rows).astype(np.int16)
         if attribute == "species":
@@ -149,6 +157,18 @@ class FrameMaker:
         if attribute not in population.plan.registers or attribute in self.pairs[name]:
             return np.full(len(rows), np.nan, np.float32)
         return _register(population, attribute, rows) * np.float32(self.factors.get((name, attribute), 1.0))
+
+
+def _not_zero(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The cells of a field that have something in them, and how much."""
+    if compiled.wanted(len(values)):
+        from antdsl.outputs.cache import frames_compiled as kernels
+
+        cells, strength = np.empty(len(values) + 1, np.int32), np.empty(len(values) + 1, np.float32)
+        count = kernels.not_zero(values, cells, strength)
+        return cells[:count], strength[:count]
+    found = np.flatnonzero(values != 0)
+    return found.astype(np.int32), values[found].astype(np.float32)
 
 
 def _made(

@@ -1,4 +1,4 @@
-"""The compiled half of `frames` and of `surface_error`: one pass over the agents for each array, the same bits.
+"""The compiled half of `frames`, `shown_arrays` and `surface_error`: one pass over the agents for each array, the same bits.
 
 Imported only where `compiled.wanted` says so."""
 
@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, as_bits, independent, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, as_bits, independent, inlined, kernel
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 
@@ -30,6 +30,36 @@ def vectors(of: Three, rows: Array1[I64], scale: F32, out: Array2[F32]) -> None:
         out[k, 0] = x[i] * scale
         out[k, 1] = y[i] * scale
         out[k, 2] = z[i] * scale
+
+
+@kernel
+def coloured(colours: Array2[F32], state: Array1[I32], rows: Array1[I64], out: Array2[F32]) -> BOOL:
+    """Colours of the states of the agents at some rows; whether all states have one."""
+    for k in range(rows.size):
+        number = state[rows[k]]
+        if number < 0 or number >= colours.shape[0]:
+            return False
+        out[k, 0], out[k, 1], out[k, 2] = colours[number, 0], colours[number, 1], colours[number, 2]
+    return True
+
+
+@kernel
+def worn(on: Array1[BOOL], rows: Array1[I64], bit: I64, mask: Array1[I64]) -> None:
+    """Put a bit into the masks of those at some rows who have it on."""
+    for k in range(rows.size):
+        mask[k] |= bit if on[rows[k]] else 0
+
+
+@kernel
+def not_zero(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
+    """Write the numbers of the values that are not 0, and these values; how many. Both have room for one more than all."""
+    count = 0
+    for i in range(values.size):
+        value = values[i]
+        cells[count] = i
+        out[count] = np.float32(value)
+        count += 1 if value != 0.0 else 0
+    return count
 
 
 @inlined

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.varied_bodies import Draws
+from antdsl.numerics import compiled
 from antdsl.numerics.randomness import uniform
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.runtime.world import Population
@@ -39,7 +40,7 @@ def shown(population: Population, rows: NDArray[np.intp], setting: Setting) -> d
     if layers:
         mask = np.zeros(len(rows), np.uint64)
         for layer in plan.wears:
-            mask |= np.where(now[f"wear#{layer}"][rows], _bit(layers, layer), np.uint64(0))
+            _put_on(now[f"wear#{layer}"], rows, _bit(layers, layer), mask)
         for worn in _by_scene(population, rows, setting, layers):
             mask |= worn
         arrays[f"wears.{name}"] = mask
@@ -52,6 +53,16 @@ def shown(population: Population, rows: NDArray[np.intp], setting: Setting) -> d
     if "lean#turn" in plan.registers:
         arrays[f"leans.{name}"] = np.stack([now["lean#turn"][rows], now["lean#slope"][rows]], axis=1)
     return arrays
+
+
+def _put_on(on: NDArray[np.bool_], rows: NDArray[np.intp], bit: np.uint64, mask: NDArray[np.uint64]) -> None:
+    """Put a bit into the masks of the agents at some rows who have it on."""
+    if compiled.wanted(len(rows)):
+        from antdsl.outputs.cache.frames_compiled import worn
+
+        worn(on, rows, bit.view(np.int64), mask.view(np.int64))
+    else:
+        mask |= np.where(on[rows], bit, np.uint64(0))
 
 
 def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
@@ -91,8 +102,11 @@ def _by_scene(
 ) -> Iterator[NDArray[np.uint64]]:
     """What the scene dresses agents in: of each part one layer, drawn by the agent's id and the scene's seed for its whole life;
     those who are born wear what the line of their parent says."""
+    crowds = [crowd for crowd in _crowds(population, setting) if crowd.wears]
+    if not crowds:
+        return
     group, ids = population.now["group"][rows], population.ids[rows]
-    for crowd in _crowds(population, setting):
+    for crowd in crowds:
         for k, part in enumerate(crowd.wears):
             bits = np.array([_bit(layers, layer) for layer in part], np.uint64)
             drawn = uniform(setting.seed, 0, population.name, f"wear {crowd.group} {k}", 0, ids)

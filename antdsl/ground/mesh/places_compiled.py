@@ -1,0 +1,49 @@
+"""Where footings are in the world, of many in one pass: as `surface.MeshGround.position`.
+
+From vertices, of which neighbours share most, so that less of memory is read than of a table of faces."""
+
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, fetch_ahead, kernel
+
+_FETCHED = 64  # footings whose vertices are brought near at once
+
+
+@kernel
+def places(
+    vertices: Array1[F64],
+    faces: Array2[I32],
+    normal: Array2[F64],
+    first: Array1[I64],
+    mesh: Array1[I32],
+    face: Array1[I32],
+    b1: Array1[F64],
+    b2: Array1[F64],
+    over: Array1[F64],
+    place: Array2[F64],
+) -> BOOL:
+    """Write the place of each footing, [n,3], 0 for nowhere, and say whether all faces are there: they are `faces`, with a
+    `normal` (3, m), by mesh from `first` on. `vertices`: three numbers of each."""
+    for begin in range(0, mesh.size, _FETCHED):
+        end = min(begin + _FETCHED, mesh.size)
+        for n in range(begin, end):
+            if mesh[n] >= 0 and face[n] >= 0:
+                if mesh[n] >= first.size:
+                    return False
+                f = first[mesh[n]] + face[n]
+                if f >= faces.shape[0]:
+                    return False
+                for corner in range(3):
+                    fetch_ahead(vertices, 3 * faces[f, corner])
+        for n in range(begin, end):
+            x, y, z = 0.0, 0.0, 0.0
+            if mesh[n] >= 0 and face[n] >= 0:
+                f = first[mesh[n]] + face[n]
+                i, j, k = 3 * faces[f, 0], 3 * faces[f, 1], 3 * faces[f, 2]
+                p, q, h = b1[n], b2[n], over[n]
+                x, y, z = vertices[i], vertices[i + 1], vertices[i + 2]
+                x = (x + p * (vertices[j] - x)) + q * (vertices[k] - x)
+                y = (y + p * (vertices[j + 1] - y)) + q * (vertices[k + 1] - y)
+                z = (z + p * (vertices[j + 2] - z)) + q * (vertices[k + 2] - z)
+                if h != 0.0 or x == 0.0 or y == 0.0 or z == 0.0:  # else it changes nothing, not even the sign of nothing
+                    x, y, z = x + h * normal[0, f], y + h * normal[1, f], z + h * normal[2, f]
+            place[n, 0], place[n, 1], place[n, 2] = x, y, z
+    return True

@@ -1,0 +1,104 @@
+"""What it costs to write a cache: CPU time of steps whose frames are written, beside the same steps of a second world without.
+
+`python tests/benchmarks/writing.py foraging --agents 15000 100000` takes a case of `antdsl bench` with so many agents each. Feet
+are off in both worlds (they are worked out where a cache is written, and nowhere else: `antdsl bench --cache` tells what they
+cost), steps take one thread, and the thread that writes counts, with checkpoints and until the last frame of a turn is in the
+file. `--rounds` turns each of `--steps` steps, in turn; the first of each is not counted. Told are milliseconds a frame, and the
+ratio of the two with where it lies with 95 %."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean
+
+from antdsl.bench.cases import CASES, case_of
+from antdsl.bench.measuring import with_code
+from antdsl.bench.ratios import in_turn, interval
+from antdsl.outputs.cache.cache_reader import frame_path
+from antdsl.outputs.cache.hashes import HASHES
+from antdsl.outputs.recording import Recording, begin, record
+from antdsl.runtime import Options, World, bind, step
+from antdsl.scene.values import parse_frames
+
+WARM = 8  # steps before anything is measured: rows come into order of place, machine code is there
+
+
+def steps_of(world: World) -> Iterator[int]:
+    """The frames of a world that nobody writes."""
+    yield world.frame
+    while True:
+        step(world)
+        yield world.frame
+
+
+def frames_of(recording: Recording) -> Iterator[int]:
+    """The frames of a run that writes them."""
+    for each in record(recording):
+        yield each.world.frame
+
+
+def wait_for(folder: Path, frame: int) -> None:
+    """Return once the file of a frame and its line are written."""
+    begins = f'{{"frame": {frame},'.encode()
+    while not frame_path(folder, frame).exists() or begins not in (folder / HASHES).read_bytes()[-1000:]:
+        time.sleep(0.002)
+
+
+def measured(case: str, agents: int, steps: int, rounds: int) -> list[tuple[float, float]]:
+    """CPU seconds of a frame, without a cache and with one, turn by turn."""
+    shot = case_of(case).make(agents)
+    last = WARM + (rounds + 1) * steps + 1
+    shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{last}")))
+    options = Options(backend="native", threads=1)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place, "cache")
+        recording = begin(shot, folder, options, resume=False, force=False)
+        recording.world = bind(shot.plan, shot.setting, options)
+        worlds = bind(shot.plan, shot.setting, options), recording.world
+        ways = steps_of(worlds[0]), frames_of(recording)
+        for way, world in zip(ways, worlds, strict=True):
+            for _ in range(WARM):
+                next(way)
+            with_code(world)
+        wait_for(folder, worlds[1].frame)
+
+        def turn(number: int) -> float:
+            began = time.process_time()
+            for _ in range(steps):
+                frame = next(ways[number])
+            if number:
+                wait_for(folder, frame)
+            return (time.process_time() - began) / steps
+
+        found = in_turn(turn, 2, rounds)
+        recording.stop = True
+        for _ in ways[1]:
+            pass
+    return [(without, written) for without, written in found]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("case", choices=sorted(CASES), nargs="?", default="foraging")
+    parser.add_argument("--agents", type=int, nargs="+", default=[15_000])
+    parser.add_argument("--steps", type=int, default=24)
+    parser.add_argument("--rounds", type=int, default=10)
+    given = parser.parse_args()
+    for agents in given.agents:
+        found = measured(given.case, agents, given.steps, given.rounds)
+        plain, written = (1000 * fmean(turn[k] for turn in found) for k in (0, 1))
+        ratio = interval([with_cache / without for without, with_cache in found])
+        print(
+            f"{given.case}, {agents:,} agents: a step {plain:.2f} ms, with its frame written {written:.2f}, "
+            f"{written - plain:.2f} more; ratio {ratio}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+"""CRC-32 by products without carry is that of zlib, however long the bytes are and whatever came before them."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import pytest
+from compilers import need_llvmlite
+
+from antdsl.machine_code import machine
+from antdsl.numerics import check_sums, compiled
+from antdsl.numerics.check_sums import crc32
+
+LENGTHS = [*range(64, 200), 255, 256, 257, 1000, 4095, 4096, 4097, 65_537]
+
+
+@pytest.fixture
+def products(monkeypatch: pytest.MonkeyPatch) -> None:
+    need_llvmlite()
+    if not check_sums.has_products(machine.host()):
+        pytest.skip("this processor has no products without carry")
+    monkeypatch.setattr(compiled, "wanted", lambda count: True)
+    monkeypatch.setattr(check_sums, "LEAST", 64)
+
+
+def test_it_is_that_of_zlib(products: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = np.random.default_rng(1).bytes(70_000)
+    finished: list[int] = []
+    plain = zlib.crc32
+    monkeypatch.setattr(check_sums.zlib, "crc32", lambda part, before: finished.append(len(part)) or plain(part, before))
+    for length in LENGTHS:
+        for before in (0, 1, 0xFFFFFFFF, 0xDEADBEEF):
+            start = length % 17  # also where eight bytes do not begin
+            assert crc32(memoryview(data)[start : start + length], before) == plain(data[start : start + length], before)
+            assert crc32(bytes(length), before) == plain(bytes(length), before)
+    assert max(finished) < 64  # all but the rest went the other way
+
+
+def test_parts_one_after_the_other_are_the_whole(products: None) -> None:
+    data = np.random.default_rng(2).bytes(5000)
+    for cut in (0, 1, 63, 64, 65, 700, 4999):
+        assert crc32(data[cut:], crc32(data[:cut])) == zlib.crc32(data)
+
+
+def test_every_bit_counts(products: None) -> None:
+    data = bytearray(np.random.default_rng(3).bytes(300))
+    seen = {crc32(bytes(data))}
+    for place in range(len(data)):
+        for bit in range(8):
+            data[place] ^= 1 << bit
+            seen.add(crc32(bytes(data)))
+            data[place] ^= 1 << bit
+    assert len(seen) == 1 + 8 * len(data)
+
+
+@pytest.mark.parametrize("features", ["+avx2,-pclmul", "+avx2,+vpclmulqdq", ""])
+def test_a_processor_without_such_products(features: str, products: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The instruction would end the process."""
+    target = machine.host()
+    monkeypatch.setattr(machine, "host", lambda: machine.Target(target.triple, "x86-64", features))
+    check_sums._fold.cache_clear()
+    try:
+        assert check_sums._fold() is None and crc32(b"abc" * 99) == zlib.crc32(b"abc" * 99)
+    finally:
+        check_sums._fold.cache_clear()
+
+
+def test_an_arm_has_none() -> None:
+    assert not check_sums.has_products(machine.Target("aarch64-unknown-linux-gnu", "generic", "+pclmul"))

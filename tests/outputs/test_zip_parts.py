@@ -1,0 +1,65 @@
+"""Zip files of parts are what `zipfile` writes, to the byte, and are read where sizes need eight bytes; they are written whole
+however few bytes the system takes at once."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from antdsl.outputs.cache import npz, zip_parts
+from antdsl.outputs.cache.zip_parts import stored
+
+MEMBERS = [
+    ("frame.npy", b"head", np.int64(7).tobytes()), ("P.npy", b"a head of its own", bytes(range(256)) * 40),
+    ("nothing.npy", b"head", b""), ("größe.npy", b"", b"x"), ("clips.ant.main.turns.npy", b"h", b"\0" * 999),
+]  # fmt: skip
+
+
+def parts() -> list[bytes | memoryview]:
+    return list(stored((name, head, memoryview(rest)) for name, head, rest in MEMBERS))
+
+
+@pytest.mark.parametrize("count", range(len(MEMBERS) + 1))
+def test_a_file_is_that_of_zipfile(count: int) -> None:
+    wanted = io.BytesIO()
+    with zipfile.ZipFile(wanted, "w", zipfile.ZIP_STORED) as file:
+        for name, head, rest in MEMBERS[:count]:
+            with file.open(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), "w") as member:
+                member.write(head)
+                member.write(rest)
+    assert b"".join(stored((name, head, memoryview(rest)) for name, head, rest in MEMBERS[:count])) == wanted.getvalue()
+
+
+@pytest.mark.parametrize("limit", [0, 30, 5000, 20000])
+def test_what_is_longer_than_four_bytes_tell_is_read(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zip_parts, "LIMIT", limit)
+    monkeypatch.setattr(zip_parts, "MOST", 3 if limit else 1 << 16)
+    with zipfile.ZipFile(io.BytesIO(b"".join(parts()))) as file:
+        assert file.testzip() is None and file.namelist() == [name for name, _, _ in MEMBERS]
+        assert all(file.read(name) == head + rest for name, head, rest in MEMBERS)
+
+
+def test_the_rest_of_a_member_is_not_copied() -> None:
+    array = np.arange(10)
+    found = npz.npz_parts({"a": array})
+    assert any(isinstance(part, memoryview) and np.shares_memory(np.frombuffer(part, np.uint8), array) for part in found)
+
+
+@pytest.mark.parametrize("once", [1, 7, 300, None])
+@pytest.mark.parametrize("most", [1, 3, 1000])
+def test_parts_are_written_whole(once: int | None, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`once`: bytes that the system takes at once; None where it takes no parts."""
+    monkeypatch.setattr(npz, "_AT_ONCE", most)
+    if once is None:
+        monkeypatch.delattr(os, "writev", raising=False)
+    else:
+        monkeypatch.setattr(os, "writev", lambda file, some: os.write(file, b"".join(some)[:once]), raising=False)
+    npz.write_whole(tmp_path / "a.npz", parts(), sync=True)
+    assert (tmp_path / "a.npz").read_bytes() == b"".join(parts())
+    npz.write_whole(tmp_path / "a.npz", b"shorter", sync=False)
+    assert (tmp_path / "a.npz").read_bytes() == b"shorter" and [p.name for p in tmp_path.iterdir()] == ["a.npz"]
