@@ -237,7 +237,7 @@ def _candidates(w: Writer, near: Search, search: Rows, asks: Lanes) -> tuple[Lan
                     inside = ((dx * dx + dy * dy) + dz * dz) <= limit
                     left = e.convert(e.one(f"sub i64 {many.name}, {k.name}", I64), I32)
                     inside = inside & (e.convert(e.iota(), I32) < e.splat(left))
-                    write_down(e, own, total, e.convert(at, I32), inside)
+                    write_down(e, own, total, e.splat(e.convert(at, I32)) + e.convert(e.iota(), I32), inside)
                 e.put(so_far, e.convert(e.get(total, I64, one=True), I32))
 
     search.each(through)
