@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code.emitter import Emitter
-from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes
+from antdsl.machine_code.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.numerics import randomness
 from antdsl.numerics.philox import UNIT
 from antdsl.plan import ir
@@ -194,18 +194,16 @@ def _greater(e: Emitter, one: Lanes, other: Lanes, then: Lanes, otherwise: Lanes
     return e.one(f"select i1 {more.name}, {then.typed}, {otherwise.typed}", then.kind)
 
 
-def _fetch_ahead(w: Any, field: str, block: Lanes, count: int) -> None:
-    """Have the rows of cells around the next eight agents brought into the cache meanwhile."""
+def fetch_ahead(w: Any, field: str, array: Lanes, size: int) -> None:
+    """Have what an array holds of the cells of the next eight agents, so many bytes of each, brought into the cache meanwhile."""
     e: Emitter = w.e
     e.module.declare("llvm.prefetch.p0", "void", ["ptr", "i32", "i32", "i32"])
-    base = w.base("cell", field)
     later = e.one(f"add i64 {w.row.name}, {WIDTH}", I64)
     more = e.one(f"icmp slt i64 {later.name}, %end", BOOL)
-    cells = e.load(base, e.one(f"select i1 {more.name}, {later.typed}, {w.row.typed}", I64), I32)
-    known = e.where((cells >= 0) & (cells < w.number(I32, "cells", field)), cells, e.constant(0, I32))
-    for lane in range(WIDTH):
-        cell = e.convert(e.one(f"extractelement {known.typed}, i64 {lane}", I32), I64)
-        place = e.address(block, e.one(f"mul i64 {cell.name}, {count}", I64), I32)
+    cells = e.load(w.base("cell", field), e.one(f"select i1 {more.name}, {later.typed}, {w.row.typed}", I64), I32)
+    for lane in range(WIDTH):  # those of no cell fetch what nobody reads, which is allowed anywhere
+        cell = e.convert(e.one(f"extractelement {cells.typed}, i64 {lane}", I32), I64)
+        place = e.address(array, e.one(f"mul i64 {cell.name}, {size}", I64), I8)
         e.do(f"call void @llvm.prefetch.p0(ptr {place.name}, i32 0, i32 3, i32 1)")
 
 
@@ -218,7 +216,7 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     e.put(most, e.constant(0.0, F64))
     e.put(where, own)
     e.put(whose, e.where(there, own, e.constant(0, I32)))
-    _fetch_ahead(w, field, block, int(count))
+    fetch_ahead(w, field, block, 4 * int(count))
     asks = e.one(f"zext i8 {e.mask_bits(w.mask[-1] & there).name} to i64", I64)
     with e.loop(e.constant(WIDTH, I64, one=True)) as lane:  # cells of one agent lie side by side
         bit = e.one(f"lshr i64 {asks.name}, {lane.name}", I64)
