@@ -56,9 +56,9 @@ def located(
             at, key = -1, known[n]
             if key >= 0:
                 if listed:
-                    at = np.int64(direct[key])
+                    at = direct[key]
                 else:
-                    a, b = np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1])
+                    a, b = start[key >> shift], start[(key >> shift) + 1]
                     while a < b:
                         middle = (a + b) >> 1
                         if keys[middle] < key:
