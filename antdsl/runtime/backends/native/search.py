@@ -1,8 +1,9 @@
 """Reductions over neighbours as machine code: one search of the cell grid for all that is asked of one species.
 
 For eight asking agents at a time the cells in reach are worked out side by side; candidates in them are measured, eight at a
-time, and those near enough written down, a list for each asking agent. Then the lists are gone through side by side: a pair of
-each of the eight agents is tested, weighed and added to its sums. Who has very many neighbours is left to `crowds`.
+time, and those near enough and in view written down, a list for each asking agent. Then the lists are gone through side by
+side: a pair of each of the eight agents is tested, weighed and added to its sums. Who has very many candidates is left to
+`crowds`.
 
 Reductions of several regions are found in one search where what they need is known: the first region that asks has it made for
 its agents, those after it only for agents that have not asked yet. What nobody asks for then is found in vain, and not seen."""
