@@ -22,6 +22,7 @@ def _between(a, b, i):  # type: ignore[no-untyped-def]
 def _count(half, least, first, bins):  # type: ignore[no-untyped-def]
     """The last bin whose least half chord is no more than this one's; `first`: where to begin to look, by its size."""
     k = first[np.int64(half * np.float32(4096.0))]
+    k += 1 if half >= least[k + 1] else 0  # seldom more, so that what follows is foretold
     while half >= least[k + 1]:
         k += 1
     bins[k] += 1
@@ -87,8 +88,7 @@ def counted(
             tilted = max(tilted, half)
             if fastest[i] * dt > np.float32(0.0) and share[at] > longest:
                 longest = share[at]
-            if wanted[at] > wish and speed[at] < fastest[i] * still:
-                standing += 1
+            standing += 1 if wanted[at] > wish and speed[at] < fastest[i] * still else 0
             path[i] += np.float64(speed[at] * dt)
             age[i] += 1
             if age[i] >= steps:

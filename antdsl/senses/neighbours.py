@@ -145,13 +145,15 @@ class CellGrid:
     def tables(self) -> dict[str, NDArray[Any] | None]:
         """What machine code searches by: `places` of agents in the order of cells and their rows, x, y, z float32 and the bits of
         an int32, with eight spare ones behind the last; `x y z` alone; their `keys` int64; `starts` int32, first agent of each
-        cell, where it is listed; `floats`: low, width and its inverse of cells along the fast, middle and slow axis; `whole`:
-        these axes, numbers of cells, number of agents."""
+        cell, where it is listed; `at` int32, for each row its place in that order, -1 for none; `floats`: low, width and its
+        inverse of cells along the fast, middle and slow axis; `whole`: these axes, numbers of cells, number of agents."""
         places = np.zeros((self._rows.size + 8, 4), np.float32)
         for axis, values in enumerate(self._sorted):
             places[: self._rows.size, axis] = values
         places.view(np.int32)[: self._rows.size, 3] = self._rows
-        found: dict[str, NDArray[Any] | None] = {"places": places}
+        at = np.full(len(self.ids) + 8, -1, np.int32)
+        at[self._rows] = np.arange(self._rows.size)
+        found: dict[str, NDArray[Any] | None] = {"places": places, "at": at}
         found |= {name: np.concatenate([a, np.zeros(8, a.dtype)]) for name, a in zip("xyz", self._sorted, strict=True)}
         found |= {
             "keys": self._keys,

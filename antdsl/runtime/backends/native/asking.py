@@ -15,6 +15,7 @@ from antdsl.plan import ir
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.native.block import BlockWriter
+from antdsl.runtime.backends.native.senses import fetch_ahead
 from antdsl.runtime.requests import Asked, ClaimEntry, Effects, GiveEntry
 
 _WHOLE = 6755399441055744.0  # 1.5 * 2**52: in a sum with it a whole number stands in the last bits
@@ -27,6 +28,7 @@ def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
     mask = _sound(b, mask, amount, EFFECTS[what.op].refused.format(of=name), what.span)
     cell = e.load(b.base("cell", name), b.row, I32)
     laid = mask & (cell >= 0) & (amount != 0)
+    fetch_ahead(b, name, b.base("field", name, "pending"), 8)
     with e.inside(e.some(laid)):
         wide = e.between(e.convert(amount, F64), e.constant(-LARGEST_DEPOSIT, F64), e.constant(LARGEST_DEPOSIT, F64))
         unit = np.rint(wide / UNIT) + _WHOLE

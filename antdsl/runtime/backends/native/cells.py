@@ -139,12 +139,11 @@ class Rows:
                 do(*cells.between(cz, cy, self.a0, self.a1, within))
 
 
-def write_down(e: Emitter, buffer: Lanes, total: str, at: Lanes, inside: Lanes) -> None:
-    """Append those of eight numbers from `at` (i32) on for which a condition holds. All are written, and written over where they
+def write_down(e: Emitter, buffer: Lanes, total: str, numbers: Lanes, inside: Lanes) -> None:
+    """Append those of eight numbers (i32) for which a condition holds. All are written, and written over where they
     are not to stay: there is no branch that is hard to foretell."""
     bits = e.one(f"zext i8 {e.mask_bits(inside).name} to i64", I64)
     count = e.get(total, I64, one=True)
-    numbers = e.splat(at) + e.convert(e.iota(), I32)
     place = e.address(buffer, count, I32).name
     if e.module.target.avx2:
         order = e.load(
@@ -156,7 +155,7 @@ def write_down(e: Emitter, buffer: Lanes, total: str, at: Lanes, inside: Lanes) 
         e.put(total, e.one(f"add i64 {count.name}, {e.one(f'call i64 @llvm.ctpop.i64(i64 {bits.name})', I64).name}", I64))
         return
     for k in range(WIDTH):
-        e.put(e.address(buffer, count, I32).name, e.one(f"add i32 {at.name}, {k}", I32))
+        e.put(e.address(buffer, count, I32).name, e.one(f"extractelement {numbers.typed}, i64 {k}", I32))
         shifted = e.one(f"lshr i64 {bits.name}, {k}", I64) if k else bits
         count = e.one(f"add i64 {count.name}, {e.one(f'and i64 {shifted.name}, 1', I64).name}", I64)
     e.put(total, count)

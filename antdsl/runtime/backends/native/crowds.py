@@ -1,9 +1,13 @@
-"""The search for agents with very many neighbours: one at a time, any number of candidates, and the cap by distance and id."""
+"""The search for agents with very many neighbours: one at a time, any number of candidates, and the cap by distance and id.
+
+Candidates are written down, then their distances, as whole numbers that are in the same order. Where there are more in the widest
+radius than the cap, the distance of the last one that counts is found by halving. It is the same for every radius: who is nearest
+in a wide one is so in a narrow one too. Then the list is cut to those who count, and gone through for all that is asked."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,6 +21,8 @@ from antdsl.runtime.backends.native.near import STRIDE, Found, Search, measured
 from antdsl.runtime.backends.native.sets import PairValues, take
 from antdsl.runtime.backends.native.sums import NO_LABEL, Sum
 from antdsl.runtime.world import AXES
+
+_NONE = (1 << 31) - 1  # the number of a distance that does not count: above those of all others
 
 
 def write_many(b: BlockWriter, near: Search) -> None:
@@ -34,19 +40,21 @@ def write_many(b: BlockWriter, near: Search) -> None:
             own = {node: e.splat(mine(k)) for node, k in near.places.items()}
             place = [e.splat(e.load_one(w.base("start", f"position.{axis}"), row, F32)) for axis in AXES]
             radius = {chosen: e.splat(mine(k)) for chosen, k in near.reach.items()}
-            buffer, count = _all(w, near, place, list(radius.values()))
+            crowd = _Crowd(w, near, place, e.splat(e.convert(row, I32)) if near.other == b.species else None)
+            crowd.measure(list(radius.values()))
+            for chosen, k in near.stops.items():
+                stop = e.address(Lanes(e, PTR, e.field("%out", STRIDE * k), one=True), lane, I8)
+                e.do(f"store i8 {e.convert(crowd.more_than_may_be(radius[chosen]), I8).name}, ptr {stop.name}")
+            crowd.cut()
+            heading = [e.splat(e.load_one(w.base("start", f"heading.{axis}"), row, F32)) for axis in AXES] if near.view else []
             sums = [Sum(e, node, many=False) for node in near.nodes]
             for each in sums:
                 each.start()
-            itself = e.splat(e.convert(row, I32)) if near.other == b.species else None
-            measure = _Measure(w, near, place, itself, buffer, count)
-            cuts = {chosen: _cut(measure, near, size, chosen, lane) for chosen, size in radius.items()}
-            heading = [e.splat(e.load_one(w.base("start", f"heading.{axis}"), row, F32)) for axis in AXES] if near.view else []
-            with e.loop(count, WIDTH) as at:
-                found = measure.at(at)
+            with e.loop(e.get(crowd.total, I64, one=True), WIDTH) as at:
+                found = crowd.at(at)
 
                 def inside(chosen: ir.Node) -> Lanes:
-                    reached = cuts[chosen](found, found.there & (found.distance <= radius[chosen]))
+                    reached = found.there & (found.distance <= radius[chosen])
                     if chosen in near.view:
                         hx, hy, hz = heading
                         ahead = (found.dx * hx + found.dy * hy) + found.dz * hz
@@ -66,125 +74,136 @@ def write_many(b: BlockWriter, near: Search) -> None:
     b.module.functions[f"{near.name}.many"] = w.inner(f"{near.name}.many", "i64 %row, i64 %mask, ptr %own, ptr %out")
 
 
-def _all(w: Writer, near: Search, place: list[Lanes], radii: list[Lanes]) -> tuple[Lanes, Lanes]:
-    """Write down the agents that may be in the widest of some radii: where they stand in the grid's order. Gives where that is,
-    and how many; the list goes on with zeros to a multiple of eight."""
-    e = w.e
-    buffer, total = w.base("candidates"), e.slot(I64, one=True)
-    e.put(total, e.constant(0, I64, one=True))
-    search = Rows(w, near.number, place, radii, e.constant(True, BOOL))
-    limit = (search.widest * search.widest) * np.float32(BEYOND) + np.float32(1e-30)
-
-    def through(first: Lanes, number: Lanes) -> None:
-        begin, count = (e.one(f"extractelement {each.typed}, i64 0", I32) for each in (first, number))
-        with e.loop(e.convert(count, I64), WIDTH) as k:
-            turn = e.convert(k, I32)
-            at = e.one(f"add i32 {begin.name}, {turn.name}", I32)
-            places = e.splat(at) + e.convert(e.iota(), I32)
-            there = (e.splat(turn) + e.convert(e.iota(), I32)) < e.splat(count)
-            found = measured(w, near, e.where(there, places, e.constant(0, I32)), place, there)
-            square = (found.dx * found.dx + found.dy * found.dy) + found.dz * found.dz
-            write_down(e, buffer, total, at, there & (square <= limit))
-
-    search.each(through)
-    count = e.get(total, I64, one=True)
-    e.do(f"store <{WIDTH} x i32> zeroinitializer, ptr {e.address(buffer, count, I32).name}, align 4")
-    return buffer, count
-
-
 @dataclass(slots=True, eq=False)
-class _Measure:
-    """Measures what was written down about one asking agent."""
+class _Crowd:
+    """The others around one asking agent. `buffer` has where they stand in the grid's order, `keys` their distances as whole
+    numbers, `_NONE` for who is not in the widest radius; both go on to a multiple of eight. `total`: where their number lies."""
 
     w: Writer
     near: Search
     place: list[Lanes]
     itself: Lanes | None
-    buffer: Lanes
-    count: Lanes
+    buffer: Lanes = field(init=False)
+    keys: Lanes = field(init=False)
+    total: str = field(init=False)
+
+    def measure(self, radii: list[Lanes]) -> None:
+        """Write down who may be in the widest of some radii, and how far away they are."""
+        w, e = self.w, self.w.e
+        self.buffer, self.total = w.base("candidates"), e.slot(I64, one=True)
+        e.put(self.total, e.constant(0, I64, one=True))
+        search = Rows(w, self.near.number, self.place, radii, e.constant(True, BOOL))
+        limit = (search.widest * search.widest) * np.float32(BEYOND) + np.float32(1e-30)
+        columns = [w.base("grid", self.near.number, axis) for axis in AXES]
+
+        def through(first: Lanes, number: Lanes) -> None:
+            begin, count = (e.convert(e.one(f"extractelement {each.typed}, i64 0", I32), I64) for each in (first, number))
+            with e.loop(count, WIDTH) as k:
+                at = e.one(f"add i64 {begin.name}, {k.name}", I64)
+                there = (e.splat(k) + e.iota()) < e.splat(count)
+                dx, dy, dz = (e.load(column, at, F32) - own for column, own in zip(columns, self.place, strict=True))
+                square = (dx * dx + dy * dy) + dz * dz
+                numbers = e.splat(e.convert(at, I32)) + e.convert(e.iota(), I32)
+                write_down(e, self.buffer, self.total, numbers, there & (square <= limit))
+
+        search.each(through)
+        count = e.get(self.total, I64, one=True)
+        self._end(count)
+        self.keys = e.address(self.buffer, e.one(f"add i64 {count.name}, {WIDTH}", I64), I32)
+        with e.loop(count, WIDTH) as index:
+            found = self.at(index)
+            within = found.there & (found.distance <= search.widest)
+            if self.itself is not None:
+                within = within & (found.rows != self.itself)
+            e.store(self.keys, index, e.where(within, e.bits(found.distance, I32), e.constant(_NONE, I32)))
+
+    def _end(self, count: Lanes) -> None:
+        self.w.e.do(f"store <{WIDTH} x i32> zeroinitializer, ptr {self.w.e.address(self.buffer, count, I32).name}, align 4")
 
     def at(self, index: Lanes) -> Found:
-        """Eight candidates from an index on."""
+        """Eight of those written down, from an index on."""
         e = self.w.e
-        there = (e.splat(index) + e.iota()) < e.splat(self.count)
+        there = (e.splat(index) + e.iota()) < e.splat(e.get(self.total, I64, one=True))
         at = e.where(there, e.load(self.buffer, index, I32), e.constant(0, I32))
-        found = measured(self.w, self.near, at, self.place, there)
-        if self.itself is not None:
-            found.there = there & (found.rows != self.itself)
-        return found
+        return measured(self.w, self.near, at, self.place, there)
 
-
-def _cut(measure: _Measure, near: Search, radius: Lanes, chosen: ir.Node, lane: Lanes) -> Callable[[Found, Lanes], Lanes]:
-    """Where more others are in a radius than the cap, only the nearest count, by (distance, id): the bits of their distance, as a
-    whole number, and their id are at most those of the last one that counts, which is found by halving. Gives what asks that of
-    eight pairs. More than `limits.WITHIN_RADIUS` are told, where more than the nearest is asked for."""
-    w, e = measure.w, measure.w.e
-    far, last = e.slot(I32, one=True), e.slot(I64, one=True)
-    e.do(f"store i32 {(1 << 31) - 1}, ptr {far}")
-    e.do(f"store i64 {NO_LABEL}, ptr {last}")
-    crowd = None
-    if chosen in near.stops:
-        crowd = e.address(Lanes(e, PTR, e.field("%out", STRIDE * near.stops[chosen]), one=True), lane, I8).name
-        e.do(f"store i8 0, ptr {crowd}")
-
-    def count(test: Callable[[Found, Lanes], Lanes]) -> Lanes:
-        """How many in the radius pass a test."""
+    def _count(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
+        """How many pass a test, which is given an index and the keys of eight from there on."""
+        w, e = self.w, self.w.e
         counted = e.slot(I32)
         e.put(counted, e.constant(0, I32))
-        with e.loop(measure.count, WIDTH) as index:
-            found = measure.at(index)
-            good = test(found, found.there & (found.distance <= radius))
+        with e.loop(e.get(self.total, I64, one=True), WIDTH) as index:
+            good = test(index, e.load(self.keys, index, I32))
             e.put(counted, e.get(counted, I32) + e.convert(good, I32))
         w.module.declare("llvm.vector.reduce.add.v8i32", I32, [f"<{WIDTH} x i32>"])
         return e.one(f"call i32 @llvm.vector.reduce.add.v8i32({e.get(counted, I32).typed})", I32)
 
-    def least(place: str, kind: str, most: int, turns: int, enough: Callable[[Lanes], Lanes]) -> None:
-        """The least whole number from 0 to `most` that is enough."""
+    def _least(self, place: str, kind: str, most: int, enough: Callable[[Lanes], Lanes]) -> None:
+        """Find the least whole number from 0 to `most`, all of whose bits are 1, that is enough."""
+        e = self.w.e
         low, high = e.slot(kind, one=True), e.slot(kind, one=True)
         e.do(f"store {kind} 0, ptr {low}")
         e.do(f"store {kind} {most}, ptr {high}")
-        with e.loop(e.constant(turns, I64, one=True)):
+        with e.loop(e.constant(most.bit_length(), I64, one=True)):
             a, z = e.get(low, kind, one=True), e.get(high, kind, one=True)
             wide = e.one(f"sub {kind} {z.name}, {a.name}", kind)
             middle = e.one(f"add {kind} {a.name}, {e.one(f'lshr {kind} {wide.name}, 1', kind).name}", kind)
             good = enough(middle)
             above = e.one(f"add {kind} {middle.name}, 1", kind)
-            over = e.one(f"icmp sgt {kind} {above.name}, {z.name}", BOOL)
-            above = e.one(f"select i1 {over.name}, {kind} {z.name}, {kind} {above.name}", kind)
             e.put(low, e.one(f"select i1 {good.name}, {kind} {a.name}, {kind} {above.name}", kind))
             e.put(high, e.one(f"select i1 {good.name}, {kind} {middle.name}, {kind} {z.name}", kind))
         e.put(place, e.get(high, kind, one=True))
 
-    cap = limits.NEIGHBOURS
-    with e.inside(e.one(f"icmp sgt i64 {measure.count.name}, {cap}", BOOL)):
-        every = count(lambda found, good: good)
-        with e.inside(e.one(f"icmp sgt i32 {every.name}, {cap}", BOOL)):
-            if crowd is not None:
-                stops = e.one(f"icmp sgt i32 {every.name}, {limits.WITHIN_RADIUS}", BOOL)
-                e.do(f"store i8 {e.one(f'zext i1 {stops.name} to i8', I8).name}, ptr {crowd}")
+    def more_than_may_be(self, radius: Lanes) -> Lanes:
+        """Whether more are in a radius than `limits.WITHIN_RADIUS`."""
+        e = self.w.e
+        many = e.slot(I8, one=True)
+        e.do(f"store i8 0, ptr {many}")
+        with e.inside(e.one(f"icmp sgt i64 {e.get(self.total, I64, one=True).name}, {limits.WITHIN_RADIUS}", BOOL)):
+            inside = radius >= np.float32(0)
+            bound = e.bits(radius, I32)
+            number = self._count(lambda index, keys: inside & (keys <= bound))
+            more = e.one(f"icmp sgt i32 {number.name}, {limits.WITHIN_RADIUS}", BOOL)
+            e.put(many, e.convert(more, I8))
+        return e.get(many, I8, one=True)
 
-            def by_distance(middle: Lanes) -> Lanes:
-                bound = e.splat(middle)
-                number = count(lambda found, good: good & (e.bits(found.distance, I32) <= bound))
-                return e.one(f"icmp sge i32 {number.name}, {cap}", BOOL)
+    def cut(self) -> None:
+        """Leave only those in the list who count: of more than the cap the nearest, by (distance, id)."""
+        e, cap = self.w.e, limits.NEIGHBOURS
+        far, last = e.slot(I32, one=True), e.slot(I64, one=True)
+        e.put(far, e.constant(_NONE - 1, I32, one=True))
+        e.put(last, e.constant(NO_LABEL, I64, one=True))
+        with e.inside(e.one(f"icmp sgt i64 {e.get(self.total, I64, one=True).name}, {cap}", BOOL)):
 
-            least(far, I32, (1 << 31) - 1, 32, by_distance)
-            reach = e.splat(e.get(far, I32, one=True))
-            nearer = count(lambda found, good: good & (e.bits(found.distance, I32) < reach))
-            rest = e.one(f"sub i32 {cap}, {nearer.name}", I32)
+            def enough(reach: Lanes, least: int = cap) -> Lanes:
+                bound = e.splat(reach)
+                number = self._count(lambda index, keys: keys <= bound)
+                return e.one(f"icmp sge i32 {number.name}, {least}", BOOL)
 
-            def by_id(middle: Lanes) -> Lanes:
-                bound = e.splat(middle)
-                number = count(lambda found, good: good & (e.bits(found.distance, I32) == reach) & (found.ids() <= bound))
-                return e.one(f"icmp sge i32 {number.name}, {rest.name}", BOOL)
+            with e.inside(enough(e.get(far, I32, one=True), cap + 1)):
+                self._least(far, I32, _NONE, enough)
+                reach = e.splat(e.get(far, I32, one=True))
+                nearer = self._count(lambda index, keys: keys < reach)
+                equal = self._count(lambda index, keys: keys == reach)
+                rest = e.one(f"sub i32 {cap}, {nearer.name}", I32)
 
-            least(last, I64, NO_LABEL, 64, by_id)
+                def by_id(middle: Lanes) -> Lanes:
+                    bound = e.splat(middle)
+                    number = self._count(lambda index, keys: (keys == reach) & (self.at(index).ids() <= bound))
+                    return e.one(f"icmp sge i32 {number.name}, {rest.name}", BOOL)
 
-    reach, label = e.splat(e.get(far, I32, one=True)), e.splat(e.get(last, I64, one=True))
-
-    def counts(found: Found, inside: Lanes) -> Lanes:
-        """Those of eight that count."""
-        bits = e.bits(found.distance, I32)
-        return inside & ((bits < reach) | ((bits == reach) & (found.ids() <= label)))
-
-    return counts
+                with e.inside(e.one(f"icmp sgt i32 {equal.name}, {rest.name}", BOOL)):
+                    self._least(last, I64, NO_LABEL, by_id)
+        reach, label = e.splat(e.get(far, I32, one=True)), e.get(last, I64, one=True)
+        ties = e.one(f"icmp ne i64 {label.name}, {NO_LABEL}", BOOL)
+        out, good = e.slot(I64, one=True), e.slot(I8, one=True)
+        e.put(out, e.constant(0, I64, one=True))
+        with e.loop(e.get(self.total, I64, one=True), WIDTH) as index:
+            keys = e.load(self.keys, index, I32)
+            e.put(good, e.mask_bits(keys <= reach))
+            with e.inside(ties):
+                first = (keys < reach) | ((keys == reach) & (self.at(index).ids() <= e.splat(label)))
+                e.put(good, e.mask_bits(first))
+            write_down(e, self.buffer, out, e.load(self.buffer, index, I32), e.of_bits(e.get(good, I8, one=True)))
+        e.put(self.total, e.get(out, I64, one=True))
+        self._end(e.get(out, I64, one=True))

@@ -23,7 +23,7 @@ from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.neighbours import Shape
 
 NAMES = ("grid.bounds", "grid.keys", "grid.sort")
-_LAST = ("places", "bounds", "whole")
+_LAST = ("places", "bounds", "whole", "at")
 _KEYS = ("numbers", "x", "y", "z", "keys", "starts", "sorted x", "sorted y", "sorted z", *_LAST)
 _AGAIN = 64  # searches of a crowd after which it is asked anew whether it lies in one sheet
 _FEW = 128  # agents; among fewer the cells of an agent are no fewer to go through than all others
@@ -126,6 +126,7 @@ def _sort(w: Writer) -> None:
             e.put(e.address(w.base(f"sorted {axis}"), to, F32).name, value)
             e.put(e.field(four.name, 4 * k), value)
         e.put(e.field(four.name, 12), e.convert(at, I32))
+        e.put(e.address(w.base("at"), at, I32).name, small)
 
 
 def _with_room(array: NDArray[Any]) -> None:
@@ -146,12 +147,14 @@ class _Crowd:
         self.floats, self.whole = np.zeros(9), np.zeros(8, np.int64)
         own: dict[str, NDArray[Any]] = {axis: np.zeros(count + WIDTH, np.float32) for axis in AXES}
         own |= {"places": np.zeros((count + WIDTH, 4), np.float32), "floats": self.floats, "whole": self.whole, "keys": _NO_KEYS}
+        own["at"] = np.zeros(count + WIDTH, np.int32)
         self.tables: dict[str, NDArray[Any]] = own | {"starts": np.zeros(0, np.int32)}
         self._places: list[NDArray[np.float32]] = []
         self._lies: list[int] = []
         self.asked = 0  # the last step in which somebody did
         self._table[0], self._table[4] = address(self._numbers), address(self._keys)
-        self._table[6:] = [address(each) for each in (*(own[axis] for axis in AXES), own["places"], self.bounds, self.whole)]
+        last = (*(own[axis] for axis in AXES), own["places"], self.bounds, self.whole, own["at"])
+        self._table[6:] = [address(each) for each in last]
         self.address = address(self._table)
 
     def at(self, places: list[NDArray[np.float32]]) -> None:

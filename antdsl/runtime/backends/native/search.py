@@ -1,14 +1,16 @@
 """Reductions over neighbours as machine code: one search of the cell grid for all that is asked of one species.
 
 For eight asking agents at a time the cells in reach are worked out side by side; candidates in them are measured, eight at a
-time, and those near enough written down, a list for each asking agent. Then the lists are gone through side by side: a pair of
-each of the eight agents is tested, weighed and added to its sums. Who has very many neighbours is left to `crowds`.
+time, and those near enough and in view written down, a list for each asking agent. Then the lists are gone through side by
+side: a pair of each of the eight agents is tested, weighed and added to its sums. Who has very many candidates is left to
+`crowds`.
 
 Reductions of several regions are found in one search where what they need is known: the first region that asks has it made for
 its agents, those after it only for agents that have not asked yet. What nobody asks for then is found in vain, and not seen."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +32,9 @@ from antdsl.runtime.backends.native.sums import Sum
 from antdsl.runtime.pairs import nearest_asked
 from antdsl.runtime.world import AXES
 
-MOST = 512  # candidates of one agent that are gone through here
+MOST = limits.NEIGHBOURS  # candidates of one agent that are gone through here, so that the cap leaves out none
 _LIST = MOST + 2 * WIDTH  # numbers from one agent's list to that of the next
+_TINY, _SLACK = np.float32(1e-30), np.float32(1e-5)
 
 
 @dataclass(slots=True, eq=False)
@@ -153,17 +156,16 @@ def _write(b: BlockWriter, near: Search) -> None:
     radius = {chosen: mine(k) for chosen, k in near.reach.items()}
     search = Rows(w, near.number, place, list(radius.values()), asks)
     search.note()
-    buffer, number, over = _candidates(w, near, search, asks)
     heading = [e.load(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
+    seen = _Seen(e, radius, {chosen: mine(k) for chosen, k in near.view.items()}, search, heading)
+    itself = e.load(w.base("grid", near.number, "at"), row, I32) if near.other == b.species else None
+    buffer, number, over = _candidates(w, near, search, asks, seen, itself)
     sums = [Sum(e, node, many=False) for node in near.nodes]
     for each in sums:
         each.start()
-    itself = e.splat(e.convert(row, I32)) + e.convert(e.iota(), I32)
     with e.loop(e.convert(e.greatest(number), I64)) as k:
         there = e.convert(e.splat(k), I32) < number
         found = measured(w, near, _across(e, buffer, k), place, there)
-        if near.other == b.species:
-            found.there = there & (found.rows != itself)
 
         def inside(chosen: ir.Node) -> Lanes:
             reached = found.there & (found.distance <= radius[chosen])
@@ -202,52 +204,111 @@ def _across(e: Emitter, buffer: Lanes, k: Lanes) -> Lanes:
     return Lanes(e, I32, value.rpartition(" ")[2])
 
 
-def _candidates(w: Writer, near: Search, search: Rows, asks: Lanes) -> tuple[Lanes, Lanes, Lanes]:
-    """Write down who may be in the widest radius of each of eight agents, in a list of each. Gives where, how many each has, and
-    agents with too many candidates, or perhaps more neighbours than the cap, whose lists are not gone through."""
+class _Seen:
+    """Tests whether candidates may be in some set: by squares, with some slack, so that no root is taken of who is too far away
+    or out of view. Of each eight asking agents it keeps the numbers that this takes, to be read one agent at a time."""
+
+    def __init__(
+        self, e: Emitter, radius: Mapping[ir.Node, Lanes], view: Mapping[ir.Node, Lanes], search: Rows, heading: list[Lanes]
+    ) -> None:
+        self.e, self._stack = e, search.stack
+        self._heading = [self._kept(each) for each in heading]
+        widest = {chosen: search.widest for chosen in radius} if not view else radius
+        limits_of = {chosen: (each * each) * np.float32(BEYOND) + _TINY for chosen, each in widest.items()}
+        if not view:
+            limits_of = dict(list(limits_of.items())[:1])
+        self._sets: list[tuple[str, str]] = []
+        for chosen, limit in limits_of.items():
+            least = ""
+            if chosen in view:
+                cosine = view[chosen]
+                least = self._kept(cosine * np.abs(cosine) - (cosine * cosine) * _SLACK)
+            self._sets.append((self._kept(limit), least))
+
+    def _kept(self, value: Lanes) -> str:
+        place = self.e.slot(F32)
+        self.e.put(place, value)
+        return place
+
+    def of(self, lane: Lanes) -> Callable[[list[Lanes]], Lanes]:
+        """What asks it of eight candidates of one agent, given their places."""
+        e = self.e
+
+        def one(place: str) -> Lanes:
+            return e.splat(e.load_one(Lanes(e, PTR, place, one=True), lane, F32))
+
+        own = [one(e.field(self._stack, 32 * k)) for k in range(3)]
+        heading = [one(each) for each in self._heading]
+        sets = [(one(limit), one(least) if least else None) for limit, least in self._sets]
+
+        def test(places: list[Lanes]) -> Lanes:
+            dx, dy, dz = (there - here for there, here in zip(places, own, strict=True))
+            square = (dx * dx + dy * dy) + dz * dz
+            found = None
+            for limit, least in sets:
+                inside = square <= limit
+                if least is not None:
+                    hx, hy, hz = heading
+                    ahead = (dx * hx + dy * hy) + dz * hz
+                    inside = inside & ~(ahead * np.abs(ahead) + _TINY < least * square)
+                found = inside if found is None else found | inside
+            assert found is not None
+            return found
+
+        return test
+
+
+def _candidates(
+    w: Writer, near: Search, search: Rows, asks: Lanes, seen: _Seen, itself: Lanes | None
+) -> tuple[Lanes, Lanes, Lanes]:
+    """Write down who may be in a set of each of eight agents, in a list of each. Gives where, how many each has, and agents with
+    too many candidates, whose lists are not gone through."""
     e = w.e
     buffer = w.base("candidates")
-    seen, found, first, number, beyond = (e.slot(kind) for kind in (I32, I32, I32, I32, F32))
+    asked, found, first, number, own_place = (e.slot(I32) for _ in range(5))
     total = e.slot(I64, one=True)
-    for slot in (seen, found):
+    for slot in (asked, found):
         e.put(slot, e.constant(0, I32))
-    e.put(beyond, (search.widest * search.widest) * np.float32(BEYOND) + np.float32(1e-30))
-    sx, sy, sz = (w.base("grid", near.number, axis) for axis in AXES)
+    if itself is not None:
+        e.put(own_place, itself)
+    columns = [w.base("grid", near.number, axis) for axis in AXES]
 
-    def each_of(slot: str, kind: str, lane: Lanes) -> Lanes:
-        return e.load_one(Lanes(e, PTR, slot, one=True), lane, kind)
+    def each_of(slot: str, lane: Lanes) -> Lanes:
+        return e.load_one(Lanes(e, PTR, slot, one=True), lane, I32)
 
     def through(begin: Lanes, count: Lanes) -> None:
-        sums = e.get(seen, I32) + count
-        e.put(seen, sums)
+        sums = e.get(asked, I32) + count
+        e.put(asked, sums)
         e.put(first, begin)
         e.put(number, e.where(sums <= MOST, count, e.constant(0, I32)))
         with e.loop(e.constant(WIDTH, I64, one=True)) as lane:
-            many = e.convert(each_of(number, I32, lane), I64)
+            many = e.convert(each_of(number, lane), I64)
             with e.inside(e.one(f"icmp sgt i64 {many.name}, 0", BOOL)):
-                start = e.convert(each_of(first, I32, lane), I64)
-                x, y, z = (e.splat(each_of(e.field(search.stack, 32 * k), F32, lane)) for k in range(3))
-                limit = e.splat(each_of(beyond, F32, lane))
+                start = e.convert(each_of(first, lane), I64)
+                test = seen.of(lane)
+                mine = None if itself is None else e.splat(each_of(own_place, lane))
                 own = e.address(buffer, e.one(f"mul i64 {lane.name}, {_LIST}", I64), I32)
                 so_far = e.address(Lanes(e, PTR, found, one=True), lane, I32).name
                 e.put(total, e.convert(e.get(so_far, I32, one=True), I64))
                 with e.loop(many, WIDTH) as k:
                     at = e.one(f"add i64 {start.name}, {k.name}", I64)
-                    dx, dy, dz = e.load(sx, at, F32) - x, e.load(sy, at, F32) - y, e.load(sz, at, F32) - z
-                    inside = ((dx * dx + dy * dy) + dz * dz) <= limit
+                    numbers = e.splat(e.convert(at, I32)) + e.convert(e.iota(), I32)
+                    inside = test([e.load(column, at, F32) for column in columns])
                     left = e.convert(e.one(f"sub i64 {many.name}, {k.name}", I64), I32)
                     inside = inside & (e.convert(e.iota(), I32) < e.splat(left))
-                    write_down(e, own, total, e.convert(at, I32), inside)
+                    if mine is not None:
+                        inside = inside & (numbers != mine)
+                    write_down(e, own, total, numbers, inside)
                 e.put(so_far, e.convert(e.get(total, I64, one=True), I32))
 
     search.each(through)
     counted = e.get(found, I32)
-    over = asks & ((e.get(seen, I32) > MOST) | (counted > limits.NEIGHBOURS))
+    over = asks & (e.get(asked, I32) > MOST)
     counted = e.where(asks & ~over, counted, e.constant(0, I32))
     e.put(number, counted)
     most, nobody = e.greatest(counted), e.constant(0, I32)
     with e.loop(e.constant(WIDTH, I64, one=True)) as lane:  # all lists go on to the end of the longest one
-        many = each_of(number, I32, lane)
+        many = each_of(number, lane)
         own = e.address(buffer, e.one(f"mul i64 {lane.name}, {_LIST}", I64), I32)
         end = e.address(own, e.convert(many, I64), I32)
         short = e.convert(e.one(f"sub i32 {most.name}, {many.name}", I32), I64)

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code.emitter import Emitter
-from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes
+from antdsl.machine_code.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.numerics import randomness
 from antdsl.numerics.philox import UNIT
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Lower, Writer
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.moving.obstacle_clearance import may_touch
+
+_APART = 4  # of cells around one, which come in the order of their numbers, so many lie about within a line of memory
 
 
 def _register(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
@@ -194,19 +196,40 @@ def _greater(e: Emitter, one: Lanes, other: Lanes, then: Lanes, otherwise: Lanes
     return e.one(f"select i1 {more.name}, {then.typed}, {otherwise.typed}", then.kind)
 
 
-def _fetch_ahead(w: Any, field: str, block: Lanes, count: int) -> None:
-    """Have the rows of cells around the next eight agents brought into the cache meanwhile."""
+def _cells_ahead(w: Any, field: str, eights: int) -> Lanes:
+    """The cells of eight agents who come so many turns later; those of now at the end."""
     e: Emitter = w.e
-    e.module.declare("llvm.prefetch.p0", "void", ["ptr", "i32", "i32", "i32"])
-    base = w.base("cell", field)
-    later = e.one(f"add i64 {w.row.name}, {WIDTH}", I64)
+    later = e.one(f"add i64 {w.row.name}, {WIDTH * eights}", I64)
     more = e.one(f"icmp slt i64 {later.name}, %end", BOOL)
-    cells = e.load(base, e.one(f"select i1 {more.name}, {later.typed}, {w.row.typed}", I64), I32)
+    return e.load(w.base("cell", field), e.one(f"select i1 {more.name}, {later.typed}, {w.row.typed}", I64), I32)
+
+
+def _fetch(e: Emitter, array: Lanes, at: Lanes, size: int) -> None:
+    """Have so many bytes of an array from an index on brought into the cache; it may be any."""
+    e.module.declare("llvm.prefetch.p0", "void", ["ptr", "i32", "i32", "i32"])
+    place = e.address(array, e.one(f"mul i64 {e.convert(at, I64).name}, {size}", I64), I8)
+    e.do(f"call void @llvm.prefetch.p0(ptr {place.name}, i32 0, i32 3, i32 1)")
+
+
+def fetch_ahead(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
+    """Have what an array holds of the cells of agents who come later, so many bytes of each, brought into the cache."""
+    e: Emitter = w.e
+    cells = _cells_ahead(w, field, eights)
+    for lane in range(WIDTH):
+        _fetch(e, array, e.one(f"extractelement {cells.typed}, i64 {lane}", I32), size)
+
+
+def _fetch_around(w: Any, field: str, held: Lanes, block: Lanes, count: int) -> None:
+    """Have what lies in the cells around the next eight agents brought into the cache, and which they are of those after them."""
+    e: Emitter = w.e
+    fetch_ahead(w, field, block, 4 * count, 2)
+    cells = _cells_ahead(w, field, 1)
     known = e.where((cells >= 0) & (cells < w.number(I32, "cells", field)), cells, e.constant(0, I32))
     for lane in range(WIDTH):
         cell = e.convert(e.one(f"extractelement {known.typed}, i64 {lane}", I32), I64)
-        place = e.address(block, e.one(f"mul i64 {cell.name}, {count}", I64), I32)
-        e.do(f"call void @llvm.prefetch.p0(ptr {place.name}, i32 0, i32 3, i32 1)")
+        around = e.address(block, e.one(f"mul i64 {cell.name}, {count}", I64), I32)
+        for k in range(0, count, _APART):
+            _fetch(e, held, e.load_one(around, e.constant(k, I64, one=True), I32), 8)
 
 
 def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
@@ -218,8 +241,9 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     e.put(most, e.constant(0.0, F64))
     e.put(where, own)
     e.put(whose, e.where(there, own, e.constant(0, I32)))
-    _fetch_ahead(w, field, block, int(count))
     asks = e.one(f"zext i8 {e.mask_bits(w.mask[-1] & there).name} to i64", I64)
+    with e.inside(e.one(f"icmp ne i64 {asks.name}, 0", BOOL)):
+        _fetch_around(w, field, held, block, int(count))
     with e.loop(e.constant(WIDTH, I64, one=True)) as lane:  # cells of one agent lie side by side
         bit = e.one(f"lshr i64 {asks.name}, {lane.name}", I64)
         with e.inside(e.one(f"trunc i64 {bit.name} to i1", BOOL)):

@@ -333,7 +333,7 @@ class Lane:
             parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
             self.columns.append([self.arrays[-1 - number, part] for part in parts])
         self.notes = np.zeros(1 + 2 * (len(self.code.faults) * (self._size // WIDTH + 1)), np.int64)
-        self._candidates = np.zeros(self._others + (WIDTH + 1) * MOST, np.int32)
+        self._candidates = np.zeros(2 * self._others + (WIDTH + 1) * MOST, np.int32)  # of one agent with distances beside
         for number, (key, _) in enumerate(self._keys):
             self.places[number] = address(self._own(key))
 
