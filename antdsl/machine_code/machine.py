@@ -163,6 +163,11 @@ class Code:
         found: int = self._engine.get_function_address(name)
         return found
 
+    def told(self, name: str) -> str:
+        """The text of a constant."""
+        found: bytes = ctypes.string_at(self._engine.get_global_value_address(name))
+        return found.decode()
+
 
 def load(code: bytes) -> Code:
     """Put an object file into memory, ready to run."""

@@ -8,13 +8,13 @@ from __future__ import annotations
 import ctypes
 import struct
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct import Wanted
 from antdsl.machine_code.kernels.types import ArrayType, Scalar
-from antdsl.machine_code.kernels.values import Item, leaves
 from antdsl.machine_code.memory import address
 
 RESULTS = 8  # words before the arguments, for what is given back
@@ -22,12 +22,31 @@ _FORMATS = {"double": "d", "float": "d", "i64": "q", "u64": "Q", "i1": "q"}
 _KINDS = {"double": direct.REAL, "float": direct.REAL, "i64": direct.WHOLE, "u64": direct.UNSIGNED, "i1": direct.WHOLE}
 
 
-def caller(name: str, code: machine.Code, types: Sequence[Any], result: Item, stored: set[int]) -> Callable[..., Any]:
-    """A function of a kernel's arguments. `types`: what its annotations name; `stored`: the arrays it writes to, by number."""
-    wanted = list(_wanted(types, stored))
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a kernel's text says of itself: the kinds of the numbers that it gives back, whether as a tuple, and the numbers of
+    the arrays that it writes to."""
+
+    gives: tuple[str, ...]
+    several: bool
+    stored: tuple[int, ...]
+
+    def text(self) -> str:
+        """On one line, without quotes."""
+        return ";".join((",".join(self.gives), str(int(self.several)), ",".join(map(str, self.stored))))
+
+    @classmethod
+    def read(cls, text: str) -> Told:
+        """From such a line."""
+        gives, several, stored = (tuple(filter(None, part.split(","))) for part in text.split(";"))
+        return cls(gives, several == ("1",), tuple(map(int, stored)))
+
+
+def caller(name: str, code: machine.Code, types: Sequence[Any], told: Told) -> Callable[..., Any]:
+    """A function of a kernel's arguments. `types`: what its annotations name."""
+    wanted = list(_wanted(types, told.stored))
     words = RESULTS + sum(_words(each) for each in wanted)
-    given = [each.kind for each in leaves(result)]
-    several = isinstance(result, tuple) and bool(given)
+    given, several = list(told.gives), told.several
     kept = _plain(name, code.function(name), types, wanted, words, given, several)
     if several and len(given) == 1:
         return kept
@@ -35,7 +54,7 @@ def caller(name: str, code: machine.Code, types: Sequence[Any], result: Item, st
     return direct.direct(name, code, wanted, words, kinds, kept) or kept
 
 
-def _wanted(types: Sequence[Any], stored: set[int]) -> Iterator[Wanted]:
+def _wanted(types: Sequence[Any], stored: Sequence[int]) -> Iterator[Wanted]:
     """What a kernel wants, and where it lies in the table; tuples before what is in them."""
     place, arrays = RESULTS, 0
 
