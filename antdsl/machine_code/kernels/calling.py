@@ -14,12 +14,13 @@ from typing import Any
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct import Wanted
+from antdsl.machine_code.kernels.direct_text import REAL, TRUTH, UNSIGNED, WHOLE
 from antdsl.machine_code.kernels.types import ArrayType, Scalar
 from antdsl.machine_code.memory import address
 
 RESULTS = 8  # words before the arguments, for what is given back
 _FORMATS = {"double": "d", "float": "d", "i64": "q", "u64": "Q", "i1": "q"}
-_KINDS = {"double": direct.REAL, "float": direct.REAL, "i64": direct.WHOLE, "u64": direct.UNSIGNED, "i1": direct.WHOLE}
+_KINDS = {"double": REAL, "float": REAL, "i64": WHOLE, "u64": UNSIGNED, "i1": WHOLE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ def caller(name: str, code: machine.Code, types: Sequence[Any], told: Told) -> C
     kept = _plain(name, code.function(name), types, wanted, words, given, several)
     if several and len(given) == 1:
         return kept
-    kinds = [direct.TRUTH if each == "i1" else _KINDS[each] for each in given]
+    kinds = [TRUTH if each == "i1" else _KINDS[each] for each in given]
     return direct.direct(name, code, wanted, words, kinds, kept) or kept
 
 
@@ -99,10 +100,10 @@ def _plain(
             if each.dtype is not None:
                 for place, word in enumerate(_described(name, each, value), each.place):
                     whole[place] = word
-            elif each.kind == direct.REAL:
+            elif each.kind == REAL:
                 real[each.place] = value
             else:
-                (whole if each.kind == direct.WHOLE else unsigned)[each.place] = int(value)
+                (whole if each.kind == WHOLE else unsigned)[each.place] = int(value)
         function(ctypes.addressof(room), 0, 0)
         if not given:
             return None
