@@ -114,7 +114,7 @@ def workers(threads: int) -> ThreadPoolExecutor:
 def in_parts(work: Callable[[int, int], T], count: int, threads: int) -> list[T]:
     """`work(begin, end)` over so many agents, in as many parts as pay, side by side; what each gave, in order."""
     parts = min(threads, max(1, count // PART))
-    bounds = [count * k // parts for k in range(parts + 1)]
     if parts == 1:
         return [work(0, count)]
+    bounds = [count * k // parts for k in range(parts + 1)]
     return list(workers(threads).map(work, bounds[:-1], bounds[1:]))

@@ -64,7 +64,8 @@ class Block:
         try:
             work(0)
         finally:
-            wait(others)
+            if others:
+                wait(others)
         for other in others:
             other.result()
         for each in effects:
@@ -154,7 +155,7 @@ class Chunk:
     def _rows_of(self, slot: int) -> NDArray[np.intp]:
         """Rows, counted within the chunk, for which a mask holds."""
         if slot not in self._picked:
-            self._picked[slot] = np.flatnonzero(self.lane.arrays[slot, 0][: self.end - self.begin])
+            (self._picked[slot],) = self.lane.arrays[slot, 0][: self.end - self.begin].nonzero()
         return self._picked[slot]
 
     def _enter(self, scope: Scope) -> NDArray[np.intp]:
@@ -203,7 +204,8 @@ class Chunk:
         columns = []
         for place in range(len(some[0].inputs)):
             parts = [self._operand(each.inputs[place], rows) for each, rows in zip(some, chosen, strict=True)]
-            spread = [np.full(len(rows), part) if np.ndim(part) == 0 else part for part, rows in zip(parts, chosen, strict=True)]
+            pairs = zip(parts, chosen, strict=True)
+            spread = [part if isinstance(part, np.ndarray) and part.ndim else np.full(len(rows), part) for part, rows in pairs]
             columns.append(np.concatenate(spread))
         node = some[0].what
         assert isinstance(node, ir.Node)
