@@ -56,9 +56,8 @@ class Block:
         effects, good, coming = [Effects() for _ in bounds], [False] * len(bounds), iter(range(len(bounds)))
 
         def work(number: int) -> None:
-            with np.errstate(all="ignore"):
-                for k in coming:  # the next one that nobody has
-                    good[k] = Chunk(self, lanes[number], times[number], *bounds[k], effects[k]).run()
+            for k in coming:  # the next one that nobody has
+                good[k] = Chunk(self, lanes[number], times[number], *bounds[k], effects[k]).run()
 
         others = [compiled.workers(threads).submit(work, number) for number in range(1, len(lanes))]
         try:
@@ -111,14 +110,17 @@ class Chunk:
                 self.times.seconds += perf_counter() - began
             some = block.ready.together[block.population.name, block.compiler.name, stage]
             if some:
-                self._calls(some)
+                with np.errstate(all="ignore"):
+                    self._calls(some)
         crowded, *counts = lane.counts.tolist()
         if crowded:
             return False
-        for number, count in enumerate(counts):
-            if count:
-                each = block.code.lists[number]
-                asked(each, [column[:count].copy() for column in lane.columns[number]], self.effects)
+        if any(counts):
+            with np.errstate(all="ignore"):
+                for number, count in enumerate(counts):
+                    if count:
+                        each = block.code.lists[number]
+                        asked(each, [column[:count].copy() for column in lane.columns[number]], self.effects)
         self._faults()
         return True
 

@@ -360,9 +360,7 @@ class Lane:
 
 def _getter(names: list[str]) -> Callable[[Mapping[str, NDArray[Any]]], tuple[NDArray[Any], ...]]:
     """What gives the arrays of these names."""
-    if len(names) > 1:
-        return itemgetter(*names)
-    return lambda held: tuple(held[name] for name in names)
+    return itemgetter(*names) if len(names) > 1 else lambda held: tuple(held[name] for name in names)
 
 
 _OWN = frozenset(
