@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 
 from antdsl.program.tables.rows import Arg, Cost
 
@@ -133,7 +132,6 @@ _ROWS = (
 EFFECTS: dict[str, Effect] = {row.op: row for row in _ROWS}
 
 
-@cache
 def settled_in(phase: str) -> tuple[str, ...]:
     """The effects that a phase of a step settles, in the order of the table."""
     return tuple(row.op for row in EFFECTS.values() if row.phase == phase)
