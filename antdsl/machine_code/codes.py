@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from functools import cache
 from threading import Lock
 
@@ -13,16 +14,17 @@ _known: OrderedDict[str, machine.Code] = OrderedDict()
 _guard = Lock()
 
 
-def code(text: str) -> machine.Code:
-    """The functions of a text, ready to run on this processor. Raises RuntimeError where the text is wrong."""
+def code(named: str, write: Callable[[], str] | None = None) -> machine.Code:
+    """The functions of a text, ready to run on this processor; with `write`, of the text that this gives and that `named` alone
+    stands for. Raises RuntimeError where the text is wrong."""
     target = machine.host()
-    key = object_cache.key(text, target, versions=object_cache.versions())
+    key = object_cache.key(named, target, versions=object_cache.versions())
     with _guard:
         if key in _known:
             _known.move_to_end(key)
             return _known[key]
     kept = _objects().get(key)
-    made = machine.object_code(text, target) if kept is None else kept
+    made = machine.object_code(named if write is None else write(), target) if kept is None else kept
     found = machine.load(made)
     if kept is None:
         _objects().put(key, made)
@@ -33,9 +35,9 @@ def code(text: str) -> machine.Code:
     return found
 
 
-def kept(text: str) -> bool:
-    """Whether the code of a text is there, in memory or from another run."""
-    key = object_cache.key(text, machine.host(), versions=object_cache.versions())
+def kept(named: str) -> bool:
+    """Whether the code of a text, or of what stands for it, is there, in memory or from another run."""
+    key = object_cache.key(named, machine.host(), versions=object_cache.versions())
     with _guard:
         if key in _known:
             return True

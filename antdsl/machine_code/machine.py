@@ -159,10 +159,19 @@ class Code:
     def function(self, name: str) -> Any:
         """A function of (table of pointers, first row, row after the last)."""
         if name not in self._functions:
-            address = self._engine.get_function_address(name)
-            made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(address)
+            made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.place(name))
             self._functions[name] = made
         return self._functions[name]
+
+    def place(self, name: str) -> int:
+        """The address of a function."""
+        found: int = self._engine.get_function_address(name)
+        return found
+
+    def told(self, name: str) -> str:
+        """The text of a constant."""
+        found: bytes = ctypes.string_at(self._engine.get_global_value_address(name))
+        return found.decode()
 
 
 def load(code: bytes) -> Code:

@@ -3,10 +3,10 @@
 Kernels give the same bits as the NumPy code that stands beside them, which is what runs where none can be compiled.
 `ANTDSL_KERNELS=0` keeps to NumPy.
 
-Loading them takes about as long as a hundred steps of a small crowd, and nobody knows how many follow. So a crowd that is large,
-for whom a few steps make up for it, begins with them, and a small one once its steps have cost a share of what loading does, half
-of it since most shots have hundreds of frames: what it pays more than had it known is bounded by the cost of loading (A. Karlin
-et al., Competitive Snoopy Caching, Algorithmica 3, 1988).
+Those that another run has kept are begun with at once: each takes 2 ms to load. Making them takes seconds, as long as a thousand
+steps of a small crowd, and nobody knows how many follow. So a crowd that is large, for whom a few steps make up for it, begins
+with them, and a small one once its steps have cost a share of what making them does: what it pays more than had it known is
+bounded by that cost (A. Karlin et al., Competitive Snoopy Caching, Algorithmica 3, 1988).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LIGHT = 7_000  # the same, of work that is a few operations each
 LEAST = 2_000  # agents; a step of these without kernels takes so long that a few make up for loading them
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _AT_ONCE = 50_000  # numbers, worked on before any step: then a world is made ready that is large
-_LOADING, _COMPILING = 0.2, 2.5  # s of processor time before it: for kernels kept from another run, and the first time
+_LOADING, _COMPILING = 0.2, 2.5  # s of processor time before it: for a program's code, and kernels that are made the first time
 _long = False
 _running = False
 _spent = 0.0
@@ -67,7 +67,7 @@ def _many(agents: int) -> bool:
 
 
 def _pays(agents: int) -> bool:
-    return _many(agents) or (_spent >= _LOADING and (_spent >= _COMPILING or _kept()))
+    return _many(agents) or _spent >= _COMPILING or _kept()
 
 
 @cache

@@ -75,12 +75,13 @@ class Motion:
     placed: int = 0
     overlapping: int = 0
     deep_max: float = 0.0
+    half_max: float = 0.0  # the half chord of a tilt that `tilt_max` has been asked for
     windows: dict[str, Window] = field(default_factory=dict)
 
     def reset(self) -> None:
         """Begin anew, say after a preroll; how the crowd was placed stays known."""
         fresh = Motion(placed=self.placed, overlapping=self.overlapping)
-        for name in (*_COUNTS, "windows"):
+        for name in (*_COUNTS, "half_max", "windows"):
             setattr(self, name, getattr(fresh, name))
 
     def begin(self, world: World) -> None:
@@ -183,7 +184,9 @@ class Motion:
             if begin:
                 self.turns += turns
                 self.tilts += tilts
-            self.tilt_max = max(self.tilt_max, float(_angle(np.array([half], np.float32))[0]))
+            if half > self.half_max:
+                self.half_max = half
+                self.tilt_max = max(self.tilt_max, float(_angle(np.array([half], np.float32))[0]))
             self.step_max = max(self.step_max, share)
             self.standing += standing
             straight.append(window.straight[begin : begin + ended])

@@ -163,12 +163,14 @@ def _count_transitions(world: World, population: Population) -> None:
         if population.plan.registers[name].kind is not Kind.I32 or not len(population):
             continue
         before, after = population.start[name], population.now[name]
-        changed = np.flatnonzero(before != after)
-        if len(changed):
+        (changed,) = (before != after).nonzero()
+        if changed.size:
             count = len(machine.states)
-            for pair, number in zip(*np.unique(before[changed] * count + after[changed], return_counts=True), strict=True):
-                key = f"{population.name}.{machine.states[pair // count]}->{machine.states[pair % count]}"
-                world.transitions[key] = world.transitions.get(key, 0) + int(number)
+            numbers = np.bincount(before[changed] * count + after[changed]).tolist()
+            for pair, number in enumerate(numbers):
+                if number:
+                    key = f"{population.name}.{machine.states[pair // count]}->{machine.states[pair % count]}"
+                    world.transitions[key] = world.transitions.get(key, 0) + number
 
 
 # What settles an effect, by its row's op; the phase that the row names calls it.

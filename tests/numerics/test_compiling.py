@@ -12,6 +12,8 @@ import pytest
 from compilers import need_kernels
 
 from antdsl.machine_code import codes, machine
+from antdsl.machine_code.kernels import sources
+from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.numerics import compiled
 
 OTHER = """from antdsl.machine_code.kernels import inlined
@@ -68,6 +70,49 @@ def test_kept_kernels_are_used_until_a_number_elsewhere_changes(folder: Path, mo
         assert bool(made) != hit and kernel.kept()
 
 
+CHANGES: list[tuple[str, str, str, float, bool]] = [  # file, what is there, what instead; what comes out; whether of kept code
+    ("kernel_other", "2 * x", "2 * x", 6.0, True),
+    ("kernel_other", "return 2 * x", "return 3 * x", 8.0, False),  # as long as before
+    ("kernel_value", "return twice(x) + NUMBER", "return twice(x) - NUMBER", 4.0, False),
+    ("kernel_value", "import NUMBER\n", "import NUMBER as LEFT\nNUMBER = (LEFT, 9.0)[1]\n", 14.0, False),
+    ("kernel_value", "from kernel_other import twice\n", "from kernel_other import other as twice\n", 8.0, False),
+    ("kernel_value", "x: F64", "x: I64", 6.0, False),
+]
+
+
+@pytest.mark.parametrize(("file", "before", "after", "found", "hit"), CHANGES)
+def test_a_kernel_is_known_by_the_sources_of_all_that_it_reaches(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, file: str, before: str, after: str, found: float, hit: bool
+) -> None:
+    other = folder / "kernel_other.py"
+    other.write_text(OTHER + "@inlined\ndef other(x):\n    return 3 * x + NUMBER\n")
+    value = folder / "kernel_value.py"
+    value.write_text(KERNEL.replace("import F64", "import F64, I64"))
+    assert load(folder, monkeypatch)(2) == 6
+    text = (folder / f"{file}.py").read_text()
+    assert before in text
+    (folder / f"{file}.py").write_text(text.replace(before, after))
+    kernel, written, write = load(folder, monkeypatch), [], Kernel.text
+    monkeypatch.setattr(Kernel, "text", lambda self, *target: written.append(self) or write(self, *target))
+    assert kernel.kept() == hit and not written
+    assert kernel(2) == found
+    assert len(written) == (not hit), "code that is kept is used without its text, other code is written"
+
+
+def test_what_writes_kernels_is_part_of_what_they_are_known_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    load(folder, monkeypatch)(2)
+    monkeypatch.setattr(sources, "_writers", lambda: "another version")
+    assert not load(folder, monkeypatch).kept()
+
+
+def test_a_kernel_with_a_name_of_no_known_kind_is_known_by_its_text(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = KERNEL.replace("return twice(x)", "numbers = twice(x)\n    return numbers") + "numbers = {}\n"
+    (folder / "kernel_value.py").write_text(text)
+    kernel = load(folder, monkeypatch)
+    assert sources.key(kernel.part, []) is None
+    assert not kernel.kept() and kernel(2) == 6 and load(folder, monkeypatch).kept()
+
+
 @pytest.fixture
 def unstarted(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"_running": False, "_spent": 0.0, "_long": False, "_kept": lambda: True}.items():
@@ -75,13 +120,9 @@ def unstarted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("unstarted")
-def test_a_small_crowd_gets_kernels_once_it_has_cost_as_much_as_they_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun = []
-    for _ in range(100):
-        compiled.begin_step(30)
-        begun.append(compiled.wanted(30))
-        compiled.end_step(0.01)
-    assert begun.index(True) == pytest.approx(compiled._LOADING / 0.01, abs=1)
+def test_a_small_crowd_begins_with_kernels_that_are_kept() -> None:
+    assert not compiled.wanted(30)
+    compiled.begin_step(30)
     assert compiled.wanted(1) and not compiled.wanted(0)
 
 

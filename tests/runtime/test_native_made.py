@@ -18,6 +18,7 @@ import pytest
 from meaning import crowd, play
 
 from antdsl.machine_code import codes, machine, object_cache
+from antdsl.numerics import compiled as gate
 from antdsl.runtime import Options, World, bind, state_hash, step
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import ready
@@ -49,6 +50,7 @@ def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list
         monkeypatch.setattr(codes, "_known", OrderedDict())
         monkeypatch.setattr(ready, "_plans", WeakKeyDictionary())
         monkeypatch.setattr(machine, "object_code", noted)
+        monkeypatch.setattr(gate, "wanted", lambda count: False)  # kernels are made when they are first called
         return compiled
 
     return begin

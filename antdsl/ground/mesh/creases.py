@@ -54,6 +54,8 @@ class Creases:
         size = (corners[live].max(axis=(0, 1)) if live.size else np.zeros(3)) - self._low
         self._width = max(float(size.max()) / _ALONG, 1e-9)
         self._shape = np.floor(size / self._width).astype(np.int64) + 1
+        self._first = int(np.frexp(self._width)[1])
+        self.reaches = (self._width, float(self._shape.max()) * self._width)  # least and greatest (mm) that are told apart
         half = inner_creases(table, corners)
         half = half[minded[half // 3]]
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
@@ -88,20 +90,14 @@ class Creases:
                 found[rows] = near[i, j, k]
         return found
 
-    @property
-    def reaches(self) -> tuple[float, float]:
-        """The least and the greatest reach (mm) that are told apart: a cell and all of them."""
-        return self._width, float(self._shape.max()) * self._width
-
     def keep(self, rows: Index, rungs: Index, asked: int, place: Floats) -> Index:
         """Of some rows at places (n, 3), those near: of rung -1, or by the grid of their rung over that of a cell; `asked` has a
         bit for each such rung that there is."""
         from antdsl.ground.mesh.creases_compiled import close
 
-        first = int(np.frexp(self._width)[1])
         for rung in range(asked.bit_length()):
             if asked >> rung & 1:
-                close(rows, rungs, rung, place, self._low, self._width, self._within(first + rung))
+                close(rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
         kept: Index = rows[rungs == -1]
         return kept
 

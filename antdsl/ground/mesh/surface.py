@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from math import sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -220,8 +221,8 @@ class MeshGround:
         n = len(footing)
         if not self._faces.size or not n:
             return _unmoved(footing, up, heading)
-        body = np.ascontiguousarray(np.broadcast_to(np.asarray(body, np.float64), (n,)))
-        body.flags.writeable = False  # whether one or many were given: a kernel is compiled for either
+        body = np.asarray(body, np.float64)
+        body = np.ascontiguousarray(body if body.shape == (n,) else np.broadcast_to(body, (n,)))
         wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
         if self._by_rays:
             return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)
@@ -234,8 +235,10 @@ class MeshGround:
     def _reach(self, wish: Floats, body: Floats) -> float:
         """How far (mm) anybody looks out for other surfaces on a way."""
         square = dot(wish, wish)
-        way = float(np.sqrt(square.max(initial=0.0, where=np.isfinite(square))))
-        return way + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise
+        most = float(square.max(initial=0.0))
+        if not most < np.inf:
+            most = float(square.max(initial=0.0, where=np.isfinite(square)))
+        return sqrt(most) + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise
 
     def _moved_fast(
         self,
@@ -261,8 +264,8 @@ class MeshGround:
         results = (*to, place, above, ahead, direction, gone, blocked)
         done = self._fast.step(parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads, straight)
         result = Move(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
-        left = np.flatnonzero(~done)
-        if left.size:
+        if not done.all():
+            left = np.flatnonzero(~done)
             wish, heading, up = (v.take(left, axis=1) for v in (wish, heading, up))
             result.put(left, self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads, straight))
         return result

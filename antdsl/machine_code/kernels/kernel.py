@@ -7,13 +7,15 @@ import inspect
 import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from threading import Lock
 from types import FunctionType, GenericAlias
 from typing import Any
 
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.kernels.calling import RESULTS, caller
+from antdsl.machine_code.kernels import sources
+from antdsl.machine_code.kernels.calling import RESULTS, Told, caller
 from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit, result_type
@@ -21,6 +23,7 @@ from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
 from antdsl.machine_code.lanes import Module
 
 Function = Callable[..., Any]
+_ABOUT = "about"  # the constant that tells of a kernel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +61,6 @@ class Kernel:
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
         self._lock = Lock()
         self._run: Callable[..., Any] | None = None
-        self._code: machine.Code | None = None
 
     def __call__(self, *arguments: Any) -> Any:
         run = self._run or self.made()
@@ -68,23 +70,29 @@ class Kernel:
         """The function that calls the machine code, which is made or loaded if it is not there yet."""
         with self._lock:
             if self._run is None:
-                text, types, result, stored = self._text(machine.host())
-                self._code = codes.code(text)  # what is called lies in it
-                self._run = caller(self.__name__, self._code, types, result, stored)
+                types = self._types()
+                key = sources.key(self.part, types)
+                host = machine.host()
+                code = codes.code(self.text(host)) if key is None else codes.code(key, lambda: self.text(host))
+                self._run = caller(self.__name__, code, types, Told.read(code.told(_ABOUT)))
             return self._run
 
     def kept(self) -> bool:
         """Whether its machine code is there, in memory or from another run."""
-        return self._run is not None or codes.kept(self.text(machine.host()))
+        if self._run is not None:
+            return True
+        key = sources.key(self.part, self._types())
+        return codes.kept(self.text(machine.host()) if key is None else key)
+
+    def _types(self) -> list[Any]:
+        """What its annotations name."""
+        function = self.part.function
+        named = function.__code__.co_varnames[: function.__code__.co_argcount]
+        return [_annotated(function.__annotations__.get(name), function.__globals__) for name in named]
 
     def text(self, target: machine.Target = machine.ANY) -> str:
         """What is compiled, in LLVM's language."""
-        text, _, _, _ = self._text(target)
-        return text
-
-    def _text(self, target: machine.Target) -> tuple[str, list[Any], Any, set[int]]:
-        definition, world = self.part.source()
-        types = [_type(each.annotation, world) for each in definition.args.args]
+        types = self._types()
         unit, lines = Unit(), [f"; {machine.WHOLE}"]
         words = iter(range(RESULTS, 100_000))
         body: list[str] = []
@@ -112,13 +120,26 @@ class Kernel:
             body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
         module = Module(target)
         text = entry(module, self.__name__, "\n".join(body))
-        lines += [*unit.declared.values(), module.text(), *unit.functions, text]
-        return "\n".join(lines) + "\n", types, result, unit.written
+        told = Told(
+            tuple(each.kind for each in found), isinstance(result, tuple) and bool(found), tuple(sorted(unit.written))
+        ).text()
+        about = f'@{_ABOUT} = constant [{len(told) + 1} x i8] c"{told}\\00"'
+        lines += [about, *unit.declared.values(), module.text(), *unit.functions, text]
+        return "\n".join(lines) + "\n"
 
 
 def kernel(function: Function) -> Kernel:
     """A kernel of a function whose arguments have annotations."""
     return Kernel(function)  # type: ignore[arg-type]
+
+
+def _annotated(annotation: Any, world: dict[str, Any]) -> Any:
+    return _type(_parsed(annotation), world) if isinstance(annotation, str) else _spread(annotation)
+
+
+@cache
+def _parsed(text: str) -> ast.expr:
+    return ast.parse(text, mode="eval").body
 
 
 def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
@@ -135,7 +156,9 @@ def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
 
 def _spread(named: Any) -> Any:
     """What a name stands for, where that may be `tuple[..]` of others."""
-    return tuple(_spread(each) for each in named.__args__) if isinstance(named, GenericAlias) else named
+    if isinstance(named, GenericAlias):
+        return tuple(_spread(each) for each in named.__args__)
+    return named
 
 
 def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> Item:

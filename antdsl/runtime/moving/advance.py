@@ -7,7 +7,7 @@ a second. Who has a way to face turns there instead, and walks backward and side
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -264,6 +264,7 @@ def _may_turn_more(velocity: Vector, before: Vector, most: NDArray[np.float32]) 
     return np.logical_not(clearly)
 
 
+@cache
 def _share(dt: np.float32) -> np.float32:
     """Of the turn towards the movement: how much is done within a substep."""
     return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_TIME))))

@@ -14,6 +14,7 @@ from antdsl.runtime.world import AXES, Population, World
 
 _F = np.float32
 _BIT = _F(1e-6)  # more than rounding makes a way shorter
+_PLACE = tuple(f"position.{axis}" for axis in AXES)
 _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
 
 
@@ -49,7 +50,8 @@ def mesh_of(world: World, name: str) -> RayScene:
 
 def _where_they_were(population: Population) -> bool:
     """Whether everybody is still where the step began; not so after a first substep."""
-    return all(np.array_equal(population.now[f"position.{axis}"], population.start[f"position.{axis}"]) for axis in AXES)
+    now, start = population.now, population.start
+    return all((now[name] == start[name]).all() for name in _PLACE)
 
 
 def _along(

@@ -117,19 +117,19 @@ class NativeBackend(NumpyBackend):
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births are NumPy's."""
-        ready = self.ready
-        code = None if ready is None else ready.program.blocks.get((population.name, block))
-        metered = self.metered.get((population.name, block))
+        ready, name = self.ready, population.name
+        code = None if ready is None else ready.program.blocks.get((name, block))
+        metered = self.metered.get((name, block))
         if ready is None or code is None or rows is not None or (code.lines is None) != (metered is None):
             super().run(world, population, block, rows)
             return
-        compiler = ready.blocks[population.name, block]
-        if (population.name, block) not in self._tables:
-            self._tables[population.name, block] = Tables(code, self._rooms)
-        tables = self._tables[population.name, block]
+        compiler = ready.blocks[name, block]
+        if (name, block) not in self._tables:
+            self._tables[name, block] = Tables(code, self._rooms)
+        tables = self._tables[name, block]
         grids = [self._cells(world, population, block, code, number) for number in range(len(code.near))]
-        values = self._values[population.name]
-        tables.fill(world, population, values, self._lasting[population.name], self._kept[population.name], grids)
+        values = self._values[name]
+        tables.fill(world, population, values, self._lasting[name], self._kept[name], grids)
         for begin, end in Block(ready, code, compiler, tables, world, population, values, metered).run():
             super().run(world, population, block, np.arange(begin, end))  # which stops, and says where
         for lane in tables.lanes:
@@ -138,8 +138,8 @@ class NativeBackend(NumpyBackend):
                     world.fields[field].touch()
                     laid[0] = False
         for number in range(len(code.near)):
-            key, widest = (population.name, block, number), [lane.widest[number] for lane in tables.lanes]
-            self._widest[key] = float(max(each.max() for each in widest)) or self._widest[key]
+            key, widest = (name, block, number), [lane.widest[number] for lane in tables.lanes]
+            self._widest[key] = max(max(each.tolist()) for each in widest) or self._widest[key]
             for each in widest:
                 each.fill(0)
 

@@ -56,15 +56,15 @@ class Block:
         effects, good, coming = [Effects() for _ in bounds], [False] * len(bounds), iter(range(len(bounds)))
 
         def work(number: int) -> None:
-            with np.errstate(all="ignore"):
-                for k in coming:  # the next one that nobody has
-                    good[k] = Chunk(self, lanes[number], times[number], *bounds[k], effects[k]).run()
+            for k in coming:  # the next one that nobody has
+                good[k] = Chunk(self, lanes[number], times[number], *bounds[k], effects[k]).run()
 
         others = [compiled.workers(threads).submit(work, number) for number in range(1, len(lanes))]
         try:
             work(0)
         finally:
-            wait(others)
+            if others:
+                wait(others)
         for other in others:
             other.result()
         for each in effects:
@@ -110,14 +110,17 @@ class Chunk:
                 self.times.seconds += perf_counter() - began
             some = block.ready.together[block.population.name, block.compiler.name, stage]
             if some:
-                self._calls(some)
+                with np.errstate(all="ignore"):
+                    self._calls(some)
         crowded, *counts = lane.counts.tolist()
         if crowded:
             return False
-        for number, count in enumerate(counts):
-            if count:
-                each = block.code.lists[number]
-                asked(each, [column[:count].copy() for column in lane.columns[number]], self.effects)
+        if any(counts):
+            with np.errstate(all="ignore"):
+                for number, count in enumerate(counts):
+                    if count:
+                        each = block.code.lists[number]
+                        asked(each, [column[:count].copy() for column in lane.columns[number]], self.effects)
         self._faults()
         return True
 
@@ -154,7 +157,7 @@ class Chunk:
     def _rows_of(self, slot: int) -> NDArray[np.intp]:
         """Rows, counted within the chunk, for which a mask holds."""
         if slot not in self._picked:
-            self._picked[slot] = np.flatnonzero(self.lane.arrays[slot, 0][: self.end - self.begin])
+            (self._picked[slot],) = self.lane.arrays[slot, 0][: self.end - self.begin].nonzero()
         return self._picked[slot]
 
     def _enter(self, scope: Scope) -> NDArray[np.intp]:
@@ -203,7 +206,8 @@ class Chunk:
         columns = []
         for place in range(len(some[0].inputs)):
             parts = [self._operand(each.inputs[place], rows) for each, rows in zip(some, chosen, strict=True)]
-            spread = [np.full(len(rows), part) if np.ndim(part) == 0 else part for part, rows in zip(parts, chosen, strict=True)]
+            pairs = zip(parts, chosen, strict=True)
+            spread = [part if isinstance(part, np.ndarray) and part.ndim else np.full(len(rows), part) for part, rows in pairs]
             columns.append(np.concatenate(spread))
         node = some[0].what
         assert isinstance(node, ir.Node)

@@ -6,6 +6,7 @@ into arrays with room, what others own is copied. What has not become another ar
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
+from operator import is_not, itemgetter
 from typing import Any
 
 import numpy as np
@@ -138,7 +139,9 @@ class Tables:
         self._filled: Any = None  # the values that `_lasting` were put down from
         self._seed: int | None = None  # that the words of draws were put down for
         pointers = list(code.layout.pointers.items())
-        self._registers = [(str(key[1]), key[0] == "start", place) for key, place in pointers if key[0] in ("start", "now")]
+        registers = [(str(key[1]), key[0] == "start", place) for key, place in pointers if key[0] in ("start", "now")]
+        self._registers = sorted(registers, key=lambda each: not each[1])  # those of the start first
+        self._of_start, self._of_now = (_getter([name for name, at, _ in registers if at == start]) for start in (True, False))
         self._seen: list[Any] = [None] * len(self._registers)
         self._kept = [(int(str(key[1])), key[2], place) for key, place in pointers if key[0] == "kept"]
         self._grids = [
@@ -154,9 +157,8 @@ class Tables:
         """All but what a lane has of its own. `values` are those of the step, among them those of the run, which stay as long as
         `lasting` is the same one; `grids`: a cell grid for each search."""
         self._numbers(world, population, values, lasting)
-        for number, (name, start, place) in enumerate(self._registers):
-            holder = population.start if start else population.now
-            if holder[name] is not self._seen[number]:
+        if any(map(is_not, self._seen, (*self._of_start(population.start), *self._of_now(population.now)))):
+            for number, (name, start, place) in enumerate(self._registers):
                 self._seen[number], self.pointers[place] = self._rooms.moved(population, name, start=start)
         if kept is not self._of[0]:
             self._of[0] = kept
@@ -354,6 +356,11 @@ class Lane:
             case "ticks":
                 return self.ticks
         return self._candidates
+
+
+def _getter(names: list[str]) -> Callable[[Mapping[str, NDArray[Any]]], tuple[NDArray[Any], ...]]:
+    """What gives the arrays of these names."""
+    return itemgetter(*names) if len(names) > 1 else lambda held: tuple(held[name] for name in names)
 
 
 _OWN = frozenset(

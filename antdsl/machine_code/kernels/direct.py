@@ -1,0 +1,124 @@
+"""Kernels as built-in functions of CPython: machine code reads their arguments, so that a call costs less than to look at one of
+its arrays in Python.
+
+One function for all of them (METH_FASTCALL): what it is to read lies in the bytes that it is bound to. Where an object is of
+another type than its argument names, it calls `otherwise` with all arguments, which has the last word. It goes by how objects of
+CPython and NumPy lie in memory (`PyArrayObject_fields` is part of NumPy's binary interface), once `possible` has looked whether
+they do here."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+import sys
+import sysconfig
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from antdsl.machine_code import codes, machine
+from antdsl.machine_code.kernels import direct_text as reading
+
+_PIECE, _ALIGNED, _WRITEABLE = 0x1, 0x100, 0x400  # flags of arrays
+_FASTCALL = 0x80
+
+
+class _Method(ctypes.Structure):
+    """`PyMethodDef`."""
+
+    _fields_ = (("name", ctypes.c_char_p), ("code", ctypes.c_void_p), ("flags", ctypes.c_int), ("text", ctypes.c_char_p))
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """An argument, or what is in one: `path` says where. Of an array, words of the table from `place` on have its address, its
+    lengths, and if it is `strided` its steps; a number is one word. A tuple has `count` objects."""
+
+    path: tuple[int, ...]
+    place: int = 0
+    kind: int = reading.REAL
+    dtype: np.dtype[Any] | None = None
+    axes: int = 0
+    strided: bool = False
+    written: bool = False
+    count: int | None = None
+
+
+def direct(
+    name: str, code: machine.Code, wanted: Sequence[Wanted], words: int, gives: Sequence[int], otherwise: Callable[..., Any]
+) -> Any:
+    """The built-in function for code which takes a table of so many words and leaves what it `gives` in the first of them. Tuples
+    stand before what is in them. None where none can be made."""
+    if (
+        words > reading.WORDS
+        or len(gives) > reading.RESULTS
+        or any(len(each.path) >= reading.DEPTH for each in wanted)
+        or not possible()
+    ):
+        return None
+    count = sum(len(each.path) == 1 for each in wanted)
+    head = [code.place(name), count, id(otherwise), len(wanted), len(gives), ctypes.addressof(_here()), 0, 0, *gives]
+    told = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER, b"\0") + b"".join(map(_step, wanted))
+    method = _Method(name.encode(), _code().place("direct"), _FASTCALL, None)
+    make = ctypes.pythonapi.PyCFunction_NewEx
+    make.argtypes, make.restype = (ctypes.c_void_p, ctypes.py_object, ctypes.py_object), ctypes.py_object
+    return make(ctypes.addressof(method), told, (method, code, otherwise, _code()))  # which live as long as it does
+
+
+def _step(each: Wanted) -> bytes:
+    depth, index = len(each.path) - 1, each.path[-1]
+    if each.count is not None:
+        return struct.pack(f"={reading.STEP}q", reading.TUPLE, depth, index, 0, each.count, 0, 0, 0)
+    if each.dtype is None:
+        return struct.pack(f"={reading.STEP}q", reading.NUMBER, depth, index, each.place, each.kind, 0, 0, 0)
+    flags = _ALIGNED | (0 if each.strided else _PIECE) | (_WRITEABLE if each.written else 0)
+    size = each.dtype.itemsize if each.strided else 0
+    return struct.pack(f"={reading.STEP}q", reading.ARRAY, depth, index, each.place, id(each.dtype), each.axes, flags, size)
+
+
+@cache
+def _code() -> machine.Code:
+    return codes.code(reading.text())
+
+
+@cache
+def possible() -> bool:
+    """Whether objects lie in memory here as `text` reads them: of a CPython with one lock, with 64 bits."""
+    if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8 or hasattr(sys, "getobjects"):
+        return False
+    if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.bytes_at() + 1:
+        return False
+    if not all(hasattr(ctypes.pythonapi, name) for name in (*reading.CALLS, "PyCFunction_NewEx")):
+        return False
+    head = object.__basicsize__
+    for array in (np.arange(6.0).reshape(2, 3), np.zeros((4, 3), np.float32).T, np.zeros(3, np.bool_)[::2]):
+        array.flags.writeable = array.ndim > 1
+        data, axes, lengths, steps, _, dtype = (ctypes.c_int64 * 6).from_address(id(array) + head)
+        flags = ctypes.c_int.from_address(id(array) + head + 48).value
+        kept = _PIECE * array.flags.c_contiguous + _ALIGNED * array.flags.aligned + _WRITEABLE * array.flags.writeable
+        if (data, axes & 0xFFFFFFFF, dtype) != (array.__array_interface__["data"][0], array.ndim, id(array.dtype)):
+            return False
+        if flags & (_PIECE | _ALIGNED | _WRITEABLE) != kept:
+            return False
+        for place, values in ((lengths, array.shape), (steps, array.strides)):
+            if tuple((ctypes.c_int64 * array.ndim).from_address(place)) != values:
+                return False
+    numbers = (1.5, np.float64(2.5), np.float32(3.5), np.int64(-7), np.uint64(2**63), np.True_)
+    for form, value in zip("ddfqQ?", numbers, strict=True):
+        if struct.unpack(form, ctypes.string_at(id(value) + head, struct.calcsize(form)))[0] != value:
+            return False
+    some = (array, head)
+    inside = (ctypes.c_int64 * 2).from_address(id(some) + tuple.__basicsize__)
+    types = [ctypes.c_int64.from_address(id(each) + head - 8).value for each in (*some, some)]
+    return tuple(inside) == tuple(map(id, some)) and types == [id(type(each)) for each in (*some, some)]
+
+
+@cache
+def _here() -> ctypes.Array[ctypes.c_int64]:
+    """Addresses of what the text calls and compares with, in the order of `CALLS` and `OBJECTS`."""
+    calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.CALLS]
+    places = [*calls, *map(id, reading.OBJECTS.values())]
+    return (ctypes.c_int64 * len(places))(*places)

@@ -1,0 +1,110 @@
+"""A key of all that a kernel's text is made of: code that another run has kept is found by it without the text being written.
+
+That is the content of the files that its functions stand in, the values of the names that these functions have, and the files
+that write texts. A kernel with a name for anything else has no key, and is known by its text."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
+from types import CodeType, FunctionType, GenericAlias, ModuleType
+from typing import Any
+
+import numpy as np
+
+from antdsl import machine_code
+from antdsl.bounded import read_bounded
+from antdsl.limits import MIB
+from antdsl.machine_code.kernels.types import ArrayType, Scalar
+
+_LARGEST = 4 * MIB  # of a file
+
+
+class _Unknown(Exception):
+    """Something of which it cannot be told whether it is the same in another run."""
+
+
+def key(part: Any, types: list[Any]) -> str | None:
+    """What stands for the text of a kernel whose arguments have these types; None where nothing does. A text begins otherwise."""
+    told: list[str] = [_writers(), repr(types)]
+    known: dict[int, int] = {}
+    try:
+        _function(part, told, known)
+    except (_Unknown, OSError, ValueError):
+        return None
+    hashed = blake2b(digest_size=32)
+    for each in told:
+        data = each.encode("utf-8", "surrogatepass")
+        hashed.update(len(data).to_bytes(8, "little") + data)
+    return "sources " + hashed.hexdigest()
+
+
+@cache
+def _writers() -> str:
+    """What reads and writes the texts of kernels."""
+    here = Path(machine_code.__file__).parent
+    found = "".join(_digest(str(each)) for each in sorted(here.rglob("*.py")))
+    return f"{found} {sys.version_info[:2]} {np.__version__}"
+
+
+def _digest(path: str) -> str:
+    about = os.stat(path)
+    return _digest_of(path, about.st_mtime_ns, about.st_size)
+
+
+@cache
+def _digest_of(path: str, changed: int, size: int) -> str:
+    return blake2b(read_bounded(path, _LARGEST), digest_size=16).hexdigest()
+
+
+def _function(part: Any, told: list[str], known: dict[int, int]) -> None:
+    """Tell of a function of kernels, and of what its names stand for. One that was told of is told of by its number."""
+    function: FunctionType = part.function
+    if id(function) in known:
+        told.append(f"function {known[id(function)]}")
+        return
+    known[id(function)] = len(known)
+    code, world = function.__code__, function.__globals__
+    place = f"{function.__module__} {function.__qualname__} {code.co_firstlineno} {part.attribute}"
+    told.append(f"{place} {_digest(code.co_filename)}")
+    names = sorted(set(_names(code)))
+    for name in names:
+        if name in world:
+            told.append(name)
+            _value(world[name], names, told, known)
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """All names that a function has for anything. Whoever reads its text may look each up in its module."""
+    for names in (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars):
+        yield from names
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            yield from _names(each)
+
+
+def _value(value: Any, names: list[str], told: list[str], known: dict[int, int]) -> None:
+    part = getattr(value, "part", None)
+    if part is not None:
+        _function(part, told, known)
+    elif isinstance(value, ModuleType):
+        told.append(f"module {value.__name__}")
+        for name in names:
+            inner = getattr(value, name, None)
+            if inner is not None and not isinstance(inner, ModuleType):
+                told.append(name)
+                _value(inner, [], told, known)
+    elif isinstance(value, tuple):
+        told.append(f"tuple {len(value)}")
+        for each in value:
+            _value(each, names, told, known)
+    elif value is None or isinstance(value, bool | int | float | str | np.generic | Scalar | ArrayType | GenericAlias):
+        told.append(f"{type(value).__name__} {value!r}")
+    elif callable(value) and isinstance(getattr(value, "__qualname__", None), str):
+        told.append(f"{value.__module__} {value.__qualname__}")
+    else:
+        raise _Unknown
