@@ -6,6 +6,7 @@ from math import sqrt
 
 SIGHT = 40.0  # mm, how far a boid sees others
 NEIGHBOURS = 9.0  # others within it
+PERSON_SIGHT = 3_000.0  # mm, how far a person reckons with others
 
 BOIDS = """ant 1
 "The three rules of boids: keep apart, go along, stay together."
@@ -23,6 +24,23 @@ species boid {
     separate(radius: 12 mm)
     state
   }
+}
+"""
+
+CROWD = """ant 1
+"People on an open place, each on a course of its own: round the others by velocities that meet nobody."
+use steering
+
+species person {
+  size      0.5 m
+  radius    0.22 m
+  max_speed 1.35 m/s
+  response  0.2 s
+
+  start walking
+  state walking { steer keep_clear(heading, within: 3 m, horizon: 2 s) }
+
+  layers { state }
 }
 """
 
@@ -52,6 +70,6 @@ def plane_scene(species: str, agents: int, radius: float) -> str:
     return f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..480\nseed: 1\ncrowd: [{crowd}]\n"
 
 
-def boid_radius(agents: int) -> float:
-    """Radius (mm) of the disc in which so many boids see about nine others each."""
-    return SIGHT * sqrt(agents / NEIGHBOURS)
+def seen_radius(agents: int, sight: float = SIGHT) -> float:
+    """Radius (mm) of the disc in which so many see about nine others each within `sight`."""
+    return sight * sqrt(agents / NEIGHBOURS)
