@@ -91,6 +91,11 @@ def _crowd(agents: int | None) -> Shot:
     return _written({"scene.yaml": scene, "person.ant": programs.CROWD})
 
 
+def _trails(agents: int | None) -> Shot:
+    texts = {"scene.yaml": programs.trails_scene(agents or 15_000), "ant.ant": programs.TRAILS}
+    return _written({**texts, "ground.ply": programs.flat_ground(1_000.0)})
+
+
 def _cluster(agents: int | None) -> Shot:
     from antdsl.bench.scaling import gathered
 
@@ -152,12 +157,12 @@ CASES: Mapping[str, Case] = {
             (1_000, 15_000),
             sight=programs.SIGHT,
         ),
+        Case("trails", "ants by two scents on flat ground, as on a grid", _trails, (1_000, 15_000, 100_000)),
         Case(
             "crowd",
             "people who walk round each other on a plane, about 9 neighbours each",
             _crowd,
             (1_000, 15_000, 100_000),
-            (1_000, 15_000),
             sight=programs.PERSON_SIGHT,
         ),
         Case("cluster", "the boids, all within a tenth of the area", _cluster, (1_000, 15_000), sight=programs.SIGHT),

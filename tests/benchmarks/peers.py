@@ -32,6 +32,7 @@ HERE = Path(__file__).parent / "peers"
 ROOT = Path(__file__).resolve().parents[2]
 SIZES = (1_000, 15_000, 100_000)
 TURNS = 20
+LARGE, FEWER = 50_000, 8  # from so many agents on there are fewer turns at most, which are seconds each
 WARM = 3  # turns of each that are not counted: Java compiles while it runs
 AGENT_STEPS = 60_000  # of a turn, as far as STEPS allow
 STEPS = (2, 8)
@@ -99,6 +100,8 @@ def _java(model: str) -> Callable[[Given], list[str]]:
 
 
 PEERS = (
+    Peer("krabmaga", "krABMaga 0.5.3 (Rust)", "trails", _cargo("ants")),
+    Peer("mason", "MASON 22 (Java)", "trails", _java("foraging")),
     Peer("krabmaga", "krABMaga 0.5.3 (Rust)", "foraging", _cargo("ants")),
     Peer("mason", "MASON 22 (Java)", "foraging", _java("foraging")),
     Peer("krabmaga", "krABMaga 0.5.3 (Rust)", "boids", _cargo("flockers")),
@@ -159,6 +162,7 @@ class Runner:
 def compared(case: str, backend: str, agents: int, peers: Sequence[tuple[Peer, list[str]]], turns: int) -> list[list[str]]:
     """A row for each program beside a case with so many agents."""
     steps = max(STEPS[0], min(STEPS[1], AGENT_STEPS // agents))
+    turns = min(turns, FEWER) if agents >= LARGE else turns
     with ExitStack() as running:
         own = [sys.executable, str(HERE / "ours.py"), case, backend, str(agents), str(steps)]
         runners = [running.enter_context(Runner("antdsl", own, turns, own=True))]
