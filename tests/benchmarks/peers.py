@@ -207,6 +207,7 @@ def rows(given: Given, options: Sequence[str], backend: str, turns: int, sizes: 
             some = [(peer, words) for peer, words in ready if peer.case == case and not (peer.slow and agents > SLOW[1])]
             if some:
                 found += compared(case, backend, agents, some, turns)
+                print(*(" ".join(row) for row in found[-len(some) :]), sep="\n", file=sys.stderr, flush=True)
     return found
 
 
