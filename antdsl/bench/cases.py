@@ -81,8 +81,19 @@ def _foraging(agents: int | None) -> Shot:
 
 def _boids(agents: int | None) -> Shot:
     count = agents or 15_000
-    scene = programs.plane_scene("boid", count, programs.boid_radius(count))
+    scene = programs.plane_scene("boid", count, programs.seen_radius(count))
     return _written({"scene.yaml": scene, "boid.ant": programs.BOIDS})
+
+
+def _crowd(agents: int | None) -> Shot:
+    count = agents or 15_000
+    scene = programs.plane_scene("person", count, programs.seen_radius(count, programs.PERSON_SIGHT))
+    return _written({"scene.yaml": scene, "person.ant": programs.CROWD})
+
+
+def _trails(agents: int | None) -> Shot:
+    texts = {"scene.yaml": programs.trails_scene(agents or 15_000), "ant.ant": programs.TRAILS}
+    return _written({**texts, "ground.ply": programs.flat_ground(1_000.0)})
 
 
 def _cluster(agents: int | None) -> Shot:
@@ -145,6 +156,14 @@ CASES: Mapping[str, Case] = {
             (1_000, 15_000, 100_000),
             (1_000, 15_000),
             sight=programs.SIGHT,
+        ),
+        Case("trails", "ants by two scents on flat ground, as on a grid", _trails, (1_000, 15_000, 100_000)),
+        Case(
+            "crowd",
+            "people who walk round each other on a plane, about 9 neighbours each",
+            _crowd,
+            (1_000, 15_000, 100_000),
+            sight=programs.PERSON_SIGHT,
         ),
         Case("cluster", "the boids, all within a tenth of the area", _cluster, (1_000, 15_000), sight=programs.SIGHT),
         Case("flocking", "boids on a wavy ground with states", _example("flocking/scene.yaml"), (400, 15_000), sight=25.0),

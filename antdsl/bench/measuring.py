@@ -76,7 +76,7 @@ def _measure(job: Job) -> Measured:
         state=_state_bytes(world),
         nodes=_nodes(shot),
         counts=count_step(world),
-        neighbours=_neighbours(world, case.sight) if case.sight else None,
+        neighbours=neighbours(world, case.sight) if case.sight else None,
         cached=_cached(shot, options[0], job.turns * steps) if job.cache else None,
         told=tuple(dict.fromkeys(told + [f"{job.backends[0]}: {sentence}" for sentence in kept_told])),
     )
@@ -209,7 +209,7 @@ def _nodes(shot: Shot) -> int:
     )
 
 
-def _neighbours(world: World, sight: float) -> float:
+def neighbours(world: World, sight: float) -> float:
     """How many others stand within `sight` mm of an agent, in the mean."""
     from scipy.spatial import cKDTree
 

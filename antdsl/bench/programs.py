@@ -6,6 +6,7 @@ from math import sqrt
 
 SIGHT = 40.0  # mm, how far a boid sees others
 NEIGHBOURS = 9.0  # others within it
+PERSON_SIGHT = 3_000.0  # mm, how far a person reckons with others
 
 BOIDS = """ant 1
 "The three rules of boids: keep apart, go along, stay together."
@@ -23,6 +24,58 @@ species boid {
     separate(radius: 12 mm)
     state
   }
+}
+"""
+
+CROWD = """ant 1
+"People on an open place, each on a course of its own: round the others by velocities that meet nobody."
+use steering
+
+species person {
+  size      0.5 m
+  radius    0.22 m
+  max_speed 1.35 m/s
+  response  0.2 s
+
+  start walking
+  state walking { steer keep_clear(heading, within: 3 m, horizon: 2 s) }
+
+  layers { state }
+}
+"""
+
+# What ants on grids do: two scents, by the nine cells around; nothing stands in the way, and nobody keeps apart.
+TRAILS = """ant 1
+"Ants on flat ground that find food by one scent and the nest by another."
+use steering
+
+world {
+  surface ground
+  items   food
+  items   nest
+}
+
+field to_food on ground { cell 5 mm; half_life 29 s; combine max }
+field to_nest on ground { cell 5 mm; half_life 29 s; combine max }
+
+species ant {
+  size      4 mm
+  max_speed 120 mm/s
+  response  0.1 s
+
+  start search
+  state search {
+    steer climb(to_food, nearest: 9) + wander() * 0.3
+    deposit to_nest 24 /s * exp(-time_in_state / 2 s)
+    when touching(food) -> carry
+  }
+  state carry {
+    steer climb(to_nest, nearest: 9) + wander() * 0.3
+    deposit to_food 24 /s * exp(-time_in_state / 2 s)
+    when touching(nest) -> search
+  }
+
+  layers { state }
 }
 """
 
@@ -52,6 +105,29 @@ def plane_scene(species: str, agents: int, radius: float) -> str:
     return f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..480\nseed: 1\ncrowd: [{crowd}]\n"
 
 
-def boid_radius(agents: int) -> float:
-    """Radius (mm) of the disc in which so many boids see about nine others each."""
-    return SIGHT * sqrt(agents / NEIGHBOURS)
+def flat_ground(side: float) -> str:
+    """A square of two triangles about zero, `side` mm wide, as PLY."""
+    head = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+    corners = "".join(f"{x * side / 2:g} 0 {z * side / 2:g}\n" for x, z in ((-1, -1), (-1, 1), (1, 1), (1, -1)))
+    return f"{head}element face 2\nproperty list uchar int vertex_indices\nend_header\n{corners}3 0 1 2\n3 0 2 3\n"
+
+
+def trails_scene(agents: int) -> str:
+    """So many ants out of one nest on a square metre, which has 200 x 200 cells of scent, as krABMaga's example."""
+    return f"""antdsl: 1
+units: mm
+fps: 24
+frames: 1..480
+seed: 1
+contacts: off
+world:
+  ground: {{mesh: ground.ply}}
+  food: {{there: {{at: [-375, 0, -375], on: ground, radius: 5 mm}}}}
+  nest: {{home: {{at: [375, 0, 375], on: ground, radius: 5 mm}}}}
+crowd: [{{species: ant, from: ant.ant, count: {agents}, place: {{on: ground, radius: 480 mm}}}}]
+"""
+
+
+def seen_radius(agents: int, sight: float = SIGHT) -> float:
+    """Radius (mm) of the disc in which so many see about nine others each within `sight`."""
+    return sight * sqrt(agents / NEIGHBOURS)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.cell_grids import grid_for
@@ -31,7 +32,9 @@ def clear_velocity(
     fastest = np.where(start["max_speed"][rows] > 0, start["max_speed"][rows], 0).astype(np.float64)
     others = _others(world, population, rows, within, most, own, plane)
     sound = np.where(horizon > 0, np.minimum(horizon, 1e6), 1e6)
-    x, y = clear_velocities(others, plane.laid(own), plane.laid(_known(wish)), np.minimum(fastest, 1e9), sound, world.dt)
+    x, y = clear_velocities(
+        others, plane.laid(own), plane.laid(_known(wish)), np.minimum(fastest, 1e9), sound, world.dt, world.options.threads
+    )
     return plane.raised(x, y)
 
 
@@ -89,8 +92,10 @@ def _others(
     place = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     reach = np.where(within > 0, within, -1).astype(np.float32)
     ids, radius = population.ids[rows], _radius(population, rows)
-    found: list[tuple[NDArray[Any], ...]] = []
     far = float(reach.max(initial=0.0, where=np.isfinite(reach)))
+    if compiled.wanted(n):
+        return _by_loops(world, population, (ids, radius, place, reach, far), count, own, plane)
+    found: list[tuple[NDArray[Any], ...]] = []
     for number, (name, other) in enumerate(world.populations.items()):
         if not len(other) or not widest:
             continue
@@ -122,6 +127,41 @@ def _others(
             whole[at] = column.take(kept)
         there[at], first[at] = True, columns[9].take(kept)
     return Others(x, y, vx, vy, both, there, first)
+
+
+def _by_loops(
+    world: World, population: Population, asking: tuple[Any, ...], count: Rows, own: Vector | None, plane: _Plane
+) -> Others:
+    """`_others` by kernels: the nearest are chosen as pairs are met, and only these are looked at further."""
+    from antdsl.runtime.about_compiled import choose, lay
+
+    ids, radius, place, reach, far = asking
+    n, widest = len(ids), int(count.max(initial=0))
+    shape = (n, widest)
+    x, y, vx, vy, room = (np.zeros(shape) for _ in range(5))
+    there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+    nearest = np.empty(shape, np.float32), *(np.empty(shape, np.int64) for _ in range(3)), np.zeros(n, np.int64)
+    up, ahead, left = (compiled.plain(*each) for each in (plane.up, plane.ahead, plane.left))
+    moving = ahead if own is None else compiled.plain(*own)
+    found = []
+    for number, (name, other) in enumerate(world.populations.items()):
+        if not len(other) or not widest:
+            continue
+        grid = grid_for(world, other, far if far > 0 else 1.0)
+        qid = ids if other is population else None
+        p = grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=qid, threads=world.options.threads)
+        theirs = compiled.plain(*vec.named(other.start, "up"))
+        choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
+        found.append((number, name, other, p))
+    for number, name, other, p in found:
+        velocity = compiled.plain(*vec.named(other.start, "velocity"))
+        both = radius, _radius(other, np.arange(len(other)))
+        who = ids, other is population, population.name < name
+        lay(
+            nearest, number, p.j, (p.dx, p.dy, p.dz), ahead, left, own is not None, moving, velocity, *both, *who, x, y, vx, vy,
+            room, there, first,
+        )  # fmt: skip
+    return Others(x, y, vx, vy, room, there, first)
 
 
 def _order(asking: Rows, distance: NDArray[np.float32], species: Rows, ids: NDArray[np.int64]) -> Rows:

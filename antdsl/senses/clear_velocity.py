@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import compiled
+
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Rows = NDArray[np.intp]
@@ -65,13 +67,22 @@ class Borders:
 
 
 def clear_velocities(
-    others: Others, velocity: tuple[Floats, Floats], wish: tuple[Floats, Floats], fastest: Floats, horizon: Floats, dt: float
-) -> tuple[Floats, Floats]:
+    others: Others, velocity: tuple[Floats, Floats], wish: tuple[Floats, Floats], fastest: Floats, horizon: Floats, dt: float,
+    threads: int = 1,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Velocities (mm/s, float64[n] along both axes of each agent's plane) nearest to a `wish`, no faster than `fastest`, by which
     nobody is met within `horizon` s if the others do their half; those who are in each other part within `dt` s."""
     n = len(fastest)
     if not n:
         return np.empty(0), np.empty(0)
+    if compiled.wanted(n):
+        from antdsl.senses.clear_velocity_compiled import velocities
+
+        o = others
+        columns = compiled.plain(o.x, o.y, o.vx, o.vy, o.room, o.there, o.first)
+        own, wished, (most, until) = (compiled.plain(*each) for each in (velocity, wish, (fastest, horizon)))
+        found = compiled.in_parts(lambda *part: velocities(columns, own, wished, most, until, dt, *part), n, threads)
+        return np.concatenate([each[0] for each in found]), np.concatenate([each[1] for each in found])
     with np.errstate(all="ignore"):
         borders = _borders(others, velocity, horizon, dt)
         x, y, failed = _nearest(borders, fastest, wish, along=False)

@@ -183,7 +183,7 @@ def find(grid: tuple[Any, ...], query: tuple[Any, ...], most: int) -> tuple[NDAr
     m = radius.size
     spans, near = np.empty(64, np.int64), np.empty(1024, np.int64)
     kinds = (np.int64, np.int64, np.float32, np.float32, np.float32, np.float32)
-    pairs = tuple(np.empty(max(8 * m, 1024), kind) for kind in kinds)
+    pairs = tuple(np.empty(max(16 * m, 1024), kind) for kind in kinds)  # what is not written takes no memory
     k, used, along, wide = _fill(ordered, asking, most, spans, near, pairs, 0, 0)
     while k < m:
         if wide < 0:

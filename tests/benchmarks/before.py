@@ -47,7 +47,7 @@ def shot_of(case: str, agents: int | None) -> tuple[Any, Any]:
         texts = of_this_tree("programs")
         with tempfile.TemporaryDirectory() as folder:
             count = agents or 15_000
-            Path(folder, "scene.yaml").write_text(texts.plane_scene("boid", count, texts.boid_radius(count)))
+            Path(folder, "scene.yaml").write_text(texts.plane_scene("boid", count, texts.seen_radius(count)))
             Path(folder, "boid.ant").write_text(texts.BOIDS)
             shot, report = open_scene(Path(folder, "scene.yaml"))
         agents = None

@@ -1,8 +1,8 @@
 """Measures what `docs/benchmarks.md` tells and puts the tables into it, a row for each backend that there is.
 
 `python tests/benchmarks/page.py` measures all, which takes a quarter of an hour and 6 GiB; with names of cases, those only, and
-the others stay as they were measured before (`page.json`). `--agents N` with them takes one size. `--peers FOLDER` also builds
-krABMaga's boids in a folder and measures them. `--write` measures nothing."""
+the others stay as they were measured before (`page.json`). `--agents N` with them takes one size. `--peers FILE` takes what
+`peers.py --json FILE` has measured. `--write` measures nothing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ import peers
 
 from antdsl.bench import CASES, Job, measured
 from antdsl.bench.costs import BOUND
-from antdsl.bench.machine import machine
 from antdsl.bench.tables import (
     SET_UP,
     Result,
@@ -217,8 +216,7 @@ def main() -> None:
                 print(name, agents, flush=True)
                 KEPT.write_text(json.dumps(kept) + "\n", encoding="utf-8")
     if given.peers is not None:
-        backends = [backend for backend in BACKENDS if backend != SLOWEST]
-        kept["peers"] = {"machine": machine(), "rows": peers.rows(peers.built(given.peers.resolve()), backends)}
+        kept["peers"] = json.loads(given.peers.read_text(encoding="utf-8"))
         KEPT.write_text(json.dumps(kept) + "\n", encoding="utf-8")
     write(kept)
 

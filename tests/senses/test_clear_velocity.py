@@ -10,6 +10,9 @@ import plans
 import pytest
 from plan_text import plan_of
 
+from antdsl.bench import programs
+from antdsl.bench.cases import opened
+from antdsl.numerics import compiled
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.hashing import state_hash
 from antdsl.senses.clear_velocity import Others, _borders, clear_velocities
@@ -76,6 +79,42 @@ def test_a_change_by_half_each_just_misses_within_the_horizon() -> None:
     part = min(relative @ place / (relative @ relative), 3.0)
     assert np.linalg.norm(place - part * relative) == pytest.approx(4.0, abs=1e-9)
     assert found[0][0] == -found[0][1] and found[1][0] == -found[1][1]
+
+
+@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
+@pytest.mark.parametrize(("count", "near"), [(0, 1.0), (1, 20.0), (4, 25.0), (10, 25.0), (10, 3.0), (16, 0.5)])
+def test_kernels_give_the_same_bits(monkeypatch: pytest.MonkeyPatch, count: int, near: float) -> None:
+    o, (velocity, wish, fastest, horizon) = case(count, count, near)
+    if count:
+        o.x[:9, 0] = o.y[:9, 0] = o.vx[:9, 0] = o.vy[:9, 0] = 0.0  # on one spot, as fast
+        o.first[:4] = False
+        o.vx[9:12, 0] = np.inf
+    fastest[5:8], horizon[8:11] = 0.0, 1e-30
+    found = []
+    for on in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
+        found.append(clear_velocities(o, (velocity[0], velocity[1]), (wish[0], wish[1]), fastest, horizon, DT))
+    for plain, by_loops in zip(*found, strict=True):
+        assert plain.tobytes() == by_loops.tobytes()
+
+
+@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
+def test_kernels_find_the_same_others_of_two_species(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    line = "{{species: {0}, from: {0}.ant, count: 60, place: {{radius: 3 m}}}}"
+    crowds = ", ".join(line.format(name) for name in ("dog", "cat"))
+    (tmp_path / "scene.yaml").write_text(f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..9\nseed: 1\ncrowd: [{crowds}]\n")
+    for name in ("dog", "cat"):
+        (tmp_path / f"{name}.ant").write_text(programs.CROWD.replace("person", name))
+    shot = opened(tmp_path / "scene.yaml", None)
+    hashes: list[list[str]] = []
+    for on in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
+        world = bind(shot.plan, shot.setting, Options(backend="numpy"))
+        hashes.append([])
+        for _ in range(4):
+            step(world)
+            hashes[-1].append(state_hash(world))
+    assert hashes[0] == hashes[1] and len(set(hashes[0])) == 4
 
 
 PROGRAM = """species ant {

@@ -1,7 +1,6 @@
 //! Boids on a torus by krABMaga: each sees those within 10, about nine of them, and keeps apart, goes along and stays together.
 //!
-//! `flockers AGENTS STEPS TIMES` prints the seconds of CPU time of a step, and how many neighbours a boid saw in the mean, over so
-//! many steps, as often begun anew: in long runs boids gather, and see more than nine.
+//! `flockers AGENTS STEPS` begins anew for each turn: in long runs boids gather, and see more than nine.
 
 use krabmaga::engine::agent::Agent;
 use krabmaga::engine::fields::field::Field;
@@ -9,6 +8,7 @@ use krabmaga::engine::fields::field_2d::{toroidal_distance, toroidal_transform, 
 use krabmaga::engine::location::Real2D;
 use krabmaga::engine::schedule::Schedule;
 use krabmaga::engine::state::State;
+use peers::{given, processor, turns};
 use std::any::Any;
 use std::cell::Cell;
 use std::fmt;
@@ -133,19 +133,10 @@ impl State for Flock {
     }
 }
 
-/// Seconds that this process has had of the processors.
-fn processor() -> f64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &mut now) };
-    now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
-}
-
 fn main() {
-    let given: Vec<usize> = std::env::args().skip(1).map(|word| word.parse().expect("three whole numbers")).collect();
-    let [agents, steps, times] = given[..] else { panic!("flockers AGENTS STEPS TIMES") };
+    let (agents, steps) = given();
     let side = (agents as f32 * std::f32::consts::PI * SIGHT * SIGHT / NEIGHBOURS).sqrt();
-    let (mut spent, mut seen) = (0.0, 0);
-    for _ in 0..times {
+    turns(|| {
         let field = Field2D::new(side, side, SIGHT / 1.5, true);
         let mut flock = Flock { field, agents: agents as u32, side, seen: Cell::new(0) };
         let mut schedule = Schedule::new();
@@ -158,9 +149,6 @@ fn main() {
         for _ in 0..steps {
             schedule.step(&mut flock);
         }
-        spent += processor() - begun;
-        seen += flock.seen.get();
-    }
-    let count = (steps * times) as f64;
-    println!("{{\"step\": {:.9}, \"neighbours\": {:.2}}}", spent / count, seen as f64 / (count * agents as f64));
+        ((processor() - begun) / steps as f64, Some(flock.seen.get() as f64 / (steps * agents) as f64))
+    });
 }

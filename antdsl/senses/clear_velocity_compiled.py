@@ -1,0 +1,164 @@
+"""Reciprocal collision avoidance by a loop over agents: the same bits as `clear_velocity` finds for all at once."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, called, inlined, kernel
+
+Floats = NDArray[np.float64]
+Column = Array1[F64]
+Lines = tuple[Column, Column, Column, Column, Array1[I64]]  # px, py, dx, dy of borders, and 1 where there is one
+# x, y, vx, vy and room of others, who are there, and who is the first of two on one spot
+Others = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array2[BOOL], Array2[BOOL]]
+
+_PARALLEL = 1e-9  # as in `clear_velocity`
+_LEAST = 1e-30
+
+
+def velocities(
+    others: tuple[NDArray[Any], ...], velocity: tuple[Floats, ...], wish: tuple[Floats, ...], fastest: Floats, horizon: Floats,
+    dt: float, begin: int, end: int,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """`clear_velocities` of agents from `begin` to `end`; `others` are the columns of `Others`."""
+    most = others[0].shape[1]
+    borders, between = ((*np.empty((4, most)), np.empty(most, np.int64)) for _ in range(2))
+    x, y = np.empty((2, end - begin))
+    _clear(others, velocity, wish, fastest, horizon, dt, begin, end, borders, between, x, y)
+    return x, y
+
+
+@kernel
+def _clear(
+    others: Others, velocity: tuple[Column, Column], wish: tuple[Column, Column], fastest: Column, horizon: Column, dt: F64,
+    begin: I64, end: I64, borders: Lines, between: Lines, x: Column, y: Column,
+) -> None:  # fmt: skip
+    most = borders[0].size
+    for a in range(begin, end):
+        for c in range(most):
+            _border(others, a, c, velocity[0][a], velocity[1][a], horizon[a], dt, borders)
+        wx, wy, limit = wish[0][a], wish[1][a], fastest[a]
+        size = math.sqrt(wx * wx + wy * wy)
+        part = 1.0
+        if size > limit:
+            part = limit / (size if size > 0.0 else 1.0)
+        vx, vy, failed = _nearest(borders, most, limit, wx, wy, wx * part, wy * part, False)
+        if failed < most:
+            vx, vy = _least_forbidden(borders, between, most, limit, vx, vy, failed)
+        x[a - begin], y[a - begin] = vx, vy
+
+
+@inlined
+def _border(
+    others: Any, a: int, c: int, own_x: float, own_y: float, horizon: float, dt: float, borders: Any
+) -> None:  # fmt: skip
+    """Set the half-plane that neighbour c of agent a allows."""
+    xs, ys, vxs, vys, rooms, there, first = others
+    px, py, dx, dy, sound = borders
+    x, y, vx, vy, r = xs[a, c], ys[a, c], vxs[a, c], vys[a, c], rooms[a, c]
+    square, room = x * x + y * y, r * r
+    apart = square > room
+    seconds = horizon if apart else dt
+    wx, wy = vx - x / seconds, vy - y / seconds
+    size = math.sqrt(wx * wx + wy * wy)
+    ux, uy = 1.0 if first[a, c] else -1.0, 0.0
+    if size > _LEAST:
+        ux, uy = wx / size, wy / size
+    along = wx * x + wy * y
+    if not apart or (along < 0.0 and along * along > room * (size * size)):
+        change = r / seconds - size
+        dx[c], dy[c] = uy, -ux
+        cx, cy = change * ux, change * uy
+    else:
+        leg = math.sqrt(max(square - room, 0.0))
+        side = 1.0 if x * wy - y * wx > 0.0 else -1.0
+        over = square if square > _LEAST else 1.0
+        lx, ly = side * (x * leg - side * (y * r)) / over, side * (side * (x * r) + y * leg) / over
+        reach = vx * lx + vy * ly
+        dx[c], dy[c] = lx, ly
+        cx, cy = reach * lx - vx, reach * ly - vy
+    px[c], py[c] = own_x + 0.5 * cx, own_y + 0.5 * cy
+    good = there[a, c] and math.isfinite(px[c]) and math.isfinite(py[c]) and math.isfinite(dx[c]) and math.isfinite(dy[c])
+    sound[c] = 1 if good else 0
+
+
+@inlined
+def _beyond(borders: tuple[Floats, ...], k: int, x: float, y: float) -> float:
+    px, py, dx, dy, _ = borders
+    away: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
+    return away
+
+
+@called
+def _nearest(
+    borders: Any, most: int, fastest: float, wx: float, wy: float, x: float, y: float, along: bool
+) -> tuple[float, float, int]:  # fmt: skip
+    """The allowed point nearest to a wish from where that stands in the circle, or with `along` the farthest along it; and which
+    border left none."""
+    px, py, dx, dy, there = borders
+    bx, by = x, y
+    for k in range(most):
+        if there[k] == 0 or not _beyond(borders, k, bx, by) > 0.0:
+            continue
+        middle = px[k] * dx[k] + py[k] * dy[k]
+        room = middle * middle + fastest * fastest - (px[k] * px[k] + py[k] * py[k])
+        if not room >= 0.0:
+            return bx, by, k
+        half = math.sqrt(room)
+        low, high = -middle - half, -middle + half
+        for q in range(k):
+            if there[q] == 0:
+                continue
+            cross = dx[k] * dy[q] - dy[k] * dx[q]
+            away = dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])
+            if abs(cross) <= _PARALLEL:
+                if away < 0.0:
+                    return bx, by, k
+            elif cross > 0.0:
+                high = min(high, away / cross)
+            else:
+                low = max(low, away / cross)
+        if not low <= high:
+            return bx, by, k
+        t = high
+        if along:
+            if not wx * dx[k] + wy * dy[k] > 0.0:
+                t = low
+        else:
+            t = min(max(dx[k] * (wx - px[k]) + dy[k] * (wy - py[k]), low), high)
+        bx, by = px[k] + t * dx[k], py[k] + t * dy[k]
+    return bx, by, most
+
+
+@called
+def _least_forbidden(
+    borders: Any, between: Any, most: int, fastest: float, x: float, y: float, failed: int
+) -> tuple[float, float]:  # fmt: skip
+    """The point that is least far beyond any border, from the one that those before `failed` allow."""
+    px, py, dx, dy, there = borders
+    qx, qy, ex, ey, some = between
+    bx, by, deepest = x, y, 0.0
+    for k in range(failed, most):
+        if there[k] == 0 or not _beyond(borders, k, bx, by) > deepest:
+            continue
+        for q in range(k):
+            cross = dx[k] * dy[q] - dy[k] * dx[q]
+            level = abs(cross) <= _PARALLEL
+            part = (dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])) / (1.0 if level else cross)
+            qx[q] = 0.5 * (px[k] + px[q]) if level else px[k] + part * dx[k]
+            qy[q] = 0.5 * (py[k] + py[q]) if level else py[k] + part * dy[k]
+            wx, wy = dx[q] - dx[k], dy[q] - dy[k]
+            size = math.sqrt(wx * wx + wy * wy)
+            over = size if size > _LEAST else 1.0
+            ex[q], ey[q] = wx / over, wy / over
+            opposed = not (level and dx[k] * dx[q] + dy[k] * dy[q] > 0.0)
+            some[q] = 1 if there[q] != 0 and size > _LEAST and opposed else 0
+        nx, ny, missed = _nearest(between, k, fastest, -dy[k], dx[k], -dy[k] * fastest, dx[k] * fastest, True)
+        if missed == k:
+            bx, by = nx, ny
+        deepest = _beyond(borders, k, bx, by)
+    return bx, by

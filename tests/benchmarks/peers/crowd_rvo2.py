@@ -1,0 +1,28 @@
+"""People of RVO2 (C++, float32) by the package `pyrvo`: each keeps to a course of its own, with the numbers of the case `crowd`.
+`crowd_rvo2.py AGENTS STEPS`. The wished velocities are set once: a step is `doStep` alone."""
+
+from __future__ import annotations
+
+from pyrvo import RVOSimulator
+from turns import crowd, given, neighbours, timed, turns
+
+DT, SIGHT, MOST, HORIZON, RADIUS, SPEED = 1 / 24, 3.0, 10, 2.0, 0.22, 1.35
+
+
+def main() -> None:
+    """Begin anew for each turn, so that the crowd has not spread."""
+    agents, steps = given()
+    places, courses = crowd(agents, SIGHT)
+
+    def turn() -> tuple[float, float]:
+        simulator = RVOSimulator(DT, SIGHT, MOST, HORIZON, HORIZON, RADIUS, SPEED)
+        for place, (x, y) in zip(places, courses, strict=True):
+            simulator.set_agent_pref_velocity(simulator.add_agent(place), (x * SPEED, y * SPEED))
+        spent = timed(simulator.do_step, steps)
+        return spent, neighbours([simulator.get_agent_position(k).to_tuple() for k in range(agents)], SIGHT)
+
+    turns(turn)
+
+
+if __name__ == "__main__":
+    main()

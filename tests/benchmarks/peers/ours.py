@@ -1,0 +1,40 @@
+"""A case of `antdsl bench` on one thread: `ours.py CASE BACKEND AGENTS STEPS`. A case whose neighbours are counted begins anew
+for each turn, as the others' do; another runs on."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from time import process_time
+
+from antdsl.bench.cases import CASES
+from antdsl.bench.measuring import WARM, neighbours, with_code
+from antdsl.numerics import compiled
+from antdsl.runtime import Options, World, bind, step
+
+
+def main() -> None:
+    """Take a turn for each line of the standard input."""
+    warnings.simplefilter("ignore")
+    compiled.expect_long_runs()  # kernels from the first step on, as in a run that goes on
+    name, backend, agents, steps = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+    case = CASES[name]
+    shot = case.make(agents)
+    world: World | None = None
+    for _ in sys.stdin:
+        if world is None or case.sight:
+            world = bind(shot.plan, shot.setting, Options(backend=backend, threads=1))
+            step(world)
+            with_code(world)
+            for _ in range(WARM):
+                step(world)
+        begun = process_time()
+        for _ in range(steps):
+            step(world)
+        spent = (process_time() - begun) / steps
+        print(json.dumps({"step": spent, "neighbours": neighbours(world, case.sight) if case.sight else None}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
