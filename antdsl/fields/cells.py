@@ -184,7 +184,7 @@ class SurfaceCells:
         index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
         keys = (self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
         work = partial(located, points, side, *keys, known.key, known.cell, cell)
-        return sum(compiled.in_parts(work, len(points), threads)), known
+        return sum(compiled.in_parts(work, len(points), threads, compiled.LIGHT)), known
 
     def _located_plainly(
         self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells, threads: int

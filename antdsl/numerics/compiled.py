@@ -27,7 +27,7 @@ from antdsl.numerics.float_environment import be_standard
 T = TypeVar("T")
 VARIABLE = "ANTDSL_KERNELS"
 PART = 4_096  # agents for whom a thread pays
-LIGHT = 7_000  # the same, of work that is a few operations each
+LIGHT = 30_000  # the same, of work that is a few operations each
 LEAST = 2_000  # agents; a step of these without kernels takes so long that a few make up for loading them
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _AT_ONCE = 50_000  # numbers, worked on before any step: then a world is made ready that is large

@@ -180,7 +180,7 @@ class Motion:
             return begin, own, *found
 
         straight = []
-        for begin, (turns, tilts), ended, standing, half, share in compiled.in_parts(part, len(population), threads):
+        for begin, (turns, tilts), ended, standing, half, share in compiled.in_parts(part, len(population), threads, compiled.LIGHT):
             if begin:
                 self.turns += turns
                 self.tilts += tilts
