@@ -47,7 +47,7 @@ def crowd(seed: int) -> tuple[SimpleNamespace, tuple[np.ndarray, ...]]:
 @pytest.mark.parametrize("substep", [0, 1])
 def test_turns_are_limited_the_same_compiled(monkeypatch: pytest.MonkeyPatch, substep: int) -> None:
     population, up = crowd(substep)
-    world = SimpleNamespace(dt=float(2 * DT))
+    world = SimpleNamespace(dt=float(2 * DT), options=SimpleNamespace(threads=1))
     found = []
     for on in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
