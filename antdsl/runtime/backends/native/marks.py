@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.backends.native.block import Writer
 
 _COUNTER = "llvm.readcyclecounter"
+_FENCE = "llvm.x86.sse2.lfence"  # waits for all instructions before it, which are at work side by side
 _NAMES = re.compile(r"%[\w.]+")
 
 
@@ -60,7 +61,10 @@ class LineMarks:
         self._values: list[Lanes] = []  # worked out since the last mark in the block that the text has come to
         self._texts: list[str] = []  # what has been emitted since
         w.module.declare(_COUNTER, I64, [])
-        w.e.put(self._last, w.e.one(f"call i64 @{_COUNTER}()", I64))
+        self._fenced = w.module.target.x86
+        if self._fenced:
+            w.module.declare(_FENCE, "void", [])
+        w.e.put(self._last, self._now())
         w.e.marks = self
 
     @contextmanager
@@ -99,12 +103,18 @@ class LineMarks:
         e, number, self.current = self.e, self.current, self._wanted
         self._keep()
         last = e.get(self._last, I64, one=True)
-        now = e.one(f"call i64 @{_COUNTER}()", I64)
+        now = self._now()
         passed = e.one(f"sub i64 {now.name}, {last.name}", I64)
         place = e.one(f"getelementptr i64, ptr {self._ticks}, i64 {number}", PTR).name
         e.put(place, e.one(f"add i64 {e.get(place, I64, one=True).name}, {passed.name}", I64))
         e.put(self._last, now)
         self._border(now)
+
+    def _now(self) -> Lanes:
+        """The counter, once all before it is done: else a line's divisions and roots are those of a later one."""
+        if self._fenced:
+            self.e.do(f"call void @{_FENCE}()")
+        return self.e.one(f"call i64 @{_COUNTER}()", I64)
 
     def _keep(self) -> None:
         """Have the values that nothing has read yet stored, which is not moved past the counter: else LLVM works them out where
