@@ -160,6 +160,7 @@ class Code:
         """A function of (table of pointers, first row, row after the last)."""
         if name not in self._functions:
             made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.place(name))
+            made.code = self._engine  # type: ignore[attr-defined]  # whoever has the function has its code
             self._functions[name] = made
         return self._functions[name]
 

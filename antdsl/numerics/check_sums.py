@@ -31,7 +31,8 @@ Fold = Callable[[int, int, int], bytes]
 
 def crc32(data: bytes | memoryview, before: int = 0) -> int:
     """The CRC-32 of `data`; with `before`, that of what comes before them, of both together. `data`: bytes in one piece."""
-    if len(data) < LEAST or not compiled.wanted(len(data)):
+    data = memoryview(data).cast("B")
+    if len(data) < LEAST or not compiled.running():
         return zlib.crc32(data, before)
     fold = _fold()
     if fold is None:

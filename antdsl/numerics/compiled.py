@@ -12,8 +12,9 @@ bounded by that cost (A. Karlin et al., Competitive Snoopy Caching, Algorithmica
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -32,6 +33,7 @@ LEAST = 2_000  # agents; a step of these without kernels takes so long that a fe
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _AT_ONCE = 50_000  # numbers, worked on before any step: then a world is made ready that is large
 _LOADING, _COMPILING = 0.2, 2.5  # s of processor time before it: for a program's code, and kernels that are made the first time
+_here = threading.local()
 _long = False
 _running = False
 _spent = 0.0
@@ -97,6 +99,17 @@ def wanted(count: int) -> bool:
     return _running and count > 0
 
 
+def running() -> bool:
+    """Whether kernels are in use; starts nothing."""
+    return _running
+
+
+def begin() -> None:
+    """Start with kernels now, whatever they cost."""
+    global _running
+    _running = _running or _begun()
+
+
 def available() -> bool:
     """Whether kernels can be compiled here, and are not turned off."""
     return os.environ.get(VARIABLE) != "0" and machine.available()
@@ -110,19 +123,39 @@ def plain(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
 @cache
 def workers(threads: int) -> ThreadPoolExecutor:
     """Threads that are kept for the next step; kernels run side by side in them."""
-    return ThreadPoolExecutor(threads, "kernels", be_standard)
+    return ThreadPoolExecutor(threads, "kernels", _be_worker)
+
+
+if hasattr(os, "register_at_fork"):  # a process that was forked has none of these threads
+    os.register_at_fork(after_in_child=workers.cache_clear)
+
+
+def _be_worker() -> None:
+    be_standard()
+    _here.works = True
 
 
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int = PART) -> list[T]:
     """`work(begin, end)` over so many agents, in as many parts as pay, of no fewer than `least` each, side by side; what each
-    gave, in order. The thread that asks takes the first."""
-    parts = min(threads, max(1, count // least))
-    if parts == 1:
+    gave, in order. The thread that asks takes the first; one that works on a part already takes all, since nobody may be free."""
+    parts = max(1, min(threads, count // least))
+    if parts == 1 or getattr(_here, "works", False):
         return [work(0, count)]
     bounds = [count * k // parts for k in range(parts + 1)]
     others = [workers(threads).submit(work, begin, end) for begin, end in pairwise(bounds[1:])]
     try:
         first = work(0, bounds[1])
     finally:
-        wait(others)
+        settled(others)
     return [first, *(other.result() for other in others)]
+
+
+def settled(others: Sequence[Future[Any]]) -> None:
+    """Wait until all parts have come to their end, whatever interrupts it: they write to arrays that the next step has too."""
+    try:
+        wait(others)
+    except BaseException:
+        for other in others:
+            other.cancel()
+        wait(others)
+        raise

@@ -180,7 +180,8 @@ class Motion:
             return begin, own, *found
 
         straight = []
-        for begin, (turns, tilts), ended, standing, half, share in compiled.in_parts(part, len(population), threads, compiled.LIGHT):
+        counts = compiled.in_parts(part, len(population), threads, compiled.LIGHT)
+        for begin, (turns, tilts), ended, standing, half, share in counts:
             if begin:
                 self.turns += turns
                 self.tilts += tilts

@@ -65,7 +65,9 @@ def direct(
     method = _Method(name.encode(), _code().place("direct"), _FASTCALL, None)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.argtypes, make.restype = (ctypes.c_void_p, ctypes.py_object, ctypes.py_object), ctypes.py_object
-    return make(ctypes.addressof(method), told, (method, code, otherwise, _code()))  # which live as long as it does
+    return make(
+        ctypes.addressof(method), told, (method, code, otherwise, _code(), tuple(wanted))
+    )  # which live as long as it does
 
 
 def _step(each: Wanted) -> bytes:

@@ -76,7 +76,7 @@ class NativeBackend(NumpyBackend):
     def told(self) -> list[str]:
         """Sentences for the user on what is otherwise than asked; none of it changes a result."""
         found = [] if self._without is None else [self._without]
-        return found + (codes.told() if self._coming is not None else [])
+        return found + codes.told()
 
     def have_code(self, world: World) -> None:
         """Wait until the steps from now on run as machine code, or cannot."""

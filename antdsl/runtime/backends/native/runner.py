@@ -3,7 +3,6 @@ between them, and what is asked of the world."""
 
 from __future__ import annotations
 
-from concurrent.futures import wait
 from dataclasses import dataclass, field
 from itertools import accumulate
 from time import perf_counter
@@ -64,7 +63,7 @@ class Block:
             work(0)
         finally:
             if others:
-                wait(others)
+                compiled.settled(others)
         for other in others:
             other.result()
         for each in effects:

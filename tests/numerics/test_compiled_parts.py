@@ -1,0 +1,74 @@
+"""Parts of a crowd on threads: asked for within parts, after a fork, of no thread, and interrupted."""
+
+import os
+import signal
+import threading
+import zlib
+from itertools import chain
+
+import numpy as np
+import pytest
+
+from antdsl.numerics import compiled
+from antdsl.numerics.check_sums import crc32
+
+
+def squares(begin: int, end: int) -> list[int]:
+    return [k * k for k in range(begin, end)]
+
+
+def joined(parts: list[list[int]]) -> list[int]:
+    return list(chain.from_iterable(parts))
+
+
+@pytest.mark.parametrize("threads", [0, 1, 2, 3, 7])
+def test_parts_come_in_order_whatever_the_number_of_threads(threads: int) -> None:
+    for count in (0, 1, 5, 40):
+        assert joined(compiled.in_parts(squares, count, threads, 4)) == squares(0, count)
+
+
+def test_parts_within_parts_wait_for_nobody() -> None:
+    """Many crowds step at once, each of whose parts asks for parts: nobody may be free to take these."""
+    found: dict[int, list[list[int]]] = {}
+
+    def crowd(number: int) -> None:
+        found[number] = compiled.in_parts(lambda a, b: joined(compiled.in_parts(squares, b - a, 2, 1)), 64, 2, 1)
+
+    crowds = [threading.Thread(target=crowd, args=(number,), daemon=True) for number in range(8)]
+    for each in crowds:
+        each.start()
+    for each in crowds:
+        each.join(60)
+    assert len(found) == 8 and all(parts == [squares(0, 32)] * 2 for parts in found.values())
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    compiled.in_parts(squares, 40, 2, 4)
+    child = os.fork()
+    if not child:
+        signal.alarm(60)
+        os._exit(0 if joined(compiled.in_parts(squares, 40, 2, 4)) == squares(0, 40) else 1)
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def test_an_interrupted_part_is_told_once_all_have_ended() -> None:
+    ended = []
+
+    def work(begin: int, end: int) -> None:
+        if begin == 0:
+            raise KeyboardInterrupt
+        ended.append(end)
+
+    with pytest.raises(KeyboardInterrupt):
+        compiled.in_parts(work, 40, 3, 4)
+    assert sorted(ended) == [26, 40]
+
+
+def test_check_sums_start_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_running", False)
+    crc32(bytes(1_000_000))
+    assert not compiled.running()
+    monkeypatch.undo()
+    data = np.arange(40_000, dtype=np.float64)
+    assert crc32(memoryview(data)) == zlib.crc32(data)
