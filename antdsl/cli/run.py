@@ -95,8 +95,9 @@ def run(
     folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
     if scene.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out")
+    again = _again(scene, out, frames, seed, set_, root)
     files, folders = {"--summary": summary}, {"--out": (folder, NAMES)}
-    with _setting_up(_again(scene, out)), keeping_inputs(files, folders) as inputs:
+    with _setting_up(again), keeping_inputs(files, folders) as inputs:
         inputs.append(scene)
         shot, report = open_scene(scene, choices)
     demand(report)
@@ -111,14 +112,14 @@ def run(
         shuffle_rows=shuffle,
         on_fault=on_fault.value,
     )
-    with _setting_up(_again(scene, out)), keeping_inputs(files, folders):  # another cache too, that the scene begins with
+    with _setting_up(again), keeping_inputs(files, folders):  # another cache too, that the scene begins with
         recording = _begin(shot, folder, options, choices, resume, force)
     with words_aside(summary) as output:
         if profile:
             from antdsl.runtime.profiling import Meter
 
             recording.meter = Meter(None)
-        _go(recording, quiet, _again(scene, out))
+        _go(recording, quiet, again)
         if summary is not None:
             from antdsl.outputs.summary import summary_file
 
@@ -141,11 +142,16 @@ def at_once(asked: int, quiet: bool = False) -> int:
     return min(asked or there, there)
 
 
-def _again(scene: Path, out: Path | None) -> str:
+def _again(scene: Path, out: Path | None, frames: str | None, seed: int | None, set_: list[str], root: list[str]) -> str:
+    """The command that goes on with a run: all that its results depend on, and where they are."""
     import shlex
 
-    where = f" --out {shlex.quote(str(out))}" if out is not None else ""
-    return f"antdsl run {shlex.quote(str(scene))}{where} --resume"
+    words = ["antdsl", "run", str(scene)]
+    for flag, values in (("--frames", [frames]), ("--seed", [seed]), ("--set", set_), ("--root", root), ("--out", [out])):
+        for value in values:
+            if value is not None:
+                words += [flag, str(value)]
+    return shlex.join([*words, "--resume"])
 
 
 @contextmanager

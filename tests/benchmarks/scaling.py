@@ -79,7 +79,7 @@ def tables(found: dict[int, dict[str, float]]) -> dict[str, str]:
     of_terms = [[name, *(f"{each:g}" for each in fitted[name])] for name in fitted]
     model = []
     for size, spent in found.items():
-        step, said = spent["step"], predicted(fitted, size)
+        step, said = round(spent["step"], 2), round(predicted(fitted, size), 2)  # as they are shown
         model.append([f"{size:,}", f"{said:.2f}", f"{step:.2f}", f"{said / step:.2f}"])
     return {
         "phases": markdown(("phase", *(f"{size:,}" for size in SHOWN)), by_phase),

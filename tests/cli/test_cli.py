@@ -277,3 +277,11 @@ def test_the_set_up_tells_wrong_words_and_what_failed(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "antdsl.bootstrap", "example", "--ouz", "x"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and "--ouz" in done.stderr
+
+
+def test_the_command_that_goes_on_names_all_that_results_depend_on() -> None:
+    from antdsl.cli.run import _again
+
+    found = _again(Path("a b/scene.yaml"), Path("o"), "1..9", 0, ["x.y=1mm", "x.z=2"], ["lib=d"])
+    assert found == "antdsl run 'a b/scene.yaml' --frames 1..9 --seed 0 --set x.y=1mm --set x.z=2 --root lib=d --out o --resume"
+    assert _again(Path("s.yaml"), None, None, None, [], []) == "antdsl run s.yaml --resume"

@@ -47,4 +47,4 @@ def test_the_phases_that_were_measured_add_up_to_the_steps() -> None:
     heads = [int(cell.replace(",", "")) for cell in lines[0][1:]]
     at = {int(row[0].replace(",", "")): float(row[2]) for row in numbers("model")}
     for k, agents in enumerate(heads, 1):
-        assert abs(sum(float(line[k]) for line in lines[1:]) / at[agents] - 1) < 0.02, agents
+        assert abs(sum(float(line[k]) for line in lines[1:]) / at[agents] - 1) < 0.03, agents
