@@ -15,6 +15,7 @@ from antdsl.numerics.vectors import Vector
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.clear_velocity import Others, clear_velocities
+from antdsl.senses.neighbours import Pairs
 from antdsl.senses.widest_gap import widest_gaps
 
 Floats = NDArray[np.float64]
@@ -99,9 +100,7 @@ def _others(
     for number, (name, other) in enumerate(world.populations.items()):
         if not len(other) or not widest:
             continue
-        grid = grid_for(world, other, far if far > 0 else 1.0)
-        qid = ids if other is population else None
-        p = grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=qid, threads=world.options.threads)
+        p = _near(world, other, ids if other is population else None, place, reach, far)
         theirs = _known(vec.take(vec.named(other.start, "up"), p.j))
         kept = np.flatnonzero(vec.dot(vec.take(plane.up, p.i), theirs) > 0)
         i, j = p.i.take(kept), p.j.take(kept)
@@ -129,6 +128,15 @@ def _others(
     return Others(x, y, vx, vy, both, there, first)
 
 
+def _near(
+    world: World, other: Population, ids: NDArray[np.int64] | None, place: Any, reach: NDArray[np.float32], far: float
+) -> Pairs:
+    """Pairs of places and of those of a species within their `reach`, at most `far` (mm); `ids`: of the places, if they are of
+    this species."""
+    grid = grid_for(world, other, far if far > 0 else 1.0)
+    return grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=ids, threads=world.options.threads)
+
+
 def _by_loops(
     world: World, population: Population, asking: tuple[Any, ...], count: Rows, own: Vector | None, plane: _Plane
 ) -> Others:
@@ -147,9 +155,7 @@ def _by_loops(
     for number, (name, other) in enumerate(world.populations.items()):
         if not len(other) or not widest:
             continue
-        grid = grid_for(world, other, far if far > 0 else 1.0)
-        qid = ids if other is population else None
-        p = grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=qid, threads=world.options.threads)
+        p = _near(world, other, ids if other is population else None, place, reach, far)
         theirs = compiled.plain(*vec.named(other.start, "up"))
         choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
         found.append((number, name, other, p))
