@@ -3,6 +3,7 @@
 import numpy as np
 
 from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, Strided2, fetch_ahead, independent, inlined, kernel, scratch
+from antdsl.numerics.sorting_compiled import place_among
 
 _TOGETHER = 64  # points whose cells are brought near at once
 
@@ -21,13 +22,7 @@ def _found(direct, listed, keys, shift, start, key):  # type: ignore[no-untyped-
     """The cell of a key, -1 for none."""
     if listed:
         return np.int64(direct[key])
-    a, b = np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1])
-    while a < b:
-        middle = (a + b) >> 1
-        if keys[middle] < key:
-            a = middle + 1
-        else:
-            b = middle
+    a = place_among(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
     return a if a < keys.size and keys[a] == key else -1
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, called, inlined, kernel
+from antdsl.numerics.sorting_compiled import place_among
 
 Floats = NDArray[np.float32]
 Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -51,14 +52,7 @@ def _before(starts: NDArray[np.int32], keys: NDArray[np.int64], key: int) -> int
     """How many sorted agents lie in cells before `key`; by bisection where there is no table."""
     if starts.size:
         return int(starts[key])
-    a, b = 0, keys.size
-    while a < b:
-        middle = (a + b) >> 1
-        if keys[middle] < key:
-            a = middle + 1
-        else:
-            b = middle
-    return a
+    return int(place_among(keys, key, 0, keys.size))
 
 
 @called
