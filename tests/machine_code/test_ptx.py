@@ -7,6 +7,7 @@ import re
 import pytest
 from compilers import need_llvmlite
 
+from antdsl.fields.pheromone_step_compiled import stepped
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.numerics.elementary_compiled import cosines
@@ -15,13 +16,24 @@ from antdsl.runtime.moving.advance_compiled import arrive, velocities
 TARGET = machine.Target("nvptx64-nvidia-cuda", "sm_90", "")
 
 
-@pytest.mark.parametrize("kernel", [cosines, velocities, arrive], ids=lambda kernel: kernel.__name__)
-def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
+def ptx_of(kernel: Kernel) -> str:
+    """A kernel's text in PTX."""
     need_llvmlite()
     try:
-        ptx = machine.assembly(kernel.text(TARGET), TARGET)
+        return machine.assembly(kernel.text(TARGET), TARGET)
     except RuntimeError as problem:
         pytest.skip(f"llvmlite is made without PTX: {problem}")
-    found = set(re.findall(r"\b((?:fma|mad|add|sub|mul|div|sqrt)\.[a-z.]*f(?:32|64))\b", ptx))
+
+
+@pytest.mark.parametrize("kernel", [cosines, velocities, arrive], ids=lambda kernel: kernel.__name__)
+def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
+    found = set(re.findall(r"\b((?:fma|mad|add|sub|mul|div|sqrt)\.[a-z.]*f(?:32|64))\b", ptx_of(kernel)))
     assert found, "it calculates"
     assert {name for name in found if name.startswith(("fma", "mad")) or ".rn." not in name or "ftz" in name} == set()
+
+
+def test_numbers_are_read_and_stored_whole() -> None:
+    # byte by byte they are where nothing is known of how arrays lie, and an H100 was seen to lose lowest bytes then
+    moved = set(re.findall(r"\b(?:ld|st)\.(?:v\d\.)?[a-z]\d+", ptx_of(stepped)))
+    assert {"ld.b64", "st.b64"} <= moved
+    assert not any(each.endswith(("8", "16")) for each in moved)

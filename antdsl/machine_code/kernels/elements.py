@@ -43,7 +43,7 @@ class Elements(Arithmetic):
             found = self.op(f"load {scalar.stored}, ptr {place}", scalar.kind)
         elif at.first:
             place = self._place(array, at.first)
-            found = self.op(f"load {text_type(scalar.stored, True)}, ptr {place}, align 1", scalar.kind, True)
+            found = self.op(f"load {text_type(scalar.stored, True)}, ptr {place}, {_aligned(array)}", scalar.kind, True)
         else:
             found = self._gathered(array, at)
         if scalar.kind == TRUTH:
@@ -64,9 +64,9 @@ class Elements(Arithmetic):
         if at.first:
             place = self._place(array, at.first)
             if mask.known is None:
-                before = self.op(f"load {value.type}, ptr {place}, align 1", value.kind, True)
+                before = self.op(f"load {value.type}, ptr {place}, {_aligned(array)}", value.kind, True)
                 value = self.op(f"select {mask.typed}, {value.typed}, {before.typed}", value.kind, True)
-            self.do(f"store {value.typed}, ptr {place}, align 1")
+            self.do(f"store {value.typed}, ptr {place}, {_aligned(array)}")
             return
         for lane in range(WIDTH):
             stored, after = "", ""
@@ -159,3 +159,8 @@ class Elements(Arithmetic):
             one = self.op(f"load {array.of.stored}, ptr {self._one(places, lane).name}", array.of.stored)
             found = self.op(f"insertelement {type} {found}, {one.typed}, i64 {lane}", array.of.stored).name
         return Number(array.of.kind, found, wide=True)
+
+
+def _aligned(array: Array) -> str:
+    """How several elements of an array lie: at a multiple of one's size, as one element does, not of what they take together."""
+    return f"align {array.of.dtype.itemsize}"
