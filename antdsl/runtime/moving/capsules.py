@@ -18,7 +18,7 @@ from antdsl.numerics import compiled, elementary, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import dot
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.touching import within_reach
+from antdsl.senses.touching import Pairs, within_reach
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -51,10 +51,13 @@ class Crowd:
         self.species = [population for population in world.populations.values() if len(population)]
         self.first = np.cumsum([0, *(len(population) for population in self.species)])
         self._capsules = [capsule_of(world, population.name) for population in self.species]
+        self.key = self.of(lambda p: p.ids + self.species.index(p) * _SPECIES)
+        if compiled.wanted(len(self)):
+            self._measured_fast()
+            return
         size = self.of(lambda p: np.maximum(self._registers(p)["size"], np.float32(0))).astype(np.float64)
         self.radius = size * self._shares("width") * 0.5
         self.half = np.maximum(size * self._shares("length") * 0.5 - self.radius, 0.0)
-        self.key = self.of(lambda p: p.ids + self.species.index(p) * _SPECIES)
         high, self.ahead = size * self._shares("height"), size * self._shares("ahead")  # of the trunk's middle from the feet, mm
         heading, up = self.vector("heading"), self.vector("up")
         place = self.of(lambda p: p.position)
@@ -62,13 +65,25 @@ class Crowd:
         for k in range(3):
             self.middle[k] = (place[:, k] + up[k] * high) + heading[k] * self.ahead
 
+    def _measured_fast(self) -> None:
+        """The same by a loop over each species."""
+        from antdsl.runtime.moving.capsules_compiled import trunks
+
+        self.half, self.radius, self.ahead = np.empty((3, len(self)))
+        self.middle = np.empty((3, len(self)))
+        for population, room, first in zip(self.species, self._capsules, self.first.tolist(), strict=False):
+            own = self._registers(population)
+            stands = (population.position, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
+            shares = (float(share) for share in (room.length, room.width, room.height, room.ahead))
+            trunks(*stands, *shares, first, self.half, self.radius, self.ahead, self.middle)
+
     def __len__(self) -> int:
         return int(self.first[-1])
 
-    def of(self, read: Callable[[Population], NDArray[Any]]) -> NDArray[Any]:
-        """What is read of each species, one after another."""
+    def of(self, read: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
+        """What is read of each species, one after another along an axis."""
         arrays = [read(population) for population in self.species]
-        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
 
     def vector(self, name: str) -> tuple[NDArray[np.float32], ...]:
         """The three registers of a vector."""
@@ -136,18 +151,36 @@ def find(crowd: Crowd) -> Near:
     """The pairs of a crowd that may meet."""
     x, y, z = crowd.middle
     pairs = within_reach((x, y, z), crowd.half + crowd.radius * (1 + 2 * _SLACK), crowd.key)
+    if compiled.wanted(len(pairs.i)):
+        return _found_fast(crowd, pairs)
     late = crowd.key.take(pairs.i) > crowd.key.take(pairs.j)
     i, j = np.where(late, pairs.j, pairs.i), np.where(late, pairs.i, pairs.j)
     ahead, up = (np.stack(crowd.vector(name)).astype(np.float64) for name in ("heading", "up"))
-    every, number = np.ones(len(crowd), np.bool_), np.arange(len(crowd))
-    gap, way = np.empty(len(i)), np.empty((3, len(i)))
-    all_of_them = Near(crowd, number, i, j, crowd.middle, ahead, up, crowd.half, crowd.radius, gap, way)
-    all_of_them.measure(np.zeros_like(crowd.middle), every)
+    number, gap, way = np.arange(len(crowd)), np.empty(len(i)), np.empty((3, len(i)))
+    near = Near(crowd, number, i, j, crowd.middle, ahead, up, crowd.half, crowd.radius, gap, way)
+    gap, way = near.measured(np.zeros_like(crowd.middle), np.arange(len(i)))
     kept = np.flatnonzero(gap < (crowd.radius.take(i) + crowd.radius.take(j)) * _ABOUT)
     rows, i, j = part_of(len(crowd), i.take(kept), j.take(kept))
     middle, ahead, up = (v.take(rows, axis=1) for v in (crowd.middle, ahead, up))
     gap, way = gap.take(kept), way.take(kept, axis=1)
     return Near(crowd, rows, i, j, middle, ahead, up, crowd.half.take(rows), crowd.radius.take(rows), gap, way)
+
+
+def _found_fast(crowd: Crowd, pairs: Pairs) -> Near:
+    """As `find`, by one loop over all pairs and one over those rows that are in any."""
+    from antdsl.runtime.moving.capsules_compiled import gathered, met
+
+    i, j, m = *compiled.plain(pairs.i, pairs.j), len(pairs.i)
+    gap, way, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
+    rows, number = np.empty((2, len(crowd)), np.intp)
+    stand = (crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
+    m, count, lost = met(*stand, crowd.key, i, j, gap, way, known, rows, number)
+    rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
+    gathered(rows, *stand, (middle, ahead, up, half, radius))
+    near = Near(crowd, rows, i[:m], j[:m], middle, ahead, up, half, radius, gap[:m], np.ascontiguousarray(way[:, :m]))
+    if lost:
+        near.gap[known[:lost]], near.way[:, known[:lost]] = near.measured(np.zeros_like(middle), known[:lost])
+    return near
 
 
 def depths(world: World) -> Floats:
