@@ -10,6 +10,7 @@ from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 _OPPOSITE, _NOWHERE, _ABOUT = -0.5, 1e-6, 1.5  # as `capsules`
 _ZERO = np.float32(0)
 _KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
+_BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Capsules = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
@@ -139,9 +140,12 @@ def met(
     known: Array1[I64],
     rows: Array1[I64],
     number: Array1[I64],
-) -> tuple[I64, I64, I64]:
+    every: BOOL,
+    dead: F64,
+) -> tuple[I64, I64, I64, F64]:
     """Which of pairs `i` and `j` may meet, as `capsules.find`: how many these are, how many `rows` they have and how many no way
-    of their own. They come first in `i`, `j`, `gap` and `way`, these in `known`; `number` is room for work."""
+    of their own, and the widest radius. They come first in `i`, `j`, `gap` and `way`, these in `known`; `number` is room for
+    work. `every`: also those of whom nobody is deeper in another than the share `dead` of the room of two."""
     for pair in independent(0, i.size):
         p, q = i[pair], j[pair]
         if key[p] > key[q]:
@@ -151,11 +155,19 @@ def met(
         i[pair], j[pair], gap[pair], (way[0, pair], way[1, pair], way[2, pair]) = p, q, far, v
         known[pair] = (_LOST if nowhere else _KEPT) if far < wide * _ABOUT else 0
     number[:] = 0
-    pairs, lost = 0, 0
+    pairs, lost, widest = 0, 0, 0.0
     for pair in range(i.size):
         if known[pair] != 0:
-            p, q, nowhere = i[pair], j[pair], known[pair] == _LOST
-            i[pairs], j[pairs], gap[pairs], number[p], number[q] = p, q, gap[pair], 1, 1
+            p, q = i[pair], j[pair]
+            widest = max(max(widest, radius[p]), radius[q])
+            if every or gap[pair] < (radius[p] + radius[q]) * -dead:
+                number[p], number[q] = _INSIDE, _INSIDE
+    for pair in range(i.size):
+        p, q = i[pair], j[pair]
+        if known[pair] != 0 and (number[p] == _INSIDE or number[q] == _INSIDE):
+            nowhere = known[pair] == _LOST
+            i[pairs], j[pairs], gap[pairs] = p, q, gap[pair]
+            number[p], number[q] = max(number[p], _BESIDE), max(number[q], _BESIDE)
             way[0, pairs], way[1, pairs], way[2, pairs] = way[0, pair], way[1, pair], way[2, pair]
             if nowhere:
                 known[lost] = pairs
@@ -168,7 +180,7 @@ def met(
             count += 1
     for pair in range(pairs):
         i[pair], j[pair] = number[i[pair]], number[j[pair]]
-    return pairs, count, lost
+    return pairs, count, lost, widest
 
 
 @kernel

@@ -59,6 +59,11 @@ class Effort:
     sweeps: int
     rounds: int
 
+    @property
+    def once(self) -> bool:
+        """Whether nobody is moved but who is in another as pairs are found."""
+        return self.looks == self.sweeps == self.rounds == 1
+
 
 EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 3)}
 
@@ -85,7 +90,7 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     if len(world) < 2:
         return
     effort, crowd = EFFORTS[world.setting.contacts], Crowd(world)
-    near = find(crowd)
+    near = find(crowd, _DEAD if effort.once else None)
     if not len(near.i):
         return
     share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
@@ -106,9 +111,11 @@ def resolve(world: World, began: Stood, dt: float) -> None:
         rows, wanted = near.rows.take(some), asked.take(some, axis=1)
         got = walking.walk(rows, wanted)
         _note_pushes(crowd, rows, cut, some, wanted, got)
+        if not left:
+            break
         short = wanted - got
         missed = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
-        if not left or not missed.any():
+        if not missed.any():
             break
         near.middle[:, some] += got
         cut, held = np.zeros_like(cut), held.copy()
@@ -138,10 +145,11 @@ def _note_pushes(crowd: Crowd, rows: Rows, cut: Floats, some: Rows, asked: Float
     pushed = asked - cut.take(some, axis=1)
     short = np.where((pushed == 0).all(axis=0), 0.0, got - (asked - pushed))
     far = np.sqrt(dot(short, short)).astype(_F)
-    for number, population in enumerate(crowd.species):
+    first = 0
+    for population, own in crowd.parts(rows):
         if PUSHED in population.now:
-            first, last = np.searchsorted(rows, crowd.first[number : number + 2])
-            population.now[PUSHED][rows[first:last] - crowd.first[number]] += far[first:last]
+            population.now[PUSHED][own] += far[first : first + len(own)]
+        first += len(own)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,10 +192,11 @@ def _stands(crowd: Crowd, rows: Rows, began: Stood, dt: float) -> tuple[Floats, 
     from antdsl.runtime.moving.corrections_compiled import stands
 
     vectors, numbers = np.empty((3, 3, len(rows))), np.empty((2, len(rows)))
-    bounds, firsts = np.searchsorted(rows, crowd.first).tolist(), crowd.first.tolist()
-    for p, begin, end, first in zip(crowd.species, bounds, bounds[1:], firsts, strict=False):
+    first = 0
+    for p, own in crowd.parts(rows):
         feet = (began.places[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
-        stands(rows, begin, end, first, *feet, dt, *vectors, *numbers)
+        stands(own, first, *feet, dt, *vectors, *numbers)
+        first += len(own)
     return *vectors, *numbers
 
 
@@ -210,7 +219,7 @@ def _apart(
 ) -> Floats:
     """By what (3, k) mm rows are to be moved for some of the pairs (m), as measured after steps were `cut` by (3, k) mm; who is
     `held` is not moved farther. Rows have `walked` (3, k) mm and were so `deep` (k) mm in others before."""
-    magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) + 1 - _FINE + 52)
+    magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - _FINE + 52)
     which, gone = which.copy(), cut.copy()
     if compiled.wanted(len(near.i)):
         from antdsl.runtime.moving.contacts_compiled import arrays, parted
@@ -352,10 +361,9 @@ def _rounded(terms: Floats) -> Floats:
 
 def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str, Vector]) -> None:
     """Let some of the rows of `near` face as before the substep: who cannot go cannot turn either, between others."""
-    rows = near.rows.take(stopped)
-    for number, population in enumerate(crowd.species):
-        first, last = np.searchsorted(rows, crowd.first[number : number + 2])
-        own = rows[first:last] - crowd.first[number]
+    rows, last = near.rows.take(stopped), 0
+    for population, own in crowd.parts(rows):
+        first, last = last, last + len(own)
         up, now = vec.take(vec.named(population.now, "up"), own), vec.take(vec.named(population.now, "heading"), own)
         heading = vec.unit(vec.flat(vec.take(facing[population.name], own), up), now)
         for axis, component in zip(AXES, heading, strict=True):

@@ -72,17 +72,29 @@ def _negative(v):  # type: ignore[no-untyped-def]
 def bent(
     i: Array1[I64],
     j: Array1[I64],
-    way: Strided2[F64],
-    free: Array1[F64],
-    walked: Strided2[F64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    came: Array2[F64],
+    mass: Array1[F64],
+    walked: Array2[F64],
     magic: F64,
+    free: Array2[F64],
     sums: Array2[F64],
     part: Array1[F64],
     met: Array1[I64],
     step: Array2[F64],
 ) -> None:
-    """As `cutting._bent`, into `step` (3, k); `sums` (3, k), `part` and `met` (k) are room for work."""
+    """As `cutting._bent` with what `cutting._free` says, into `step` (3, k); `free` (2, m), `sums` (3, k), `part` and `met` (k)
+    are room for work."""
     count, m = walked.shape[1], i.size
+    for pair in independent(0, m):
+        ways = _of(way, pair)
+        for side in range(2):
+            own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
+            far = max(gap[pair], 0.0) * 0.5 + max(-dot(ways, _of(came, other)), 0.0)
+            heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
+            free[side, pair] = far + heavier * max(-dot(ways, _of(walked, own)) - far, 0.0)
+            ways = _negative(ways)
     part[:] = 1.0
     for k in range(count):
         _put(step, k, _of(walked, k))
@@ -94,7 +106,7 @@ def bent(
             ways = _of(way, pair)
             for side in range(2):
                 k = j[pair] if side else i[pair]
-                over = -dot(ways, _of(step, k)) - free[pair + side * m]
+                over = -dot(ways, _of(step, k)) - free[side, pair]
                 if over > 0:
                     _add(sums, k, times(ways, over), magic)
                     met[k] += 1
@@ -111,8 +123,8 @@ def bent(
         for side in range(2):
             k = j[pair] if side else i[pair]
             towards = -dot(ways, _of(step, k))
-            if towards > free[pair + side * m]:
-                part[k] = min(part[k], free[pair + side * m] / max(towards, 1e-300))
+            if towards > free[side, pair]:
+                part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
             ways = _negative(ways)
     for k in range(count):
         _put(step, k, times(_of(step, k), part[k]))

@@ -33,27 +33,30 @@ class Corrections:
 
     def walk(self, rows: Rows, gone: Floats) -> Floats:
         """Walk rows of the crowd, ascending, by (3, k) mm each; gives by what they have come on."""
-        got = np.zeros_like(gone)
-        for number, population in enumerate(self._crowd.species):
-            first, last = np.searchsorted(rows, self._crowd.first[number : number + 2])
-            if last > first:
-                own = rows[first:last] - self._crowd.first[number]
-                place = population.position.T.take(own, axis=1)
-                self._walk(population, own, gone[:, first:last])
-                got[:, first:last] = population.position.T.take(own, axis=1) - place
-        return got
+        got: list[Floats] = []
+        for population, own in self._crowd.parts(rows):
+            first = sum(each.shape[1] for each in got)
+            got.append(self._walk(population, own, gone[:, first : first + len(own)]))
+        return got[0] if len(got) == 1 else np.concatenate(got, axis=1)
 
-    def _walk(self, population: Population, rows: Rows, gone: Floats) -> None:
-        """Walk some agents by (3, k) mm over their ground, along obstacles; their velocity loses what led against that."""
+    def _walk(self, population: Population, rows: Rows, gone: Floats) -> Floats:
+        """Walk some agents by (3, k) mm over their ground, along obstacles; their velocity loses what led against that. Gives by
+        what they have come on."""
+        if not len(rows):
+            return np.empty_like(gone)
         world, threads = self._crowd.world, self._crowd.world.options.threads
         way, normal, up, heading, size = self._asked(population, rows, gone)
         way = slide_some(world, population, rows, way, normal)
         moved = world.ground.move(population.footing.take(rows), vec.rows(way), heading, up, size, threads)
         if world.solids and len(some := floating(world, population, rows)):
             moved.put(some, pushed_in_the_air(world, population, rows[some], gone.T[some]))
-        rows, moved = self._allowed(population, rows, moved, size)
-        if len(rows):
-            self._put(population, rows, moved)
+        fair = self._allowed(population, rows, moved, size)
+        if fair is None:
+            return self._put(population, rows, moved)
+        got = np.zeros_like(gone)
+        if len(fair):
+            got[:, fair] = self._put(population, rows.take(fair), moved.take(fair))
+        return got
 
     def _asked(self, population: Population, rows: Rows, gone: Floats) -> tuple[Vector, Vector, Floats, Floats, Floats]:
         """What a walk by (3, k) mm is told of some agents: the way and the normal of the ground, float32, the same normal and
@@ -71,13 +74,13 @@ class Corrections:
         heading = vec.rows(vec.take(vec.named(now, "heading"), rows))
         return way, normal, vec.rows(normal), heading, now["size"][rows].astype(np.float64)
 
-    def _allowed(self, population: Population, rows: Rows, moved: Move, size: Floats) -> tuple[Rows, Move]:
-        """Walks of some agents, but of those whom the ground led farther than they may walk: a plane does so where it bends. They
-        go back towards the start by as much, and who is still too far is not moved."""
+    def _allowed(self, population: Population, rows: Rows, moved: Move, size: Floats) -> Rows | None:
+        """Let those of some agents whom ground that bends led farther than they may walk go back towards the start by as much.
+        Says which of them (their numbers among these, ascending) are then not too far; None for all."""
         for _ in range(_BACK):
             far, most = self._reached(population, rows, moved)
             if far is None:
-                return rows, moved
+                return None
             over = np.flatnonzero(far > most * _LONGER)
             if not len(over):
                 break
@@ -87,10 +90,7 @@ class Corrections:
             threads = self._crowd.world.options.threads
             moved.put(over, ground.move(again.footing, back, again.heading, again.up, size[over], threads))
         far, most = self._reached(population, rows, moved)
-        if far is None:
-            return rows, moved
-        fair = np.flatnonzero(far <= most * _LONGER)
-        return rows[fair], moved.take(fair)
+        return None if far is None else np.flatnonzero(far <= most * _LONGER)
 
     def _reached(self, population: Population, rows: Rows, moved: Move) -> tuple[Floats | None, Floats]:
         """How far (mm) from where some agents began they would get, None where nobody gets farther than it may, and how far they
@@ -107,23 +107,26 @@ class Corrections:
         far = length(moved.position - start)
         return (None if (far <= most * _LONGER).all() else far), most
 
-    def _put(self, population: Population, rows: Rows, moved: Move) -> None:
-        """Where corrections have led the feet of some agents. Bodies stay as they stand, or they would be in others again: they
-        lean, and the next step turns them after their feet. The footings, places and normals written to are those that the
-        substep's own walk has made, which nobody else has."""
+    def _put(self, population: Population, rows: Rows, moved: Move) -> Floats:
+        """Where corrections have led the feet of some agents; gives by what (3, k) mm. Bodies stay as they stand, or they would
+        be in others again: they lean, and the next step turns them after their feet. The footings, places and normals written to
+        are those that the substep's own walk has made, which nobody else has."""
         if compiled.wanted(len(rows)):
             from antdsl.runtime.moving.corrections_compiled import arrived
 
             at, velocity = (vec.named(population.now, name) for name in ("position", "velocity"))
-            arrived(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal)
+            got = np.empty((3, len(rows)))
+            arrived(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
         else:
-            self._arrive(population, rows, moved)
+            got = self._arrive(population, rows, moved)
         population.footing.put(rows, moved.footing)  # at last, since a plane's footings are the places themselves
+        return got
 
-    def _arrive(self, population: Population, rows: Rows, moved: Move) -> None:
+    def _arrive(self, population: Population, rows: Rows, moved: Move) -> Floats:
         """As `_put`, of all but footings."""
         now = population.now
-        pushed, up = vec.columns(moved.position - population.position[rows], np.float32), vec.columns(moved.up, np.float32)
+        got = moved.position - population.position[rows]
+        pushed, up = vec.columns(got, np.float32), vec.columns(moved.up, np.float32)
         velocity = vec.take(vec.named(now, "velocity"), rows)
         size, dt = vec.length(pushed), _F(self._dt)
         against = vec.unit(pushed, (size * 0,) * 3)
@@ -133,3 +136,4 @@ class Corrections:
             for axis, component in zip(AXES, value, strict=True):
                 now[f"{name}.{axis}"][rows] = component
         population.position[rows], population.normal[rows] = moved.position, moved.up
+        return got.T

@@ -32,8 +32,6 @@ def _put(vectors, i, v):  # type: ignore[no-untyped-def]
 @kernel
 def stands(
     rows: Array1[I64],
-    begin: I64,
-    end: I64,
     first: I64,
     began: Strided2[F64],
     place: Strided2[F64],
@@ -47,10 +45,10 @@ def stands(
     reach: Array1[F64],
     mass: Array1[F64],
 ) -> None:
-    """How some `rows` of a crowd, from `begin` to before `end`, which are of the species whose agents are those from `first` on,
-    stand after a substep of `dt` s: as `contacts._Agents`, and by how much they have `walked` (3, k) mm."""
-    for k in independent(begin, end):
-        row = rows[k] - first
+    """How some rows of a species stand after a substep of `dt` s, from the number `first` on among all rows: as
+    `contacts._Agents`, and by how much they have `walked` (3, k) mm."""
+    for n in independent(0, rows.size):
+        row, k = rows[n], first + n
         before = _row(began, row)
         _put(start, k, before)
         _put(walked, k, minus(_row(place, row), before))
@@ -117,12 +115,16 @@ def arrived(
     velocity: Three,
     place: Strided2[F64],
     feet: Strided2[F32],
+    got: Array2[F64],
 ) -> None:
-    """As `corrections.Corrections._put`, of all but footings: agents end at places `to` with ways up `above` (k, 3)."""
+    """As `corrections.Corrections._put`, of all but footings: agents end at places `to` with ways up `above` (k, 3), and have
+    come on by what they `got` (3, k) mm."""
     for k in independent(0, rows.size):
         row = rows[k]
         end, up = _row(to, k), _single(_row(above, k))
-        pushed = _single(minus(end, _row(place, row)))
+        way = minus(end, _row(place, row))
+        _put(got, k, way)
+        pushed = _single(way)
         size = np.sqrt(dot(pushed, pushed))
         good = size > _TINY and np.isfinite(size)
         factor = _ONE / (size if good else _ONE)
