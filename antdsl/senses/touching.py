@@ -51,7 +51,7 @@ def within_reach(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDA
     mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place
     and reach are in no pair."""
     rows = None
-    if not (np.isfinite(place[0].sum() + place[1].sum() + place[2].sum() + reach.sum()) and reach.min(initial=1.0) > 0):
+    if len(reach) and not (all(np.isfinite(each.min() + each.max()) for each in (*place, reach)) and reach.min() > 0):
         fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
         rows = np.flatnonzero(fit)
         place, reach, order = (place[0][rows], place[1][rows], place[2][rows]), reach[rows], order[rows]
@@ -68,7 +68,7 @@ def within_reach(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDA
 def _of_all(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None) -> Pairs:
     low, high = float(reach.min()), float(reach.max())
     if low * (1 << _SIZES) >= high:
-        return _of_class(place, reach, order, np.arange(len(reach)), None)
+        return _of_class(place, reach, order, None, None)
     sizes = np.frexp(reach)[1] // _SIZES
     found = []
     for size in np.unique(sizes):
@@ -79,15 +79,15 @@ def _of_all(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[
 
 
 def _of_class(
-    place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, rows: Rows, smaller: Rows | None
+    place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, rows: Rows | None, smaller: Rows | None
 ) -> Pairs:
-    """The pairs among some rows of much the same size, and of those with all `smaller` ones."""
-    cell = 2 * float(reach[rows].max())
-    if smaller is None and order is None and compiled.wanted(len(rows)):
+    """The pairs among some rows of much the same size (None: all), and of those with all `smaller` ones."""
+    cell = 2 * float((reach if rows is None else reach[rows]).max())
+    if smaller is None and order is None and compiled.wanted(len(reach) if rows is None else len(rows)):
         found = _by_loop(place, reach, rows, cell)
         if found is not None:
             return found
-    grid = _Grid.of(place, cell, rows, order)
+    grid = _Grid.of(place, cell, np.arange(len(reach)) if rows is None else rows, order)
     i, j, whole = grid.among_themselves()
     i, j = _near(place, reach, i, j)
     if smaller is None:
@@ -99,16 +99,15 @@ def _of_class(
     return Pairs(np.concatenate([i, near]), np.concatenate([j, far]), whole and entire)
 
 
-def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows, cell: float) -> Pairs | None:
+def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows | None, cell: float) -> Pairs | None:
     """The pairs among some rows, as `_of_class`; None where there are too many cells for a table."""
     from antdsl.senses.touching_compiled import pairs
 
-    every = len(rows) == len(reach)
-    x, y, z, wide = (v if every else v[rows] for v in (*place, reach))
-    found = pairs((x, y, z), wide, _cells((x, y, z), cell), _limit(len(rows)), _SHEET, _MOST)
+    x, y, z, wide = (v if rows is None else v[rows] for v in (*place, reach))
+    found = pairs((x, y, z), wide, _cells((x, y, z), cell), _limit(len(wide)), _SHEET, _MOST)
     if isinstance(found, tuple):
         i, j = found
-        return Pairs(i, j, True) if every else Pairs(rows.take(i), rows.take(j), True)
+        return Pairs(i, j, True) if rows is None else Pairs(rows.take(i), rows.take(j), True)
     none = np.empty(0, np.intp)
     return Pairs(none, none, False) if found == -2 else None
 
@@ -116,7 +115,8 @@ def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows, ce
 def _cells(own: Sequence[Floats], cell: float) -> tuple[list[int], list[float], float, list[int]]:
     """Axes from the longest to the shortest, and along them where cells begin, how wide (mm) and how many they are: about agents
     at places, for cells of a width at least."""
-    low, extent = [float(p.min()) for p in own], [float(p.max()) - float(p.min()) for p in own]
+    low = [float(p.min()) for p in own]
+    extent = [float(p.max()) - least for p, least in zip(own, low, strict=True)]
     axes = sorted(range(3), key=lambda axis: -extent[axis])
     cell = max(cell, extent[axes[0]] / _ALONG, 1e-9)
     size = [int(extent[axis] / cell) + 3 for axis in axes]  # one is free at either end

@@ -6,7 +6,7 @@ plane between the ways that both stand, and across it, so that neither a slope n
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from antdsl.numerics import compiled, elementary, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import dot
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.touching import within_reach
+from antdsl.senses.touching import Pairs, within_reach
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -51,10 +51,13 @@ class Crowd:
         self.species = [population for population in world.populations.values() if len(population)]
         self.first = np.cumsum([0, *(len(population) for population in self.species)])
         self._capsules = [capsule_of(world, population.name) for population in self.species]
+        self.key = self.of(lambda p: p.ids + k * _SPECIES if (k := self.species.index(p)) else p.ids)
+        if compiled.wanted(len(self)):
+            self._measured_fast()
+            return
         size = self.of(lambda p: np.maximum(self._registers(p)["size"], np.float32(0))).astype(np.float64)
         self.radius = size * self._shares("width") * 0.5
         self.half = np.maximum(size * self._shares("length") * 0.5 - self.radius, 0.0)
-        self.key = self.of(lambda p: p.ids + self.species.index(p) * _SPECIES)
         high, self.ahead = size * self._shares("height"), size * self._shares("ahead")  # of the trunk's middle from the feet, mm
         heading, up = self.vector("heading"), self.vector("up")
         place = self.of(lambda p: p.position)
@@ -62,13 +65,31 @@ class Crowd:
         for k in range(3):
             self.middle[k] = (place[:, k] + up[k] * high) + heading[k] * self.ahead
 
+    def _measured_fast(self) -> None:
+        """The same by a loop over each species."""
+        from antdsl.runtime.moving.capsules_compiled import trunks
+
+        self.half, self.radius, self.ahead = np.empty((3, len(self)))
+        self.middle = np.empty((3, len(self)))
+        for population, room, first in zip(self.species, self._capsules, self.first.tolist(), strict=False):
+            own = self._registers(population)
+            stands = (population.position, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
+            shares = (float(share) for share in (room.length, room.width, room.height, room.ahead))
+            trunks(*stands, *shares, first, self.half, self.radius, self.ahead, self.middle)
+
     def __len__(self) -> int:
         return int(self.first[-1])
 
-    def of(self, read: Callable[[Population], NDArray[Any]]) -> NDArray[Any]:
-        """What is read of each species, one after another."""
+    def of(self, read: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
+        """What is read of each species, one after another along an axis."""
         arrays = [read(population) for population in self.species]
-        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
+
+    def parts(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
+        """Each species with its own of some rows of the crowd, ascending, counted from its first agent."""
+        bounds, firsts = np.searchsorted(rows, self.first).tolist(), self.first.tolist()
+        for population, begin, end, first in zip(self.species, bounds, bounds[1:], firsts, strict=False):
+            yield population, rows[begin:end] - first if first else rows[begin:end]
 
     def vector(self, name: str) -> tuple[NDArray[np.float32], ...]:
         """The three registers of a vector."""
@@ -89,8 +110,9 @@ class Crowd:
 class Near:
     """Pairs of capsules that are near each other. `rows` of the crowd that are in any, ascending; `i` and `j` count these, and
     the first of a pair comes first by species and id. Of each row, as it stood when they were found: `middle`, `ahead` and `up`
-    (3, k), `half` and `radius` (k), mm. Of each pair, as it was last measured: `gap` (m) mm, how far it is from touching, below 0
-    inside each other, and `way` (3, m), unit vectors from the second to the first, the shortest way to part."""
+    (3, k), `half` and `radius` (k), mm; `widest` is the largest radius of all that are near another. Of each pair, as it was last
+    measured: `gap` (m) mm, how far it is from touching, below 0 inside each other, and `way` (3, m), unit vectors from the second
+    to the first, the shortest way to part."""
 
     crowd: Crowd
     rows: Rows
@@ -101,6 +123,7 @@ class Near:
     up: Floats
     half: Floats
     radius: Floats
+    widest: float
     gap: Floats
     way: Floats
 
@@ -132,22 +155,49 @@ class Near:
         return _gaps(self, self.middle + gone, self.i.take(which), self.j.take(which))
 
 
-def find(crowd: Crowd) -> Near:
-    """The pairs of a crowd that may meet."""
+def find(crowd: Crowd, dead: float | None = None) -> Near:
+    """The pairs of a crowd that may meet; with `dead` only those of which one is deeper in any other than that share of the room
+    of two."""
     x, y, z = crowd.middle
     pairs = within_reach((x, y, z), crowd.half + crowd.radius * (1 + 2 * _SLACK), crowd.key)
+    if compiled.wanted(len(pairs.i)):
+        return _found_fast(crowd, pairs, dead)
     late = crowd.key.take(pairs.i) > crowd.key.take(pairs.j)
     i, j = np.where(late, pairs.j, pairs.i), np.where(late, pairs.i, pairs.j)
     ahead, up = (np.stack(crowd.vector(name)).astype(np.float64) for name in ("heading", "up"))
-    every, number = np.ones(len(crowd), np.bool_), np.arange(len(crowd))
-    gap, way = np.empty(len(i)), np.empty((3, len(i)))
-    all_of_them = Near(crowd, number, i, j, crowd.middle, ahead, up, crowd.half, crowd.radius, gap, way)
-    all_of_them.measure(np.zeros_like(crowd.middle), every)
-    kept = np.flatnonzero(gap < (crowd.radius.take(i) + crowd.radius.take(j)) * _ABOUT)
+    number, gap, way = np.arange(len(crowd)), np.empty(len(i)), np.empty((3, len(i)))
+    near = Near(crowd, number, i, j, crowd.middle, ahead, up, crowd.half, crowd.radius, 0.0, gap, way)
+    gap, way = near.measured(np.zeros_like(crowd.middle), np.arange(len(i)))
+    room = crowd.radius.take(i) + crowd.radius.take(j)
+    kept = np.flatnonzero(gap < room * _ABOUT)
+    widest = max(float(crowd.radius.take(k.take(kept)).max(initial=0.0)) for k in (i, j))
+    if dead is not None:
+        deep, inside = kept[gap.take(kept) < room.take(kept) * -dead], np.zeros(len(crowd), np.bool_)
+        inside[i.take(deep)] = inside[j.take(deep)] = True
+        kept = kept[inside.take(i.take(kept)) | inside.take(j.take(kept))]
     rows, i, j = part_of(len(crowd), i.take(kept), j.take(kept))
     middle, ahead, up = (v.take(rows, axis=1) for v in (crowd.middle, ahead, up))
     gap, way = gap.take(kept), way.take(kept, axis=1)
-    return Near(crowd, rows, i, j, middle, ahead, up, crowd.half.take(rows), crowd.radius.take(rows), gap, way)
+    return Near(crowd, rows, i, j, middle, ahead, up, crowd.half.take(rows), crowd.radius.take(rows), widest, gap, way)
+
+
+def _found_fast(crowd: Crowd, pairs: Pairs, dead: float | None) -> Near:
+    """As `find`, by one loop over all pairs and one over those rows that are in any."""
+    from antdsl.runtime.moving.capsules_compiled import gathered, met
+
+    i, j, m = *compiled.plain(pairs.i, pairs.j), len(pairs.i)
+    gap, way, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
+    rows, number = np.empty((2, len(crowd)), np.intp)
+    stand = (crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
+    every = (True, 0.0) if dead is None else (False, dead)
+    m, count, lost, widest = met(*stand, crowd.key, i, j, gap, way, known, rows, number, *every)
+    rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
+    own = (middle, ahead, up, half, radius)
+    gathered(rows, *stand, own)
+    near = Near(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(way[:, :m]))
+    if lost:
+        near.gap[known[:lost]], near.way[:, known[:lost]] = near.measured(np.zeros_like(middle), known[:lost])
+    return near
 
 
 def depths(world: World) -> Floats:

@@ -1,13 +1,19 @@
-"""How near capsules are to each other by one loop: the same operations in the same order as `capsules`, and so the same bits."""
+"""How near capsules are to each other by loops: the same operations in the same order as `capsules`, and so the same bits."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Strided2, called, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, independent, inlined, kernel
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
-_OPPOSITE, _NOWHERE = -0.5, 1e-6  # as `capsules`
+_OPPOSITE, _NOWHERE, _ABOUT = -0.5, 1e-6, 1.5  # as `capsules`
+_ZERO = np.float32(0)
+_KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
+_BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
+
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Capsules = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
 
 
 @inlined
@@ -16,9 +22,44 @@ def _of(vectors, i):  # type: ignore[no-untyped-def]
     return vectors[0, i], vectors[1, i], vectors[2, i]
 
 
+@inlined
+def _single(vectors, i):  # type: ignore[no-untyped-def]
+    """One of vectors that are three arrays of float32."""
+    return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
+
+
+@kernel
+def trunks(
+    place: Strided2[F64],
+    heading: Three,
+    up: Three,
+    size: Array1[F32],
+    length: F64,
+    width: F64,
+    height: F64,
+    ahead: F64,
+    first: I64,
+    half: Array1[F64],
+    radius: Array1[F64],
+    shift: Array1[F64],
+    middle: Array2[F64],
+) -> None:
+    """The capsules of a species whose places are (n, 3), from `first` on among all: as `capsules.Crowd`; `shift` is how far ahead
+    of the feet their middles lie (mm)."""
+    for i in independent(0, size.size):
+        to = first + i
+        wide = np.float64(_ZERO if size[i] <= 0 else size[i])
+        radius[to] = wide * width * 0.5
+        half[to] = max(wide * length * 0.5 - radius[to], 0.0)
+        high, shift[to] = wide * height, wide * ahead
+        above, forward = _single(up, i), _single(heading, i)
+        for k in range(3):
+            middle[k, to] = (place[i, k] + above[k] * high) + forward[k] * shift[to]
+
+
 @called
 def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untyped-def]
-    """As `capsules._gaps`, of one pair: gap and way; and whether it has no way of its own."""
+    """As `capsules._gaps`, of one pair: gap and way; and whether both stand in one place, and so have none."""
     between = plus(one, other)
     factor = 0.0 if dot(one, other) < _OPPOSITE else 1 / np.sqrt(max(dot(between, between), 1e-12))
     between = times(between, factor)
@@ -37,8 +78,23 @@ def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untype
     distance = np.sqrt(dot(apart, apart))
     room = wide * wide - over * over
     gap = distance - np.sqrt(room) if room > 0 else np.inf
+    lost = False
+    if distance <= wide * _NOWHERE:
+        apart, distance = flat, np.sqrt(dot(flat, flat))
+        lost = distance <= wide * _NOWHERE
     size = max(distance, 1e-300)
-    return gap, (apart[0] / size, apart[1] / size, apart[2] / size), distance <= wide * _NOWHERE
+    return gap, (apart[0] / size, apart[1] / size, apart[2] / size), lost
+
+
+@inlined
+def _count(flags):  # type: ignore[no-untyped-def]
+    """How many flags are set, whose numbers come first now."""
+    count = 0
+    for pair in range(flags.size):
+        if flags[pair] != 0:
+            flags[count] = pair
+            count += 1
+    return count
 
 
 @kernel
@@ -58,16 +114,82 @@ def measured(
 ) -> I64:
     """As `capsules.Near.measure`, into `gap` and `way`; gives how many pairs have no way of their own, which are the first of
     `lost`."""
-    count = 0
+    for pair in independent(0, i.size):
+        p, q, nowhere = i[pair], j[pair], False
+        if changed[p] or changed[q]:
+            away = minus(plus(_of(middle, p), _of(gone, p)), plus(_of(middle, q), _of(gone, q)))
+            gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+                away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
+            )
+        lost[pair] = 1 if nowhere else 0
+    return _count(lost)
+
+
+@kernel
+def met(
+    middle: Array2[F64],
+    ahead: Three,
+    up: Three,
+    half: Array1[F64],
+    radius: Array1[F64],
+    key: Array1[I64],
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    known: Array1[I64],
+    rows: Array1[I64],
+    number: Array1[I64],
+    every: BOOL,
+    dead: F64,
+) -> tuple[I64, I64, I64, F64]:
+    """Which of pairs `i` and `j` may meet, as `capsules.find`: how many these are, how many `rows` they have and how many no way
+    of their own, and the widest radius. They come first in `i`, `j`, `gap` and `way`, these in `known`; `number` is room for
+    work. `every`: also those of whom nobody is deeper in another than the share `dead` of the room of two."""
+    for pair in independent(0, i.size):
+        p, q = i[pair], j[pair]
+        if key[p] > key[q]:
+            p, q = j[pair], i[pair]
+        away, wide = minus(_of(middle, p), _of(middle, q)), radius[p] + radius[q]
+        far, v, nowhere = _gap(away, _single(ahead, p), _single(ahead, q), _single(up, p), _single(up, q), half[p], half[q], wide)
+        i[pair], j[pair], gap[pair], (way[0, pair], way[1, pair], way[2, pair]) = p, q, far, v
+        known[pair] = (_LOST if nowhere else _KEPT) if far < wide * _ABOUT else 0
+    number[:] = 0
+    pairs, lost, widest = 0, 0, 0.0
+    for pair in range(i.size):
+        if known[pair] != 0:
+            p, q = i[pair], j[pair]
+            widest = max(max(widest, radius[p]), radius[q])
+            if every or gap[pair] < (radius[p] + radius[q]) * -dead:
+                number[p], number[q] = _INSIDE, _INSIDE
     for pair in range(i.size):
         p, q = i[pair], j[pair]
-        if not (changed[p] or changed[q]):
-            continue
-        away = minus(plus(_of(middle, p), _of(gone, p)), plus(_of(middle, q), _of(gone, q)))
-        found = _gap(
-            away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
-        )  # fmt: skip
-        gap[pair], (way[0, pair], way[1, pair], way[2, pair]) = found[0], found[1]
-        lost[count] = pair
-        count += found[2]
-    return count
+        if known[pair] != 0 and (number[p] == _INSIDE or number[q] == _INSIDE):
+            nowhere = known[pair] == _LOST
+            i[pairs], j[pairs], gap[pairs] = p, q, gap[pair]
+            number[p], number[q] = max(number[p], _BESIDE), max(number[q], _BESIDE)
+            way[0, pairs], way[1, pairs], way[2, pairs] = way[0, pair], way[1, pair], way[2, pair]
+            if nowhere:
+                known[lost] = pairs
+                lost += 1
+            pairs += 1
+    count = 0
+    for k in range(number.size):
+        if number[k] != 0:
+            rows[count], number[k] = k, count
+            count += 1
+    for pair in range(pairs):
+        i[pair], j[pair] = number[i[pair]], number[j[pair]]
+    return pairs, count, lost, widest
+
+
+@kernel
+def gathered(
+    rows: Array1[I64], middle: Array2[F64], ahead: Three, up: Three, half: Array1[F64], radius: Array1[F64], to: Capsules
+) -> None:
+    """The capsules of some rows."""
+    for k in independent(0, rows.size):
+        row = rows[k]
+        to[3][k], to[4][k] = half[row], radius[row]
+        for axis in range(3):
+            to[0][axis, k], to[1][axis, k], to[2][axis, k] = middle[axis, row], ahead[axis][row], up[axis][row]

@@ -59,6 +59,11 @@ class Effort:
     sweeps: int
     rounds: int
 
+    @property
+    def once(self) -> bool:
+        """Whether nobody is moved but who is in another as pairs are found."""
+        return self.looks == self.sweeps == self.rounds == 1
+
 
 EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 3)}
 
@@ -85,95 +90,114 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     if len(world) < 2:
         return
     effort, crowd = EFFORTS[world.setting.contacts], Crowd(world)
-    near = find(crowd)
+    near = find(crowd, _DEAD if effort.once else None)
     if not len(near.i):
         return
     share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
-    agents = _Agents.of(crowd, near, began, dt)
-    cut, walked = np.zeros_like(near.middle), agents.walked(crowd, near.rows)
+    agents, walked = _Agents.of(crowd, near, began, dt)
+    cut = np.zeros_like(near.middle)
     gap, way = near.before(walked)
     deep = deepest(len(near.rows), near.i, near.j, gap)
     if world.setting.contacts == "hard":
-        cut, stopped = cutting.cut(near, agents.came, agents.mass, walked, gap, way)
+        cut, stopped = cutting.cut(near, _came(crowd, near.rows, dt), agents.mass, walked, gap, way)
         _face_as_before(crowd, near, stopped, began.headings)
         changed = _moved(cut)
         changed[stopped] = True
         near.measure(cut, changed)
-    visible = (near.radius.take(near.i) + near.radius.take(near.j)) * _SEEN
     which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
-    for _ in range(effort.rounds):
+    for left in range(effort.rounds - 1, -1, -1):
         asked = _apart(near, agents, which, held, walked, deep, effort, share, cut)
-        pushed, cut = asked - cut, np.zeros_like(cut)
         some = np.flatnonzero(_moved(asked))
-        wanted = asked.take(some, axis=1)
-        got = walking.walk(near.rows.take(some), wanted)
-        near.middle[:, some] += got
-        _note_pushes(crowd, near.rows.take(some), pushed.take(some, axis=1), wanted, got)
+        rows, wanted = near.rows.take(some), asked.take(some, axis=1)
+        got = walking.walk(rows, wanted)
+        _note_pushes(crowd, rows, cut, some, wanted, got)
+        if not left:
+            break
         short = wanted - got
         missed = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
         if not missed.any():
             break
-        held = held.copy()
+        near.middle[:, some] += got
+        cut, held = np.zeros_like(cut), held.copy()
         held[some[missed & (dot(got, wanted) < _HELD * dot(wanted, wanted))]] = True
         touched = np.zeros(len(held), np.bool_)
         touched[some[missed]] = True
         which = touched.take(near.i) | touched.take(near.j)
         near.measure(cut, touched)
+        visible = (near.radius.take(near.i) + near.radius.take(near.j)) * _SEEN
         if not (which & (near.gap < -visible)).any():
             break
-        walked = agents.walked(crowd, near.rows)
+        walked[:, some] = crowd.of(lambda p: p.position.T, 1).take(rows, axis=1) - agents.start.take(some, axis=1)
 
 
-def _note_pushes(crowd: Crowd, rows: Rows, pushed: Floats, asked: Floats, got: Floats) -> None:
-    """Add to how far rows of a crowd, ascending, were pushed in this step, where their program asks. Of what they were `asked` to
-    go, (3, k) mm, only what others `pushed` counts, not what their own step was cut by; and of that what they `got`."""
+def _came(crowd: Crowd, rows: Rows, dt: float) -> Floats:
+    """The way (3, k) mm that rows of a crowd came in a time as long as this substep before it."""
+    velocity = (crowd.of(lambda p, axis=axis: p.start[f"velocity.{axis}"]) for axis in AXES)  # type: ignore[misc]
+    return np.stack([component.take(rows) * dt for component in velocity]).astype(np.float64)
+
+
+def _note_pushes(crowd: Crowd, rows: Rows, cut: Floats, some: Rows, asked: Floats, got: Floats) -> None:
+    """Add to how far rows of a crowd, ascending, which are `some` of those in pairs, were pushed in this step, where their
+    program asks. Of what they were `asked` to go, (3, k) mm, only what others pushed counts, not what their own step was `cut`
+    by; and of that what they `got`."""
+    if not any(PUSHED in population.now for population in crowd.species):
+        return
+    pushed = asked - cut.take(some, axis=1)
     short = np.where((pushed == 0).all(axis=0), 0.0, got - (asked - pushed))
     far = np.sqrt(dot(short, short)).astype(_F)
-    for number, population in enumerate(crowd.species):
+    first = 0
+    for population, own in crowd.parts(rows):
         if PUSHED in population.now:
-            first, last = np.searchsorted(rows, crowd.first[number : number + 2])
-            population.now[PUSHED][rows[first:last] - crowd.first[number]] += far[first:last]
+            population.now[PUSHED][own] += far[first : first + len(own)]
+        first += len(own)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Agents:
-    """What counts of the rows of pairs in a substep: where they `start` and how they `came`, their way in a substep before this
-    one, (3, k) mm; how far they may walk, `reach` (k) mm; `mass`; the share of that to which the others about them can push them,
-    `yields`; the normals (3, k) of the ground under their feet; and who is `frozen` by a fault."""
+    """What counts of the rows of pairs in a substep: where they `start`, (3, k) mm; how far they may walk, `reach` (k) mm; their
+    `mass`; the share of that to which the others about them can push them, `yields`; the normals (3, k) of the ground under their
+    feet; and who is `frozen` by a fault."""
 
     start: Floats
-    came: Floats
     reach: Floats
     mass: Floats
-    yields: Floats | float
+    yields: Floats
     normal: Floats
     frozen: Flags
 
     @staticmethod
-    def of(crowd: Crowd, near: Near, began: Stood, dt: float) -> _Agents:
+    def of(crowd: Crowd, near: Near, began: Stood, dt: float) -> tuple[_Agents, Floats]:
+        """These, and by how much (3, k) mm agents are now from where they started."""
         rows = near.rows
-        start, normal = crowd.of(lambda p: began.places[p.name]), crowd.of(lambda p: p.normal)
-        came = np.stack([crowd.of(lambda p, axis=axis: p.start[f"velocity.{axis}"]).take(rows) * dt for axis in AXES])  # type: ignore[misc]
-        speed = np.maximum(crowd.of(lambda p: p.now["max_speed"]).take(rows), _F(0))
-        mass = np.maximum(crowd.of(lambda p: p.now["mass"]).take(rows).astype(np.float64), 1e-30)
-        yields: Floats | float = 1.0
+        if compiled.wanted(len(rows)):
+            start, walked, normal, reach, mass = _stands(crowd, rows, began, dt)
+        else:
+            start = crowd.of(lambda p: began.places[p.name].T, 1).take(rows, axis=1)
+            walked = crowd.of(lambda p: p.position.T, 1).take(rows, axis=1) - start
+            normal = crowd.of(lambda p: p.normal.T, 1).take(rows, axis=1).astype(np.float64)
+            speed = np.maximum(crowd.of(lambda p: p.now["max_speed"]).take(rows), _F(0))
+            reach = speed.astype(np.float64) * dt
+            mass = np.maximum(crowd.of(lambda p: p.now["mass"]).take(rows).astype(np.float64), 1e-30)
+        yields = np.ones(len(rows))
         if mass.min() < mass.max():  # or the sweeps would push at a heavy one as often as a light one cannot get away
-            yields = np.zeros(len(rows))
+            yields[:] = 0.0
             for k, other in ((near.i, near.j), (near.j, near.i)):
                 np.maximum.at(yields, k, cutting.lightness(mass.take(k), mass.take(other)))
-        return _Agents(
-            np.ascontiguousarray(start.take(rows, axis=0).T),
-            came.astype(np.float64),
-            speed.astype(np.float64) * dt,
-            mass,
-            yields,
-            np.ascontiguousarray(normal.take(rows, axis=0).T).astype(np.float64),
-            crowd.of(lambda p: p.quarantined).take(rows),
-        )
+        return _Agents(start, reach, mass, yields, normal, crowd.of(lambda p: p.quarantined).take(rows)), walked
 
-    def walked(self, crowd: Crowd, rows: Rows) -> Floats:
-        """By how much (3, k) mm agents are now from where they started."""
-        return np.ascontiguousarray(crowd.of(lambda p: p.position).take(rows, axis=0).T) - self.start
+
+def _stands(crowd: Crowd, rows: Rows, began: Stood, dt: float) -> tuple[Floats, ...]:
+    """Of rows of a crowd, ascending, where they start, how they have walked and the normals of their ground (3, k), how far they
+    may walk, and their masses, by a loop over each species."""
+    from antdsl.runtime.moving.corrections_compiled import stands
+
+    vectors, numbers = np.empty((3, 3, len(rows))), np.empty((2, len(rows)))
+    first = 0
+    for p, own in crowd.parts(rows):
+        feet = (began.places[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
+        stands(own, first, *feet, dt, *vectors, *numbers)
+        first += len(own)
+    return *vectors, *numbers
 
 
 def _moved(gone: Floats) -> Flags:
@@ -195,6 +219,21 @@ def _apart(
 ) -> Floats:
     """By what (3, k) mm rows are to be moved for some of the pairs (m), as measured after steps were `cut` by (3, k) mm; who is
     `held` is not moved farther. Rows have `walked` (3, k) mm and were so `deep` (k) mm in others before."""
+    magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - _FINE + 52)
+    which, gone = which.copy(), cut.copy()
+    if compiled.wanted(len(near.i)):
+        from antdsl.runtime.moving.contacts_compiled import arrays, parted
+
+        looks, lost, work = effort.looks, np.empty(len(near.i), np.intp), arrays(len(near.rows), len(near.i))
+        bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
+        pairs = (near.i, near.j, near.gap, near.way, which)
+        stand = (agents.mass, agents.yields, agents.reach, deep, held, agents.normal, walked, cut)
+        while looks:
+            looks, count = parted(bodies, pairs, stand, gone, magic, looks, effort.sweeps, share, lost, work)
+            some = lost[:count]
+            if count:
+                near.gap[some], near.way[:, some] = near.measured(gone, some)
+        return gone
     size = np.sqrt(dot(walked, walked))
     most = np.maximum(agents.reach, size)
     room = np.minimum(most * _YIELD + deep, most) * agents.yields
@@ -202,26 +241,11 @@ def _apart(
     heap[size <= _RESTS * most] = 1.0
     light = np.where(held, 0.0, 1 / agents.mass)
     least = (near.radius.take(near.i) + near.radius.take(near.j)) * _DEAD
-    magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) + 1 - _FINE + 52)
-    which, gone, looks = which.copy(), cut.copy(), effort.looks
-    if compiled.wanted(len(near.i)):
-        from antdsl.runtime.moving.contacts_compiled import arrays, parted
-
-        lost = np.empty(len(near.i), np.intp)
-        bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
-        pairs = (near.i, near.j, near.gap, near.way, which)
-        limits = (light, heap, agents.normal, walked, most, room, cut)
-        work = arrays(len(near.rows), len(near.i))
-        while looks:
-            looks, count = parted(bodies, pairs, limits, gone, magic, looks, effort.sweeps, share, lost, work)
-            some = lost[:count]
-            near.gap[some], near.way[:, some] = near.measured(gone, some)
-        return gone
-    for _ in range(looks):
+    for left in range(effort.looks - 1, -1, -1):
         before = gone.copy()
         _look(near, which, least, light, heap, agents.normal, walked, most, room, cut, gone, magic, effort.sweeps, share)
         changed = _moved(gone - before)
-        if not changed.any():
+        if not left or not changed.any():
             break
         near.measure(gone, changed)
         which |= changed.take(near.i) | changed.take(near.j)
@@ -337,10 +361,15 @@ def _rounded(terms: Floats) -> Floats:
 
 def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str, Vector]) -> None:
     """Let some of the rows of `near` face as before the substep: who cannot go cannot turn either, between others."""
-    rows = near.rows.take(stopped)
-    for number, population in enumerate(crowd.species):
-        first, last = np.searchsorted(rows, crowd.first[number : number + 2])
-        own = rows[first:last] - crowd.first[number]
+    rows, last = near.rows.take(stopped), 0
+    for population, own in crowd.parts(rows):
+        first, last = last, last + len(own)
+        if compiled.wanted(len(own)):
+            from antdsl.runtime.moving.contacts_compiled import faced
+
+            vectors = (facing[population.name], *(vec.named(population.now, name) for name in ("up", "heading")))
+            faced(own, stopped[first:last], rows[first:last], *vectors, crowd.ahead, near.ahead, near.middle)
+            continue
         up, now = vec.take(vec.named(population.now, "up"), own), vec.take(vec.named(population.now, "heading"), own)
         heading = vec.unit(vec.flat(vec.take(facing[population.name], own), up), now)
         for axis, component in zip(AXES, heading, strict=True):

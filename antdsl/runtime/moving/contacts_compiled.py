@@ -7,23 +7,41 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, called, inlined, kernel
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I64,
+    Array1,
+    Array2,
+    Array3,
+    Strided2,
+    called,
+    independent,
+    inlined,
+    kernel,
+)
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 from antdsl.runtime.moving.capsules_compiled import measured
 
 _FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts` and `cutting`
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
+_YIELD, _HEAP, _RESTS = 0.3, 0.4, 0.01
+_ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Bodies = tuple[Strided2[F64], Strided2[F64], Strided2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
 Pairs = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]  # i, j, gap, way, and which count
-# Light, heap, normal, walked, most, room and cut of rows, as `contacts` has them
-Limits = tuple[Array1[F64], Array1[F64], Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Strided2[F64]]
-# Room for work, of rows: two vectors, three numbers, three whole numbers and a condition; of pairs: six numbers, two vectors and
+# Masses, yields, reaches, depths and who is held; normals of the ground, walked and cut, as `contacts` has them
+Stand = tuple[
+    Array1[F64], Array1[F64], Array1[F64], Array1[F64], Array1[BOOL], Strided2[F64], Strided2[F64], Strided2[F64]
+]  # fmt: skip
+# Room for work, of rows: two vectors, seven numbers, three whole numbers and a condition; of pairs: six numbers, two vectors and
 # three whole numbers
 Room = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64]]
 
-_WEIGHT, _LOCKED, _SPREAD = 0, 1, 2  # numbers of rows
+_WEIGHT, _LOCKED, _SPREAD, _LIGHT, _HEAPED, _MOST, _ROOM = range(7)  # numbers of rows
 _NUMBER, _SOME, _CONTACTS = 0, 1, 2  # whole numbers of rows
 _DEAD_ZONE, _DEEP, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
 _CHOSEN, _FIRST, _SECOND = 0, 1, 2  # whole numbers of pairs
@@ -32,7 +50,7 @@ _CHOSEN, _FIRST, _SECOND = 0, 1, 2  # whole numbers of pairs
 def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
     """Arrays for `parted` to work in."""
     return (
-        np.empty((3, rows)), np.empty((3, rows)), np.empty((3, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
+        np.empty((3, rows)), np.empty((3, rows)), np.empty((7, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
         np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((3, pairs), np.int64),
     )  # fmt: skip
 
@@ -69,17 +87,29 @@ def _negative(v):  # type: ignore[no-untyped-def]
 def bent(
     i: Array1[I64],
     j: Array1[I64],
-    way: Strided2[F64],
-    free: Array1[F64],
-    walked: Strided2[F64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    came: Array2[F64],
+    mass: Array1[F64],
+    walked: Array2[F64],
     magic: F64,
+    free: Array2[F64],
     sums: Array2[F64],
     part: Array1[F64],
     met: Array1[I64],
     step: Array2[F64],
 ) -> None:
-    """As `cutting._bent`, into `step` (3, k); `sums` (3, k), `part` and `met` (k) are room for work."""
+    """As `cutting._bent` with what `cutting._free` says, into `step` (3, k); `free` (2, m), `sums` (3, k), `part` and `met` (k)
+    are room for work."""
     count, m = walked.shape[1], i.size
+    for pair in independent(0, m):
+        ways = _of(way, pair)
+        for side in range(2):
+            own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
+            far = max(gap[pair], 0.0) * 0.5 + max(-dot(ways, _of(came, other)), 0.0)
+            heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
+            free[side, pair] = far + heavier * max(-dot(ways, _of(walked, own)) - far, 0.0)
+            ways = _negative(ways)
     part[:] = 1.0
     for k in range(count):
         _put(step, k, _of(walked, k))
@@ -91,7 +121,7 @@ def bent(
             ways = _of(way, pair)
             for side in range(2):
                 k = j[pair] if side else i[pair]
-                over = -dot(ways, _of(step, k)) - free[pair + side * m]
+                over = -dot(ways, _of(step, k)) - free[side, pair]
                 if over > 0:
                     _add(sums, k, times(ways, over), magic)
                     met[k] += 1
@@ -108,11 +138,40 @@ def bent(
         for side in range(2):
             k = j[pair] if side else i[pair]
             towards = -dot(ways, _of(step, k))
-            if towards > free[pair + side * m]:
-                part[k] = min(part[k], free[pair + side * m] / max(towards, 1e-300))
+            if towards > free[side, pair]:
+                part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
             ways = _negative(ways)
     for k in range(count):
         _put(step, k, times(_of(step, k), part[k]))
+
+
+@kernel
+def faced(
+    rows: Array1[I64],
+    stopped: Array1[I64],
+    whole: Array1[I64],
+    before: Three,
+    up: Three,
+    heading: Three,
+    shift: Array1[F64],
+    ahead: Array2[F64],
+    middle: Array2[F64],
+) -> None:
+    """As `contacts._face_as_before`, for some rows of a species, which are `stopped` among those in pairs and `whole` among all."""
+    for n in independent(0, rows.size):
+        row, k = rows[n], stopped[n]
+        above = (up[0][row], up[1][row], up[2][row])
+        way = (before[0][row], before[1][row], before[2][row])
+        way = minus(way, times(above, dot(way, above)))
+        size = np.sqrt(dot(way, way))
+        if size > _TINY and np.isfinite(size):
+            way = times(way, _ONE / size)
+        else:
+            way = (heading[0][row], heading[1][row], heading[2][row])
+        for axis in range(3):
+            facing = np.float64(way[axis])
+            middle[axis, k] += (facing - ahead[axis, k]) * shift[whole[n]]
+            ahead[axis, k], heading[axis][row] = facing, way[axis]
 
 
 @inlined
@@ -172,7 +231,7 @@ def _within(gone, middle, room):  # type: ignore[no-untyped-def]
 def parted(
     bodies: Bodies,
     pairs: Pairs,
-    limits: Limits,
+    stand: Stand,
     gone: Array2[F64],
     magic: F64,
     looks: I64,
@@ -186,11 +245,12 @@ def parted(
     middle, ahead, up, half, radius = bodies
     i, j, gap, way, which = pairs
     least, changed = room[5][_DEAD_ZONE], room[4]
-    for pair in range(i.size):
+    for pair in independent(0, i.size):
         least[pair] = (radius[i[pair]] + radius[j[pair]]) * _DEAD
+    _limit(radius, stand, room[2])
     for left in range(looks - 1, -1, -1):
         changed[:] = False
-        if not _look(pairs, limits, gone, magic, sweeps, slow, room):
+        if not _look(pairs, stand, gone, magic, sweeps, slow, room) or not left:
             break
         count = measured(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, lost)
         for pair in range(i.size):
@@ -201,11 +261,26 @@ def parted(
 
 
 @called
-def _look(pairs, limits, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
+def _limit(radius, stand, of_rows):  # type: ignore[no-untyped-def]
+    """As `contacts._apart`: how easily each row is moved, how much it is in a heap, how far it may get and how far be pushed."""
+    mass, yields, reach, deep, held, _, walked, _ = stand
+    light, heap, most, room = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
+    for k in independent(0, mass.size):
+        way = _of(walked, k)
+        size = np.sqrt(dot(way, way))
+        far = max(reach[k], size)
+        most[k], room[k] = far, min(far * _YIELD + deep[k], far) * yields[k]
+        heap[k] = 1.0 if size <= _RESTS * far else min(max(deep[k] / (radius[k] * _HEAP) - 0.5, 0.0), 1.0)
+        light[k] = 0.0 if held[k] else 1 / mass[k]
+
+
+@called
+def _look(pairs, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
     """As `contacts._look`; says who has changed, and whether anybody has."""
     i, j, gap, way, which = pairs
-    light, heap, normal, walked, most, far, cut = limits
+    normal, walked, cut = stand[5], stand[6], stand[7]
     led, sums, of_rows, wholes, changed, numbers, ways, indices = room
+    light, heap, most, far = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
     number, some, contacts = wholes[_NUMBER], wholes[_SOME], wholes[_CONTACTS]
     weight, least = of_rows[_WEIGHT], numbers[_DEAD_ZONE]
     chosen, first, second = indices[_CHOSEN], indices[_FIRST], indices[_SECOND]

@@ -27,7 +27,14 @@ def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way
     share in is so found without anybody waiting for others, and a crowd that presses stands still. Of two masses the heavier is
     cut less."""
     magic = np.ldexp(1.5, int(np.frexp(max(np.abs(walked).max(), 1e-30))[1]) + 2 - _FINE + 52)
-    step = _bent(near, _free(near, came, mass, walked, gap, way), walked, way, magic)
+    if compiled.wanted(len(gap)):
+        from antdsl.runtime.moving.contacts_compiled import bent
+
+        count, free, met = len(near.rows), np.empty((2, len(gap))), np.empty(len(near.rows), np.int64)
+        step = np.empty((3, count))
+        bent(near.i, near.j, gap, way, came, mass, walked, magic, free, np.empty((3, count)), np.empty(count), met, step)
+    else:
+        step = _bent(near, _free(near, came, mass, walked, gap, way), walked, way, magic)
     return step - walked, np.flatnonzero(dot(step, step) < _GOES**2 * dot(walked, walked))
 
 
@@ -48,12 +55,6 @@ def _bent(near: Near, free: Floats, walked: Floats, way: Floats, magic: float) -
     """Steps (3, k) mm of rows that `walked` so, of which what leads farther towards another than is `free` (2 m) is left out, one
     half-plane after the other, and at last what yet does is cut."""
     i, j, count = near.i, near.j, len(near.rows)
-    if compiled.wanted(len(i)):
-        from antdsl.runtime.moving.contacts_compiled import bent
-
-        step = np.empty((3, count))
-        bent(i, j, way, free, walked, magic, np.empty((3, count)), np.empty(count), np.empty(count, np.int64), step)
-        return step
     both, ways = np.concatenate([i, j]), np.concatenate([way, -way], axis=1)
     along = np.concatenate([both, both + count, both + 2 * count])
     step = walked

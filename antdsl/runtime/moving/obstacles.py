@@ -31,14 +31,27 @@ def slide(world: World, population: Population, step: Vector, up: Vector, radius
 
 def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Vector) -> Vector:
     """As `slide`, of some agents alone, from where they are now in a step that began elsewhere."""
-    place, radius = vec.take(vec.named(population.now, "position"), rows), population.now["radius"][rows]
-    start = vec.take(vec.named(population.start, "position"), rows)
-    gone = vec.length(vec.sub(place, start)) * (1 + _BIT)
-    for name in world.plan.of_kind("obstacle"):
-        if name in world.obstacles:
-            clear = clearance(world, population, name)[rows] - gone
-            step = _along(mesh_of(world, name), place, step, up, radius, clear, world.options.threads)
+    names = [name for name in world.plan.of_kind("obstacle") if name in world.obstacles]
+    if names:
+        place, radius, gone = _strayed(population, rows)
+    for name in names:
+        clear = clearance(world, population, name).take(rows) - gone
+        step = _along(mesh_of(world, name), place, step, up, radius, clear, world.options.threads)
     return step
+
+
+def _strayed(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, NDArray[np.float32], NDArray[np.float32]]:
+    """Where some agents are now, their radii, and how far (mm) they are at most from where the step began."""
+    places, start = (vec.named(registers, "position") for registers in (population.now, population.start))
+    if compiled.wanted(len(rows)):
+        from antdsl.runtime.moving.obstacles_compiled import strayed
+
+        place, radius, gone = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
+        strayed(rows, places, start, population.now["radius"], place, radius, gone)
+        return (place[0], place[1], place[2]), radius, gone
+    at = vec.take(places, rows)
+    gone = vec.length(vec.sub(at, vec.take(start, rows))) * (1 + _BIT)
+    return at, population.now["radius"][rows], gone
 
 
 def mesh_of(world: World, name: str) -> RayScene:

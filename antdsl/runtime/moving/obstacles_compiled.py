@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, I64, Array1, Array2, kernel
+from antdsl.machine_code.kernels import F32, I64, Array1, Array2, independent, kernel
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -14,6 +14,7 @@ _LEAST, _MARGIN = _F(1e-9), _F(0.5)  # as `obstacles`
 _TINY = _F(1e-12)  # as `vectors.unit`
 _SLACK = _F(1e-4)  # as `obstacle_clearance`
 _WIDER = _F(1) + _SLACK
+_LONGER = _F(1) + _F(1e-6)  # as `obstacles`
 
 
 @kernel
@@ -83,3 +84,16 @@ def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, to: Three, be
         stopped = step[0][i] != wanted[0][i] or step[1][i] != wanted[1][i] or step[2][i] != wanted[2][i]
         for k in range(3):
             to[k][i] = step[k][i] * rate if stopped else velocity[k][i]
+
+
+@kernel
+def strayed(
+    rows: Array1[I64], place: Three, start: Three, wide: Array1[F32], at: Array2[F32], radius: Array1[F32], gone: Array1[F32]
+) -> None:
+    """Of some rows where they are, `at` (3, k), their radii, and how far from where the step began, with a bit more."""
+    for k in independent(0, rows.size):
+        row = rows[k]
+        to = (place[0][row], place[1][row], place[2][row])
+        way = minus(to, (start[0][row], start[1][row], start[2][row]))
+        at[0, k], at[1, k], at[2, k] = to
+        radius[k], gone[k] = wide[row], np.sqrt(dot(way, way)) * _LONGER

@@ -162,7 +162,8 @@ class Bodies:
         ways = (self.up, self.heading, before, p.position)
         most = (self.most, p.now["max_turn"], dt)
         up, heading = (vec.named(p.now, name) for name in ("up", "heading"))
-        follow(state, hasty, *ways, *most, self._walls(), self.rises.half, RAISED, up, heading)
+        (rows,) = p.room("following", 1, (len(state),), np.int64)
+        follow(state, hasty, *ways, *most, self._walls(), self.rises.half, RAISED, up, heading, rows)
 
     def _walls(self) -> tuple[Floats, ...]:
         r = self.rises

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, independent, inlined, kernel
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
@@ -275,14 +275,18 @@ def follow(
     raised: F64,
     now_up: Three,
     now_heading: Three,
+    rows: Array1[I64],
 ) -> None:
     """As `Bodies.follow` for whom there is anything to do, who have come from places `before` to `place`; changes `now_up` and
-    `now_heading`."""
+    `now_heading`. `rows` is room for work."""
     wall, ahead, angle, far, over = walls
-    for i in range(state.size):
+    count = 0
+    for row in range(state.size):
+        rows[count] = row
+        count += (state[row] != STANDS) | hasty[row]
+    for k in independent(0, count):
+        i = rows[k]
         j = state[i]
-        if j == STANDS and not hasty[i]:
-            continue
         stood = _column(before_up, i)
         look = _across(_column(before_heading, i), stood)
         normal, looking = _of(now_up, i), _of(now_heading, i)
