@@ -19,15 +19,16 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, open_bounded
-from antdsl.outputs.cache.zip_parts import Parts, stored
+from antdsl.outputs.cache.zip_parts import Parts, Stored, stored
 from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
 from antdsl.whole import whole
 
 __all__ = [
     "ArrayFileError",
     "Parts",
-    "npz_parts",
+    "npz_file",
     "parse_npy",
+    "put",
     "read_npz",
     "sync_file",
     "sync_folder",
@@ -43,12 +44,11 @@ _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever 
 
 def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """The bytes of an NPZ file with these arrays, in order."""
-    return b"".join(npz_parts(arrays))
+    return b"".join(npz_file(arrays).parts)
 
 
-def npz_parts(arrays: Mapping[str, NDArray[Any]]) -> Parts:
-    """The same as parts that are the file end to end. Those of arrays are the arrays' own memory, nothing of which may change
-    until they have been used."""
+def npz_file(arrays: Mapping[str, NDArray[Any]]) -> Stored:
+    """The same in parts. Those of arrays are the arrays' own memory, nothing of which may change until they have been used."""
     return stored(_member(name, np.asarray(array, order="C")) for name, array in arrays.items())
 
 
@@ -86,14 +86,14 @@ def write_whole(path: Path, data: bytes | Parts, *, sync: bool) -> None:
     """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing. `data`: its bytes, or
     parts that are these end to end."""
     with whole(path) as part, open(part, "wb", buffering=0) as file:
-        _put(file, [data] if isinstance(data, bytes) else data)
+        put(file, [data] if isinstance(data, bytes) else data)
         if sync:
             os.fsync(file.fileno())
     if sync:
         sync_folder(path.parent)
 
 
-def _put(file: FileIO, parts: Parts) -> None:
+def put(file: FileIO, parts: Parts) -> None:
     """Write parts end to end. All in one call where the system has one for it: it finds room for a large piece at once in half
     the time that it takes for many small ones."""
     left = deque(memoryview(part) for part in parts if len(part))
