@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -230,7 +231,7 @@ class CacheWriter:
         times.append(time.perf_counter())
         arrays = self._maker.frame(world)
         times.append(time.perf_counter())
-        spent = dict(zip(("measure", "hash", "frame"), np.diff(times).tolist(), strict=True))
+        spent = dict(zip(("measure", "hash", "frame"), (end - start for start, end in pairwise(times)), strict=True))
         found = {"hash": state, "surface_error": self._worst}
         scribe, frame = self._scribe, world.frame
 
