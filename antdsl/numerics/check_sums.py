@@ -52,10 +52,13 @@ def _fold() -> Fold | None:
     code = codes.code(text(target))
     function = code.function("fold")  # what is called lies in `code`
 
+    words = ctypes.c_int64 * 5
+
     def fold(place: int, strides: int, before: int) -> bytes:
-        table = (ctypes.c_int64 * 5)(place, strides, before)
-        function(ctypes.addressof(table), 0, 0)
-        return bytes(table)[-_BLOCK:]
+        table = words(place, strides, before)
+        at = ctypes.addressof(table)
+        function(at, 0, 0)
+        return ctypes.string_at(at + 8 * 3, _BLOCK)
 
     fold.code = code  # type: ignore[attr-defined]
     return fold

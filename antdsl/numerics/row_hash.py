@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from antdsl.numerics import compiled
 BLOCK = 1 << 14  # rows at once: their lanes stay near the processor
 _HALF = 0xFFFFFFFF
 _WHOLE = 0xFFFFFFFFFFFFFFFF
+_INT64, _INT32, _INT16, _INT8 = (np.dtype(each) for each in (np.int64, np.int32, np.int16, np.int8))
 Longs = NDArray[np.int64]
 Words = list[tuple[int, tuple[NDArray[Any], ...]]]
 
@@ -61,9 +62,17 @@ def _told(sums: Sequence[int]) -> bytes:
 def hashed_rows(ids: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> bytes:
     """What a digest has to take in of agents with these ids: the names and types of their columns, and the hash of the rows. The
     agents are the last axis of a column."""
-    names = "".join(f"\0{name} {array.dtype.str}" for name, array in columns.items())
-    parts = [row for array in columns.values() for row in array.reshape(-1, len(ids))] if len(ids) else []
-    return names.encode() + row_hash(ids, parts)
+    arrays = columns.values()
+    named = _named(tuple(columns), tuple([array.dtype for array in arrays]))
+    parts: list[NDArray[Any]] = []
+    for array in arrays if len(ids) else ():
+        parts.extend([array] if array.ndim == 1 else array.reshape(-1, len(ids)))
+    return named + row_hash(ids, parts)
+
+
+@lru_cache(64)
+def _named(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) -> bytes:
+    return "".join(f"\0{name} {dtype.str}" for name, dtype in zip(names, types, strict=True)).encode()
 
 
 def _words(columns: Sequence[NDArray[Any]]) -> Words:
@@ -72,12 +81,16 @@ def _words(columns: Sequence[NDArray[Any]]) -> Words:
     found: Words = []
     held: NDArray[np.int32] | None = None
     for column in columns:
-        column = np.ascontiguousarray(column)
-        size = column.dtype.itemsize
-        if size == 8:
-            found.append((len(found) + 1, (column.view(np.int64),)))
+        column, dtype = np.ascontiguousarray(column), column.dtype
+        if dtype is _INT32:
+            half = column
+        elif dtype.itemsize == 8:
+            found.append((len(found) + 1, (column.view(_INT64),)))
             continue
-        half = column.view(np.int32) if size == 4 else column.view((np.int8, np.int16)[size - 1]).astype(np.int32)
+        elif dtype.itemsize == 4:
+            half = column.view(_INT32)
+        else:
+            half = column.view((_INT8, _INT16)[dtype.itemsize - 1]).astype(_INT32)
         if held is not None:
             found.append((len(found) + 1, (held, half)))
         held = half if held is None else None

@@ -13,7 +13,7 @@ from antdsl.outputs.cache.cache_writer import clear, prepare_folder
 from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of
 from antdsl.outputs.cache.lock import FolderLock
 from antdsl.outputs.cache.manifest import way_to, write_manifest
-from antdsl.outputs.cache.npz import sync_folder, to_bytes, write_whole
+from antdsl.outputs.cache.npz import npz_file, sync_folder, write_whole
 from antdsl.outputs.smoothing import Oriented, smoothed
 
 _NEEDED = ("id", "orient")
@@ -34,8 +34,8 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
     with FolderLock(folder):
         clear(folder)
         (folder / "manifest.json").unlink(missing_ok=True)  # until all is there the folder is no cache
-        static = to_bytes(cache.static())
-        write_whole(folder / STATIC, static, sync=True)
+        static = npz_file(cache.static())
+        write_whole(folder / STATIC, static.parts, sync=True)
         yield from _frames(cache, folder, width)
         sync_folder(folder / "frames")
         edits = sum(name.startswith("edit ") for name in cache.manifest.inputs)
@@ -55,9 +55,9 @@ def _frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
         for past in [each for each in near if each < number - width // 2]:
             del near[past]
         arrays = {**cache.frame(number), "orient": smoothed(near, number, width)}
-        data = to_bytes(arrays)
-        write_whole(frame_path(folder, number), data, sync=False)
-        lines.append(line_of(number, states.get(number, ""), data).text(number))
+        file = npz_file(arrays)
+        write_whole(frame_path(folder, number), file.parts, sync=False)
+        lines.append(line_of(number, states.get(number, ""), file).text(number))
         yield number
     write_whole(folder / HASHES, b"".join(lines), sync=True)
 

@@ -108,6 +108,7 @@ class Population:
     laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
     rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
+    _ranks: tuple[int, NDArray[np.int32]] | None = None
 
     def room(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
         """So many arrays for what one step works out, kept for the next one, which writes over them."""
@@ -124,7 +125,7 @@ class Population:
         return len(self.ids)
 
     def sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-        """Ids in ascending order, and their rows."""
+        """Ids in ascending order, and their rows. Nobody writes into either."""
         if self._rows is None or self._rows[0] != self.version:
             order = stable_order(self.ids)
             self._rows = (self.version, self.ids[order], order)
@@ -141,6 +142,14 @@ class Population:
     def in_id_order(self) -> NDArray[np.intp]:
         """Rows sorted by id."""
         return self.sorted_ids()[1]
+
+    def ranks(self) -> NDArray[np.int32]:
+        """The place of each row in the order of ids."""
+        if self._ranks is None or self._ranks[0] != self.version:
+            found = np.empty(len(self), np.int32)
+            found[self.in_id_order()] = np.arange(len(self), dtype=np.int32)
+            self._ranks = self.version, found
+        return self._ranks[1]
 
     def nth_id(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Of the living, evenly, for a 32-bit random word each; -1 when none lives."""

@@ -15,6 +15,7 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import commands
@@ -402,6 +403,47 @@ def test_what_is_damaged_in_a_cache_is_told_and_made_again(
         assert frame_path(folder, frame).read_bytes() == frame_path(whole, frame).read_bytes()
     assert read_lines(folder / HASHES) == read_lines(whole / HASHES)
     assert verified(folder)[0] == 0
+
+
+def as_before(folder: Path) -> None:
+    """A cache whose files have hashes of all their bytes, as they had before these were made of headers."""
+
+    def of(begin: str, path: Path) -> str:
+        return sha256(begin.encode() + path.read_bytes()).hexdigest()[:32]
+
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps(manifest | {"static": of("static ", folder / "static.npz")}))
+    lines = []
+    for frame, line in read_lines(folder / HASHES).items():
+        point = of(f"checkpoint {frame} {line.hash} ", checkpoint_path(folder, frame)) if line.checkpoint else ""
+        lines.append(replace(line, file=of(f"{frame} {line.hash} ", frame_path(folder, frame)), checkpoint=point).text(frame))
+    (folder / HASHES).write_bytes(b"".join(lines))
+
+
+@pytest.mark.parametrize("kind", ["nothing", "a bit of a frame", "a bit of a checkpoint", "other meshes", "a frame cut off"])
+def test_a_cache_with_hashes_of_all_bytes_is_held_against_them_and_gone_on_with(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str
+) -> None:
+    damage, after, told = DAMAGE[kind]
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    folder, whole = tmp_path / "p" / "out" / "scene", unbroken[0].parent / "out" / "scene"
+    as_before(folder)
+    assert verified(folder) == (0, verified(whole)[1])
+    old = read_lines(folder / HASHES)
+    assert all(len(line.file) == 32 for line in old.values())
+    damage(folder)
+    assert (verified(folder)[0] == 0) == (kind == "nothing")
+    shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
+    assert shot is not None
+    recording = begin(shot, folder, Options(), resume=True, force=False)
+    assert recording.resumed_from == after and told in " ".join(recording.notes)
+    for _ in record(recording):
+        pass
+    assert after is not None and verified(folder)[0] == 0
+    new = read_lines(whole / HASHES)
+    assert {frame: line.file for frame, line in read_lines(folder / HASHES).items()} == {
+        frame: (old if frame <= after else new)[frame].file for frame in range(1, 61)
+    }
 
 
 def test_a_cache_from_before_checkpoints_had_hashes_is_read_and_said_to_be_not_checked(

@@ -36,10 +36,11 @@ def world() -> World:
 def test_arrays_of_a_frame(world: World, attribute: str) -> None:
     need_llvmlite()
     population = world.populations["ant"]
-    rows = np.random.default_rng(2).permutation(600)
+    population.ids = np.random.default_rng(2).permutation(600).astype(np.int64) * 3
+    population.version += 1
     with np.errstate(all="ignore"):
-        wanted = _made(population, attribute, rows, np.array([1.0, -2.5, 1e4]), 0.1)
-    found = _made_compiled(population, attribute, rows, np.array([1.0, -2.5, 1e4]), 0.1)
+        wanted = _made(population, attribute, np.array([1.0, -2.5, 1e4]), 0.1)
+    found = _made_compiled(population, attribute, np.array([1.0, -2.5, 1e4]), 0.1)
     assert found.dtype == wanted.dtype == np.float32 and found.shape == wanted.shape
     unknown = np.isnan(wanted)  # of what is no number neither the sign nor the rest of the bits says anything
     assert (found.view(np.int32) == wanted.view(np.int32))[~unknown].all() and np.isnan(found[unknown]).all()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from antdsl.outputs.cache import npz, zip_parts
-from antdsl.outputs.cache.zip_parts import stored
+from antdsl.outputs.cache.zip_parts import NotStored, Stored, read_headers, stored
 
 MEMBERS = [
     ("frame.npy", b"head", np.int64(7).tobytes()), ("P.npy", b"a head of its own", bytes(range(256)) * 40),
@@ -20,8 +20,16 @@ MEMBERS = [
 ]  # fmt: skip
 
 
+def made(count: int = len(MEMBERS)) -> Stored:
+    return stored((name, head, memoryview(rest)) for name, head, rest in MEMBERS[:count])
+
+
 def parts() -> list[bytes | memoryview]:
-    return list(stored((name, head, memoryview(rest)) for name, head, rest in MEMBERS))
+    return list(made().parts)
+
+
+def cut(data: bytes, most: int) -> list[bytes]:
+    return [data[k : k + most] for k in range(0, len(data), most)]
 
 
 @pytest.mark.parametrize("count", range(len(MEMBERS) + 1))
@@ -32,7 +40,7 @@ def test_a_file_is_that_of_zipfile(count: int) -> None:
             with file.open(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), "w") as member:
                 member.write(head)
                 member.write(rest)
-    assert b"".join(stored((name, head, memoryview(rest)) for name, head, rest in MEMBERS[:count])) == wanted.getvalue()
+    assert b"".join(made(count).parts) == wanted.getvalue()
 
 
 @pytest.mark.parametrize("limit", [0, 30, 5000, 20000])
@@ -44,10 +52,40 @@ def test_what_is_longer_than_four_bytes_tell_is_read(limit: int, monkeypatch: py
         assert all(file.read(name) == head + rest for name, head, rest in MEMBERS)
 
 
+@pytest.mark.parametrize("limit", [0, 30, None])
+@pytest.mark.parametrize("most", [1, 3, 64, 1 << 20])
+def test_headers_are_read_from_blocks_of_any_length(limit: int | None, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    if limit is not None:
+        monkeypatch.setattr(zip_parts, "LIMIT", limit)
+    for count in range(len(MEMBERS) + 1):
+        file = made(count)
+        data = b"".join(file.parts)
+        assert b"".join(read_headers(iter(cut(data, most)))) == b"".join(file.headers)
+        assert len(data) == sum(map(len, file.headers)) + sum(len(head) + len(rest) for _, head, rest in MEMBERS[:count])
+
+
+def test_who_knows_the_headers_sees_every_bit_that_differs_and_every_cut() -> None:
+    file = stored((name, head, memoryview(rest[:40])) for name, head, rest in MEMBERS)
+    data, headers = b"".join(file.parts), b"".join(file.headers)
+
+    def seen(other: bytes) -> bool:
+        try:
+            return b"".join(read_headers(iter(cut(other, 100)))) != headers
+        except NotStored:
+            return True
+
+    assert not seen(data)
+    for bit in range(8 * len(data)):
+        changed = bytearray(data)
+        changed[bit // 8] ^= 1 << bit % 8
+        assert seen(bytes(changed)), bit
+    assert all(seen(data[:length]) for length in range(len(data))) and seen(data + b"x")
+
+
 def test_the_rest_of_a_member_is_not_copied() -> None:
     array = np.arange(10)
-    found = npz.npz_parts({"a": array})
-    assert any(isinstance(part, memoryview) and np.shares_memory(np.frombuffer(part, np.uint8), array) for part in found)
+    found = npz.npz_file({"a": array})
+    assert any(isinstance(part, memoryview) and np.shares_memory(np.frombuffer(part, np.uint8), array) for part in found.parts)
 
 
 @pytest.mark.parametrize("once", [1, 7, 300, None])

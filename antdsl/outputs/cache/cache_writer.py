@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -29,7 +30,7 @@ from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, hash_of_static, read_lines
 from antdsl.outputs.cache.lock import LOCK, FolderLock
 from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, write_manifest
-from antdsl.outputs.cache.npz import to_bytes, write_whole
+from antdsl.outputs.cache.npz import npz_file, write_whole
 from antdsl.outputs.surface_error import surface_error
 from antdsl.outputs.writer.background import Behind
 from antdsl.outputs.writer.frame_writer import Scribe
@@ -195,6 +196,7 @@ class CacheWriter:
                 behind.hand_over(self._scribe.sync)
         finally:
             behind.finish()
+            self._scribe.close()
         if whole:
             behind.check()
 
@@ -211,9 +213,9 @@ class CacheWriter:
         those checkpoints that are `damaged`. `worst`: the greatest surface error of the frames that are kept, None where it is
         not known."""
         clear(self.folder, kept_up_to, damaged)
-        data = to_bytes(static)
-        write_whole(self.folder / STATIC, data, sync=True)
-        write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(data)}))
+        file = npz_file(static)
+        write_whole(self.folder / STATIC, file.parts, sync=True)
+        write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(file)}))
         world.carved = {}
         world.emitted = [] if "emit" in maker.events else None
         self._maker, self._worst = maker, worst
@@ -229,7 +231,7 @@ class CacheWriter:
         times.append(time.perf_counter())
         arrays = self._maker.frame(world)
         times.append(time.perf_counter())
-        spent = dict(zip(("measure", "hash", "frame"), np.diff(times).tolist(), strict=True))
+        spent = dict(zip(("measure", "hash", "frame"), (end - start for start, end in pairwise(times)), strict=True))
         found = {"hash": state, "surface_error": self._worst}
         scribe, frame = self._scribe, world.frame
 

@@ -36,7 +36,8 @@ def clips_playing(population: Population, rows: NDArray[np.intp]) -> dict[str, N
     found: dict[str, NDArray[Any]] = {}
     for machine in playing(population):
         now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTERS.items()}
-        three = bool(((now["earlier_fade"] > 0) & (now["fade"] > 0)).any())
+        early = now["earlier_fade"] > 0
+        three = bool(early.any() and (early & (now["fade"] > 0)).any())
         found |= {
             f"clips.{population.name}.{machine}.{field}": now[field].take(rows).astype(_REGISTERS[field][1], copy=False)
             for field in FIELDS

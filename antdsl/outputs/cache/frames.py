@@ -141,9 +141,9 @@ class FrameMaker:
         population = world.populations[name]
         if attribute in ("P", "v", "orient"):
             made = _made_compiled if compiled.wanted(len(rows)) else _made
-            return made(population, attribute, rows, world.origin, self.scale)
+            return made(population, attribute, world.origin, self.scale)
         if attribute == "id":
-            return population.ids.take(rows)
+            return population.sorted_ids()[0]
         if attribute == "pscale":
             return _register(population, "size", rows) * np.float32(self.scale)
         if attribute == "Cd":
@@ -171,10 +171,9 @@ def _not_zero(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[n
     return found.astype(np.int32), values[found].astype(np.float32)
 
 
-def _made(
-    population: Population, attribute: str, rows: NDArray[np.intp], origin: NDArray[np.float64], scale: float
-) -> NDArray[np.float32]:
-    """`P`, `v` or `orient` of the agents at some rows, float32[k, 3 or 4]."""
+def _made(population: Population, attribute: str, origin: NDArray[np.float64], scale: float) -> NDArray[np.float32]:
+    """`P`, `v` or `orient` of agents by id, float32[n, 3 or 4]."""
+    rows = population.in_id_order()
     if attribute == "P":
         return ((population.position[rows] + origin) * scale).astype(np.float32)
     if attribute == "v":
@@ -182,19 +181,17 @@ def _made(
     return orientation(_vector(population, "heading", rows), _vector(population, "up", rows))
 
 
-def _made_compiled(
-    population: Population, attribute: str, rows: NDArray[np.intp], origin: NDArray[np.float64], scale: float
-) -> NDArray[np.float32]:
+def _made_compiled(population: Population, attribute: str, origin: NDArray[np.float64], scale: float) -> NDArray[np.float32]:
     """The same by kernels."""
     from antdsl.outputs.cache import frames_compiled as kernels
 
-    out = np.empty((len(rows), 4 if attribute == "orient" else 3), np.float32)
+    ranks, out = population.ranks(), np.empty((len(population), 4 if attribute == "orient" else 3), np.float32)
     if attribute == "P":
-        kernels.places(population.position, rows, *origin, scale, out)
+        kernels.places(population.position, ranks, *origin, scale, out)
     elif attribute == "v":
-        kernels.vectors(_columns(population, "velocity"), rows, scale, out)
+        kernels.vectors(_columns(population, "velocity"), ranks, scale, out)
     else:
-        kernels.orientations(_columns(population, "heading"), _columns(population, "up"), rows, out)
+        kernels.orientations(_columns(population, "heading"), _columns(population, "up"), ranks, out)
     return out
 
 

@@ -1,17 +1,23 @@
 """Hashes by which damage to a cache is found. The file `hashes.jsonl` has, for each frame, one of the whole state, one of the
-frame's file, and one of its checkpoint's file; the manifest has that of `static.npz`."""
+frame's file, and one of its checkpoint's file; the manifest has that of `static.npz`.
+
+A file's hash is made of its headers alone, which have the CRC-32 of each array: a file that is written has those anyway, so that
+it costs next to nothing. One content that is damaged passes for whole once in 2^32. Caches from before that was so have hashes of
+all bytes, without the name of the way before them; they are held against these as ever. Neither is meant to find forgeries."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
 from antdsl import limits
 from antdsl.bounded import blocks, open_regular, read_bounded
-from antdsl.outputs.cache.npz import FILE_BYTES, Parts
+from antdsl.outputs.cache.npz import FILE_BYTES
+from antdsl.outputs.cache.zip_parts import NotStored, Stored, read_headers
 
 HASHES = "hashes.jsonl"
 _BYTES = 400 * limits.FRAMES
@@ -19,8 +25,8 @@ _BYTES = 400 * limits.FRAMES
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """`hash`: of the state; `file`: of the frame's number, that hash and the bytes of its file, so that neither a damaged file
-    nor a damaged line passes; `checkpoint`: the same of its checkpoint. Empty in a cache from before that was written, or where
+    """`hash`: of the state; `file`: of the frame's number, that hash and its file, so that neither a damaged file nor a
+    damaged line passes; `checkpoint`: the same of its checkpoint. Empty in a cache from before that was written, or where
     there is no checkpoint. `feet`: of the state of all feet, empty where none are worked out."""
 
     hash: str
@@ -35,20 +41,20 @@ class Line:
         return json.dumps(words | {name: text for name, text in more.items() if text}).encode() + b"\n"
 
 
-def line_of(frame: int, state: str, data: bytes | Parts, feet: str = "") -> Line:
-    """The line for a frame with the state of a hash, whose file has these bytes (or parts), and with a hash of its feet."""
-    return Line(state, _hashed(_of_frame(frame, state), data), feet=feet)
+def line_of(frame: int, state: str, file: Stored, feet: str = "") -> Line:
+    """The line for a frame with the state of a hash, which is written as this file, and with a hash of its feet."""
+    return Line(state, _told(_of_frame(frame, state), file.headers), feet=feet)
 
 
-def with_checkpoint(frame: int, line: Line, data: bytes | Parts) -> Line:
-    """The line for a frame whose checkpoint's file has these bytes. It follows the one that the frame has already, and counts in
-    its stead."""
-    return replace(line, checkpoint=_hashed(_of_checkpoint(frame, line.hash), data))
+def with_checkpoint(frame: int, line: Line, file: Stored) -> Line:
+    """The line for a frame whose checkpoint is written as this file. It follows the one that the frame has already, and counts
+    in its stead."""
+    return replace(line, checkpoint=_told(_of_checkpoint(frame, line.hash), file.headers))
 
 
-def hash_of_static(data: bytes) -> str:
-    """The hash of `static.npz` with these bytes."""
-    return _hashed(_STATIC, data)
+def hash_of_static(file: Stored) -> str:
+    """The hash of `static.npz`, which is written as this file."""
+    return _told(_STATIC, file.headers)
 
 
 def read_lines(path: Path) -> dict[int, Line]:
@@ -89,7 +95,8 @@ def static_damage(path: Path, wanted: str) -> str | None:
 
 
 def _differs(path: Path, begin: bytes, wanted: str) -> str | None:
-    """`wanted`: the hash of `begin` and the bytes of the file; empty where there is none."""
+    """`wanted`: what `_told` said of `begin` and the headers of the file, or the hash of `begin` and all its bytes; empty where
+    there is none."""
     try:
         handle = open_regular(path, follow=False)
     except FileNotFoundError:
@@ -99,17 +106,19 @@ def _differs(path: Path, begin: bytes, wanted: str) -> str | None:
     try:
         if not wanted:
             return f"`{path}` has no hash in `{HASHES}`"
-        hashed = sha256(begin)
-        for block in blocks(handle, FILE_BYTES):
-            hashed.update(block)
+        held = blocks(handle, FILE_BYTES)
+        told = _told(begin, read_headers(held)) if wanted.startswith(_BY_HEADERS) else _hashed(begin, held)
+    except NotStored:
+        told = ""
     except OSError as why:
         return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
     finally:
         os.close(handle)
-    return None if hashed.hexdigest()[:32] == wanted else f"`{path}` is not what was written there"
+    return None if told == wanted else f"`{path}` is not what was written there"
 
 
 _STATIC = b"static "
+_BY_HEADERS = "headers:"
 
 
 def _of_frame(frame: int, state: str) -> bytes:
@@ -120,8 +129,13 @@ def _of_checkpoint(frame: int, state: str) -> bytes:
     return f"checkpoint {frame} {state} ".encode()
 
 
-def _hashed(begin: bytes, data: bytes | Parts) -> str:
+def _told(begin: bytes, headers: Iterable[bytes]) -> str:
+    """The hash of `begin` and the headers of a file, behind the name of the way in which it was made."""
+    return _BY_HEADERS + _hashed(begin, headers)
+
+
+def _hashed(begin: bytes, data: Iterable[bytes]) -> str:
     hashed = sha256(begin)
-    for part in [data] if isinstance(data, bytes) else data:
+    for part in data:
         hashed.update(part)
     return hashed.hexdigest()[:32]

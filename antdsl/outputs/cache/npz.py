@@ -9,6 +9,7 @@ import os
 import zipfile
 from collections import deque
 from collections.abc import Container, Iterable, Mapping
+from functools import lru_cache
 from io import FileIO
 from itertools import islice
 from pathlib import Path
@@ -19,15 +20,16 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, open_bounded
-from antdsl.outputs.cache.zip_parts import Parts, stored
+from antdsl.outputs.cache.zip_parts import Parts, Stored, stored
 from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
 from antdsl.whole import whole
 
 __all__ = [
     "ArrayFileError",
     "Parts",
-    "npz_parts",
+    "npz_file",
     "parse_npy",
+    "put",
     "read_npz",
     "sync_file",
     "sync_folder",
@@ -36,6 +38,7 @@ __all__ = [
     "write_whole",
 ]
 
+_BYTE = np.dtype(np.uint8)
 _AT_ONCE = 1000  # parts; systems take 1024
 FILE_BYTES = 64 * limits.GIB
 _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written
@@ -43,18 +46,17 @@ _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever 
 
 def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """The bytes of an NPZ file with these arrays, in order."""
-    return b"".join(npz_parts(arrays))
+    return b"".join(npz_file(arrays).parts)
 
 
-def npz_parts(arrays: Mapping[str, NDArray[Any]]) -> Parts:
-    """The same as parts that are the file end to end. Those of arrays are the arrays' own memory, nothing of which may change
-    until they have been used."""
+def npz_file(arrays: Mapping[str, NDArray[Any]]) -> Stored:
+    """The same in parts. Those of arrays are the arrays' own memory, nothing of which may change until they have been used."""
     return stored(_member(name, np.asarray(array, order="C")) for name, array in arrays.items())
 
 
 def _member(name: str, array: NDArray[Any]) -> tuple[str, bytes, memoryview]:
     kind = _kind(name, array.dtype)
-    return f"{name}.npy", _header(kind, array.shape), array.astype(kind, copy=False).reshape(-1).view(np.uint8).data
+    return f"{name}.npy", _header(kind, array.shape), array.astype(kind, copy=False).reshape(-1).view(_BYTE).data
 
 
 def to_member(
@@ -70,12 +72,18 @@ def to_member(
 
 
 def _kind(name: str, dtype: np.dtype[Any]) -> str:
-    kind = dtype.newbyteorder("<").str
+    kind = _little(dtype)
     if kind not in DTYPES:
         raise ValueError(f"array `{name}` of type {dtype} cannot be kept")
     return kind
 
 
+@lru_cache(64)
+def _little(dtype: np.dtype[Any]) -> str:
+    return dtype.newbyteorder("<").str
+
+
+@lru_cache(1024)  # a frame's arrays are mostly of the shapes that they had before
 def _header(kind: str, shape: tuple[int, ...]) -> bytes:
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape!r}, }}".encode("ascii")
     header += b" " * (-(len(MAGIC) + 2 + len(header) + 1) % 64) + b"\n"
@@ -84,16 +92,19 @@ def _header(kind: str, shape: tuple[int, ...]) -> bytes:
 
 def write_whole(path: Path, data: bytes | Parts, *, sync: bool) -> None:
     """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing. `data`: its bytes, or
-    parts that are these end to end."""
+    parts that are these end to end.
+
+    The file is there already, empty, and is opened to be written anew: ext4 begins to bring such a one onto the disk as it is
+    closed, and to make sure later that many of them are there takes two thirds of the time."""
     with whole(path) as part, open(part, "wb", buffering=0) as file:
-        _put(file, [data] if isinstance(data, bytes) else data)
+        put(file, [data] if isinstance(data, bytes) else data)
         if sync:
             os.fsync(file.fileno())
     if sync:
         sync_folder(path.parent)
 
 
-def _put(file: FileIO, parts: Parts) -> None:
+def put(file: FileIO, parts: Parts) -> None:
     """Write parts end to end. All in one call where the system has one for it: it finds room for a large piece at once in half
     the time that it takes for many small ones."""
     left = deque(memoryview(part) for part in parts if len(part))

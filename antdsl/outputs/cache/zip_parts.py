@@ -1,12 +1,16 @@
 """A zip file without compression as parts in memory that are it end to end: what lies in its members is not copied.
 
 By the application note of the format (PKWARE, .ZIP File Format Specification 6.3.10), as Python's `zipfile` writes it to the
-byte, in a tenth of its time: what is known of a member before it is written stands in one header."""
+byte, in a tenth of its time: what is known of a member before it is written stands in one header.
+
+All of a file but the contents of its members is called its headers here, the directory included. They have the CRC-32 of each
+content: who knows their bytes can tell damage anywhere in the file."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from struct import Struct
 
 from antdsl.numerics.check_sums import crc32
@@ -21,17 +25,32 @@ _UTF8 = 0x800
 _TIME, _DATE = 0, 1 << 5 | 1  # 1 January 1980: the same arrays give the same bytes, whenever they are written
 _SYSTEM = 0 if sys.platform == "win32" else 3
 _ATTRIBUTES = 0o600 << 16
+_MEMBER = b"PK\3\4"
 _LOCAL = Struct("<4s5H3L2H")
 _CENTRAL = Struct("<4s4B4H3L5H2L")
+_TWO_LONGS = Struct("<2H2Q")
 _END = Struct("<4s4H2LH")
 _LONG_END = Struct("<4sQ2H2L4Q")
 _LOCATOR = Struct("<4sLQL")
 
 
-def stored(members: Iterable[tuple[str, bytes, memoryview]]) -> Parts:
-    """The parts of a file with these members, in order: of each its name, and its content as a head and the rest. `rest` is a
-    part as it is, so nothing of it may change until the parts have been used."""
+class NotStored(Exception):
+    """A file is no zip file of stored members, or the content of one is not what its header says."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stored:
+    """A file that has not been written: `parts` are it end to end, `headers` all of it but the contents of its members."""
+
+    parts: Parts
+    headers: Sequence[bytes]
+
+
+def stored(members: Iterable[tuple[str, bytes, memoryview]]) -> Stored:
+    """A file with these members, in order: of each its name, and its content as a head and the rest. `rest` is a part as it is,
+    so nothing of it may change until the parts have been used."""
     parts: list[bytes | memoryview] = []
+    headers: list[bytes] = []
     entries: list[bytes] = []
     at = 0
     for name, head, rest in members:
@@ -39,12 +58,77 @@ def stored(members: Iterable[tuple[str, bytes, memoryview]]) -> Parts:
         flags = 0 if name.isascii() else _UTF8
         told, version, extra = (size, _PLAIN, b"") if size <= LIMIT else (_ELSEWHERE, _LONG, _longs(size, size))
         local = _LOCAL.pack(
-            b"PK\3\4", version, flags, 0, _TIME, _DATE, check, told, told, len(words), len(extra)
+            _MEMBER, version, flags, 0, _TIME, _DATE, check, told, told, len(words), len(extra)
         )  # fmt: skip
-        parts += (local + words + extra + head, rest)
+        headers.append(local + words + extra)
+        parts += (headers[-1] + head, rest)
         entries.append(_entry(words, flags, check, size, at))
         at += len(parts[-2]) + len(rest)
-    return [*parts, b"".join(entries) + _end(len(entries), sum(map(len, entries)), at)]
+    headers.append(b"".join(entries) + _end(len(entries), sum(map(len, entries)), at))
+    return Stored([*parts, headers[-1]], headers)
+
+
+def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
+    """The headers of a file that comes in blocks, piece by piece, while the contents in between are held against their CRC-32.
+    NotStored where one differs, or where this is no file that `stored` could have made."""
+    file = _Pieces(blocks)
+    while (mark := file.upto(len(_MEMBER))) == _MEMBER:
+        local = mark + file.exactly(_LOCAL.size - len(_MEMBER))
+        check, size, _, words, extra = _LOCAL.unpack(local)[6:]
+        more = file.exactly(words + extra)
+        yield local + more
+        if size == _ELSEWHERE:
+            if extra != _TWO_LONGS.size:
+                raise NotStored
+            size = _TWO_LONGS.unpack(more[words:])[2]
+        if file.check(size) != check:
+            raise NotStored
+    yield mark
+    yield from file.rest()
+
+
+class _Pieces:
+    """Bytes that come in blocks, taken in pieces of other lengths."""
+
+    def __init__(self, blocks: Iterator[bytes]) -> None:
+        self._blocks = blocks
+        self._left = memoryview(b"")
+
+    def _next(self, most: int) -> memoryview:
+        """At least one of the bytes that come next and at most so many; none at the end."""
+        if not self._left:
+            self._left = memoryview(next(self._blocks, b""))
+        found, self._left = self._left[:most], self._left[most:]
+        return found
+
+    def upto(self, count: int) -> bytes:
+        """The next bytes, so many where there are."""
+        found = b""
+        while len(found) < count and (piece := self._next(count - len(found))):
+            found += piece
+        return found
+
+    def exactly(self, count: int) -> bytes:
+        """So many bytes; NotStored where there are fewer."""
+        found = self.upto(count)
+        if len(found) < count:
+            raise NotStored
+        return found
+
+    def check(self, count: int) -> int:
+        """The CRC-32 of so many bytes; NotStored where there are fewer."""
+        found = 0
+        while count:
+            piece = self._next(count)
+            if not piece:
+                raise NotStored
+            found, count = crc32(piece, found), count - len(piece)
+        return found
+
+    def rest(self) -> Iterator[bytes]:
+        """All that is left."""
+        yield bytes(self._left)
+        yield from self._blocks
 
 
 def _entry(words: bytes, flags: int, check: int, size: int, at: int) -> bytes:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
 from antdsl.outputs.cache.hashes import HASHES, Line, line_of, read_lines, with_checkpoint
-from antdsl.outputs.cache.npz import npz_parts, sync_file, sync_folder, write_whole
+from antdsl.outputs.cache.npz import npz_file, put, sync_file, sync_folder, write_whole
 
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
@@ -19,36 +21,36 @@ Found = dict[str, Any]
 
 class Scribe:
     """Writes into a cache's folder, in order: frames whole, a line with the hash after each, checkpoints only when all frames
-    before them are on the disk. What is done gives `seconds` by name."""
+    before them are on the disk. What is done gives `seconds` by name. To be closed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._lines = FileIO(folder / HASHES, "a")
         self._unsynced: list[Path] = []
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
     def frame(self, frame: int, arrays: Arrays, state: str, feet: str) -> Found:
         """Write a frame and its line, with the hashes of its state and of its feet."""
         began = time.perf_counter()
-        path, data = frame_path(self.folder, frame), npz_parts(arrays)
-        write_whole(path, data, sync=False)
+        path, file = frame_path(self.folder, frame), npz_file(arrays)
+        write_whole(path, file.parts, sync=False)
         self._unsynced.append(path)
-        self._line(frame, line_of(frame, state, data, feet))
+        self._line(frame, line_of(frame, state, file, feet))
         return _spent("write", began)
 
     def _line(self, frame: int, line: Line) -> None:
         self._last = {frame: line}
-        with open(self.folder / HASHES, "ab") as hashes:
-            hashes.write(line.text(frame))
+        put(self._lines, [line.text(frame)])
 
     def checkpoint(self, frame: int, arrays: Arrays) -> Found:
         """Write a checkpoint, durably, after everything before it, its hash included: one without is from before there were
         any."""
         began = time.perf_counter()
-        data = npz_parts(arrays)
+        file = npz_file(arrays)
         lines = self._last or read_lines(self.folder / HASHES)
-        self._line(frame, with_checkpoint(frame, lines[frame], data))
+        self._line(frame, with_checkpoint(frame, lines[frame], file))
         found = self.sync()
-        write_whole(checkpoint_path(self.folder, frame), data, sync=True)
+        write_whole(checkpoint_path(self.folder, frame), file.parts, sync=True)
         found["seconds"] |= {"checkpoint": time.perf_counter() - began - found["seconds"]["sync"]}
         return found
 
@@ -59,8 +61,12 @@ class Scribe:
             sync_file(path)
         self._unsynced.clear()
         sync_folder(self.folder / "frames")
-        sync_file(self.folder / HASHES)
+        os.fsync(self._lines.fileno())
         return _spent("sync", began)
+
+    def close(self) -> None:
+        """Nothing more is written."""
+        self._lines.close()
 
 
 def _spent(what: str, since: float) -> Found:
