@@ -7,7 +7,6 @@ register made. From a field whole multiples of `UNIT` are taken, as deposits are
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from antdsl.runtime.requests import ClaimEntry, GiveEntry
 from antdsl.runtime.world import Population, World
 
 Entries = list[tuple[Population, ClaimEntry]]
-_OF_ROWS = ("rows", "item", "amount")
 
 
 def settle(world: World) -> None:
@@ -60,10 +58,12 @@ def _by_statement(entries: Entries) -> Entries:
     found: dict[tuple[str, int], Entries] = {}
     for population, entry in entries:
         found.setdefault((population.name, entry.order), []).append((population, entry))
-    return [
-        (some[0][0], replace(some[0][1], **{name: _joined([getattr(e, name) for _, e in some]) for name in _OF_ROWS}))
-        for some in found.values()
-    ]
+    whole: Entries = []
+    for (_, order), some in found.items():
+        rows, item, amount = (_joined([getattr(e, name) for _, e in some]) for name in ("rows", "item", "amount"))
+        population, first = some[0]
+        whole.append((population, ClaimEntry(first.statement, order, rows, item, amount)))
+    return whole
 
 
 def _joined(arrays: list[NDArray[Any]]) -> NDArray[Any]:
@@ -207,9 +207,9 @@ def _served(rest: NDArray[np.float64], item: NDArray[np.integer], asks: _Asks) -
     if not len(item):
         return got
     if compiled.wanted(len(item)) and not asks.everything.any():
-        from antdsl.runtime.claims_compiled import served
+        from antdsl.runtime.claims_compiled import in_turn
 
-        served(rest, item.astype(np.int64, copy=False), asks.change, got)
+        in_turn(rest, item.astype(np.int64, copy=False), asks.change, got)
         return got
     starts = np.flatnonzero(np.concatenate(([True], item[1:] != item[:-1])))
     ends = np.append(starts[1:], len(item))
