@@ -46,8 +46,8 @@ def located(
     """Write the cell of the voxel and side of each point from `begin` to before `end` into `found` [n]; gives how many have
     none, which get -1.
 
-    `points`: x, y, z [n] mm, `box` and `size` [3]: the lowest voxel of the box, and how many. Cells stand in `direct` by key, or where
-    that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each.
+    `points`: x, y, z [n] mm, `box` and `size` [3]: the lowest voxel of the box, and how many. Cells stand in `direct` by key, or
+    where that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each.
     `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are renewed."""
     listed = direct.size > 0
     wanted, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
