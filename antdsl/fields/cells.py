@@ -183,7 +183,8 @@ class SurfaceCells:
             known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
         index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
         keys = (self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
-        work = partial(located, points, side, *keys, known.key, known.cell, cell)
+        along = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
+        work = partial(located, along, side, *keys, known.key, known.cell, cell)
         return sum(compiled.in_parts(work, len(points), threads, compiled.LIGHT)), known
 
     def _located_plainly(

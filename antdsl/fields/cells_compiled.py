@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, Strided2, fetch_ahead, independent, inlined, kernel, scratch
+from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
 from antdsl.numerics.sorting_compiled import place_among
 
 _TOGETHER = 64  # points whose cells are brought near at once
@@ -28,7 +28,7 @@ def _found(direct, listed, keys, shift, start, key):  # type: ignore[no-untyped-
 
 @kernel
 def located(
-    points: Strided2[F64],
+    points: tuple[Array1[F64], Array1[F64], Array1[F64]],
     side: Array1[I8],
     cell: F64,
     box: Array1[I64],
@@ -46,17 +46,18 @@ def located(
     """Write the cell of the voxel and side of each point from `begin` to before `end` into `found` [n]; gives how many have
     none, which get -1.
 
-    `points` [n,3] mm, `box` and `size` [3]: the lowest voxel of the box, and how many. Cells stand in `direct` by key, or where
-    that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each.
+    `points`: x, y, z [n] mm, `box` and `size` [3]: the lowest voxel of the box, and how many. Cells stand in `direct` by key, or
+    where that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each.
     `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are renewed."""
     listed = direct.size > 0
     wanted, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
+    missed = 0
     for low in range(begin, end, _TOGETHER):
         high = min(low + _TOGETHER, end)
         for n in independent(low, high):
-            x = _along(points[n, 0], cell, box[0], size[0])
-            y = _along(points[n, 1], cell, box[1], size[1])
-            z = _along(points[n, 2], cell, box[2], size[2])
+            x = _along(points[0][n], cell, box[0], size[0])
+            y = _along(points[1][n], cell, box[1], size[1])
+            z = _along(points[2][n], cell, box[2], size[2])
             key = -1
             if x >= 0 and y >= 0 and z >= 0:
                 key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
@@ -79,9 +80,7 @@ def located(
             key = wanted[n - low]
             known[n] = key
             here[n] = _found(direct, listed, keys, shift, start, key) if key >= 0 else -1
+            missed += 1 if here[n] < 0 else 0
         for n in independent(low, high):
             found[n] = here[n]
-    missed = 0
-    for n in range(begin, end):
-        missed += 1 if found[n] < 0 else 0
     return missed

@@ -7,11 +7,13 @@ register made. From a field whole multiples of `UNIT` are taken, as deposits are
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.pheromone import UNIT
-from antdsl.numerics import randomness
+from antdsl.numerics import compiled, randomness
 from antdsl.runtime.requests import ClaimEntry, GiveEntry
 from antdsl.runtime.world import Population, World
 
@@ -33,19 +35,40 @@ def settle(world: World) -> None:
                 asked.setdefault((entry.statement.of, entry.statement.attribute), []).append((population, entry))
         population.effects.claims = []
     for (items, attribute), entries in sorted(asked.items(), key=lambda pair: pair[0]):
-        item = np.concatenate([e.item for _, e in entries])
-        amount = np.concatenate([e.amount for _, e in entries])
+        entries = _by_statement(entries)
+        item, amount = _joined([e.item for _, e in entries]), _joined([e.amount for _, e in entries])
         _settle_one(world, world.items[items].amounts[attribute], item, amount, 0.0, entries)
     for name, entries in sorted(of_fields.items()):
+        entries = _by_statement(entries)
         field = world.fields[name]
-        cells, which = np.unique(np.concatenate([e.item for _, e in entries]), return_inverse=True)
+        cells, which = np.unique(_joined([e.item for _, e in entries]), return_inverse=True)
         somewhere = int(np.searchsorted(cells, 0))
         cells = cells[somewhere:]
         rest = field.values[cells]
-        amount = np.concatenate([e.amount for _, e in entries]).astype(np.float64)
+        amount = _joined([e.amount for _, e in entries]).astype(np.float64)
         amount = np.where(np.isinf(amount), amount, np.rint(amount / UNIT) * UNIT).astype(np.float32)
         _settle_one(world, rest, which - somewhere, amount, UNIT, entries)
         field.leave(cells, rest)
+
+
+def _by_statement(entries: Entries) -> Entries:
+    """The claims of each statement as one entry, in whatever chunks they were asked."""
+    if len(entries) == 1:
+        return entries
+    found: dict[tuple[str, int], Entries] = {}
+    for population, entry in entries:
+        found.setdefault((population.name, entry.order), []).append((population, entry))
+    whole: Entries = []
+    for (_, order), some in found.items():
+        rows, item, amount = (_joined([getattr(e, name) for _, e in some]) for name in ("rows", "item", "amount"))
+        population, first = some[0]
+        whole.append((population, ClaimEntry(first.statement, order, rows, item, amount)))
+    return whole
+
+
+def _joined(arrays: list[NDArray[Any]]) -> NDArray[Any]:
+    """One array after the other."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 def _settle_one(
@@ -57,30 +80,49 @@ def _settle_one(
     entries: Entries,
 ) -> None:
     """Settle the claims of `entries`, `amount` (inf: all) of the places `item` in `rest` (-1: none); of all, whole units."""
-    names = list(world.populations)
-    draw = np.concatenate([_draws(world, p, e) for p, e in entries])
-    ids = np.concatenate([p.ids[e.rows] for p, e in entries])
-    species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
-    place = np.concatenate([np.full(len(e.rows), e.order) for _, e in entries])
-    source = np.concatenate([np.full(len(e.rows), k) for k, (_, e) in enumerate(entries)])
-    row = np.concatenate([e.rows for _, e in entries])
+    draw = _joined([_draws(world, p, e) for p, e in entries])
+    ids = _joined([p.ids[e.rows] for p, e in entries])
+    row = _joined([e.rows for _, e in entries])
     valid = (item >= 0) & (item < len(rest)) & (amount >= 0)
+    if len(entries) == 1:
+        _serve(rest, np.flatnonzero(valid), (ids, draw, item), row, amount, unit, entries, None)
+        return
+    names = list(world.populations)
+    species, place, source = (
+        np.repeat(numbers, [len(e.rows) for _, e in entries])
+        for numbers in ([names.index(p.name) for p, _ in entries], [e.order for _, e in entries], np.arange(len(entries)))
+    )
     turn = _turn(species, ids, place)
     for number in range(int(turn.max()) + 1):  # who asks twice in one step has changed its own register in between
         now = np.flatnonzero(valid & (turn == number))
-        now = now[np.lexsort((place[now], species[now], ids[now], draw[now], item[now]))]
-        asks = _Asks(
-            np.empty(len(now)), np.isinf(amount[now]), np.zeros(len(now), np.float32), np.zeros(len(now), np.bool_), unit
-        )
-        for k, (population, entry) in enumerate(entries):
-            mine = np.flatnonzero(source[now] == k)
-            asks.fill(population, entry, mine, row[now[mine]], amount[now[mine]])
-        got = _served(rest, item[now], asks)
-        for k, (population, entry) in enumerate(entries):
-            mine = np.flatnonzero((got >= 0) & (source[now] == k))
-            population.now[entry.statement.won][row[now[mine]]] = True
-            if entry.statement.own is not None:
-                _receive(population, entry, row[now[mine]], amount[now[mine]], got[mine])
+        _serve(rest, now, (place, species, ids, draw, item), row, amount, unit, entries, source)
+
+
+def _serve(
+    rest: NDArray[np.float64],
+    now: NDArray[np.intp],
+    keys: tuple[NDArray[Any], ...],
+    row: NDArray[np.intp],
+    amount: NDArray[np.float32],
+    unit: float,
+    entries: Entries,
+    source: NDArray[np.intp] | None,
+) -> None:
+    """Serve the claims `now`, of different agents, in the order of `keys`, of which the last counts first, the item; `source`
+    says of which entry each is (None: there is but one)."""
+    now = now[np.lexsort([key[now] for key in keys])]
+    item, row, amount = keys[-1][now], row[now], amount[now]
+    asks = _Asks(np.empty(len(now)), np.isinf(amount), np.zeros(len(now), np.float32), np.zeros(len(now), np.bool_), unit)
+    every = np.arange(len(now))
+    owners = [every] if source is None else [np.flatnonzero(source[now] == k) for k in range(len(entries))]
+    for (population, entry), mine in zip(entries, owners, strict=True):
+        asks.fill(population, entry, mine, row[mine], amount[mine])
+    got = _served(rest, item, asks)
+    for (population, entry), mine in zip(entries, owners, strict=True):
+        mine = mine[got[mine] >= 0]
+        population.now[entry.statement.won][row[mine]] = True
+        if entry.statement.own is not None:
+            _receive(population, entry, row[mine], amount[mine], got[mine])
 
 
 def _receive(
@@ -163,6 +205,11 @@ def _served(rest: NDArray[np.float64], item: NDArray[np.integer], asks: _Asks) -
     """What each gets, -1 for who is not served; `item` is sorted. Takes what they get from the rest."""
     got = np.full(len(item), -1.0)
     if not len(item):
+        return got
+    if compiled.wanted(len(item)) and not asks.everything.any():
+        from antdsl.runtime.claims_compiled import in_turn
+
+        in_turn(rest, item.astype(np.int64, copy=False), asks.change, got)
         return got
     starts = np.flatnonzero(np.concatenate(([True], item[1:] != item[:-1])))
     ends = np.append(starts[1:], len(item))

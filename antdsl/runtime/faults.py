@@ -77,6 +77,8 @@ def gather(world: World) -> None:
     """Count the faults since the last time, tell the first ones, set the agents aside if so asked."""
     log = world.faults
     for population in world.populations.values():
+        if not population.effects.faults:
+            continue
         met: dict[tuple[int, str, str], list[FaultEntry]] = {}
         for entry in population.effects.faults:
             place = -1 if entry.span is None else entry.span.start

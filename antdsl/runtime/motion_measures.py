@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.runtime.binding.spacing import takes_room
 from antdsl.runtime.moving.capsules import depths
 from antdsl.runtime.moving.heads import heads_inside
+from antdsl.runtime.world import AXES
 from antdsl.senses.overlaps import worst_overlaps
 
 if TYPE_CHECKING:
@@ -37,7 +39,11 @@ _COUNTS = (
     "deep_max",
 )  # fmt: skip
 _WAYS = ("ids", "start", "path", "age")
-_SEEN = ("position", "heading", "up")
+_SEEN = tuple(f"{name}.{axis}" for name in ("position", "heading", "up") for axis in AXES)
+_WANTED = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AXES)
+_COUNTED = (*_SEEN, *_WANTED, "max_speed", "size")
+_NOW, _START = itemgetter(*_COUNTED), itemgetter(*_SEEN)
+_MEANT = (np.float32(_WISH), np.float32(_STILL), np.float32(_MOVED))
 _CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
 
 
@@ -168,15 +174,13 @@ class Motion:
         """The same by a kernel."""
         from antdsl.runtime.motion_measures_compiled import counted
 
-        now, start = population.now, population.start
-        seen = [vec.named(each, name) for each in (now, start) for name in _SEEN]
-        meant = (np.float32(_WISH), np.float32(_STILL), np.float32(_MOVED))
-        wanted = (vec.named(now, "velocity"), vec.named(now, "push"), now["max_speed"], now["size"])
-        given = (*seen, *wanted, population.position, window.start, window.path, window.age)
+        now, start = _NOW(population.now), _START(population.start)
+        seen = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
+        given = (*seen, now[9:12], now[12:15], *now[15:], population.position, window.start, window.path, window.age)
 
         def part(begin: int, end: int) -> tuple[Any, ...]:
             own = (self.turns, self.tilts) if begin == 0 else (np.zeros_like(self.turns), np.zeros_like(self.tilts))
-            found = counted(*given, *own, *_bins(), window.straight, dt, *meant, steps, begin, end)
+            found = counted(*given, *own, *_bins(), window.straight, dt, *_MEANT, steps, begin, end)
             return begin, own, *found
 
         straight = []

@@ -6,7 +6,7 @@ Others, items and fields are read as they were when the step began (`start`, `se
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import compiled
 from antdsl.numerics.sorting import interleaved, stable_order
-from antdsl.plan.ir import Kind
+from antdsl.plan.ir import Kind, SpeciesPlan
 from antdsl.program.tables.effects import settled_in
 from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.feet import walking
 from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, walks
-from antdsl.runtime.world import PUSHED, Population, World, select_rows
+from antdsl.runtime.world import PUSHED, Population, World, begin_anew
 
 _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
 _COPIED = 32_768  # agents: copies of fewer are over before a thread has begun
@@ -41,12 +41,17 @@ def sense(world: World) -> None:
     for population in world.populations.values():
         lifecycle.find_cells(world, population)
         tilting.lay(population)
-        for name, register in population.plan.registers.items():
-            if register.role == "temp":
-                population.now[name].fill(register.zero)
+        for name, zero in _temps(population.plan):
+            population.now[name].fill(zero)
     if world.detail is not None:
         world.detail.observe(world)
     world.backend.begin(world)
+
+
+@lru_cache(64)
+def _temps(plan: SpeciesPlan) -> tuple[tuple[str, float], ...]:
+    """Registers of one step alone, and what they begin with."""
+    return tuple((name, register.zero) for name, register in plan.registers.items() if register.role == "temp")
 
 
 def decide(world: World) -> None:
@@ -90,8 +95,9 @@ def effects(world: World) -> None:
 
 def _settle(phase: str, world: World) -> None:
     """What is asked and settled in a phase, by the rows; what settles several is called once."""
-    for settle in dict.fromkeys(SETTLES[op] for op in settled_in(phase)):
-        settle(world)
+    if any(population.effects.asked for population in world.populations.values()):
+        for settle in dict.fromkeys(SETTLES[op] for op in settled_in(phase)):
+            settle(world)
 
 
 def fields(world: World) -> None:
@@ -131,23 +137,24 @@ def bear(world: World) -> None:
 
 def commit(world: World) -> None:
     """What was written in this step becomes the state that agents see in the next."""
+    world.frame, world.stepping = world.shown, False
+    by_place = (world.frame - world.setting.first_frame - 1) % _SORT_EVERY == 0  # after the first step, too
     for population in world.populations.values():
         start, now = population.start, population.now
-        changed = [(start[name], array) for name, array in now.items() if start[name] is not array]
-        compiled.in_parts(partial(_copied, changed), len(population), world.options.threads, _COPIED)
         for name in population.events:
             population.events[name], population.raised[name] = population.raised[name], population.events[name]
             population.raised[name].fill(False)
-    world.frame, world.stepping = world.shown, False
-    if (world.frame - world.setting.first_frame - 1) % _SORT_EVERY == 0:  # after the first step, too
-        for population in world.populations.values():
-            if len(population) >= _SORT_FROM:
-                select_rows(population, _by_place(population))
+        if by_place and len(population) >= _SORT_FROM:
+            begin_anew(population, _by_place(population))
+            continue
+        changed = [(start[name], array) for name, array in now.items() if start[name] is not array]
+        compiled.in_parts(partial(_copied, changed), len(population), world.options.threads, _COPIED)
 
 
 def _copied(pairs: list[tuple[NDArray[Any], NDArray[Any]]], begin: int, end: int) -> None:
+    part = slice(begin, end)
     for to, array in pairs:
-        np.copyto(to[begin:end], array[begin:end])
+        to[part] = array[part]
 
 
 def _by_place(population: Population) -> NDArray[np.intp]:

@@ -70,6 +70,11 @@ class Effects:
     faults: list[FaultEntry] = field(default_factory=list)
     asked: dict[str, list[Asked]] = field(default_factory=dict)  # by the op of the effect
 
+    @property
+    def open(self) -> bool:
+        """Whether something that was asked, claimed or given waits to be settled."""
+        return bool(self.asked or self.claims or self.gives)
+
     def ask(self, entry: Asked) -> None:
         self.asked.setdefault(entry.request.op, []).append(entry)
 

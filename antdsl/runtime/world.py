@@ -307,6 +307,25 @@ def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     """Keep these rows, in this order."""
+    _pick(population, rows)
+    _remake(population, lambda array, _: roomy_rows(array, rows))
+
+
+def begin_anew(population: Population, rows: NDArray[np.intp]) -> None:
+    """What has been written becomes what everybody sees, with the rows in another order. Registers stay in their arrays."""
+    start, now = population.start, population.now
+    _pick(population, rows)
+    for name, array in now.items():
+        if start[name] is array:
+            start[name] = now[name] = roomy_rows(array, rows)
+        else:
+            array.take(rows, out=start[name], mode="clip")
+            array[:] = start[name]
+    population.version += 1
+
+
+def _pick(population: Population, rows: NDArray[np.intp]) -> None:
+    """These rows of all but the registers, in this order."""
     population.reordered = (population.ids, rows)
     population.ids, population.born = population.ids.take(rows), population.born.take(rows)
     population.quarantined, population.position = population.quarantined.take(rows), _picked(population.position, rows)
@@ -315,7 +334,6 @@ def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     for table in (population.events, population.raised):
         for name, array in table.items():
             table[name] = array.take(rows)
-    _remake(population, lambda array, _: roomy_rows(array, rows))
 
 
 def _picked(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:

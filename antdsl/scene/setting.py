@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -287,7 +286,7 @@ class Setting:
     @property
     def dt(self) -> float:
         """Seconds a step."""
-        return _seconds(self.fps)
+        return self.fps.denominator / self.fps.numerator  # asked for many times a step: a Fraction takes ten times as long
 
     @property
     def begun_with(self) -> dict[str, frozenset[str]]:
@@ -296,9 +295,3 @@ class Setting:
         for crowd in self.crowds:
             found[crowd.species] = found.get(crowd.species, frozenset()) | crowd.place.values.keys()
         return found
-
-
-@lru_cache(64)
-def _seconds(fps: Fraction) -> float:
-    """Of one frame; asked for many times a step."""
-    return float(1 / fps)

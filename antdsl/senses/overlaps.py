@@ -32,8 +32,9 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
     if compiled.wanted(len(x)) and far < widest * _ALONG:
         from antdsl.senses.overlaps_compiled import worst as looked_through
 
-        lists, others = np.full(1 << len(x).bit_length(), -1, np.int32), np.empty(len(x), np.int32)
-        if looked_through(x, y, z, radius, 2 * widest * _WIDER, _CROWDED * _LISTS * len(x), lists, others, worst):
+        # four to eight lists an agent: few cells fall together in one
+        lists, others = np.full(4 << len(x).bit_length(), -1, np.int32), np.empty(len(x), np.int32)
+        if looked_through(x, y, z, radius, 4 * widest * _WIDER, _CROWDED * _LISTS * len(x), lists, others, worst):
             return worst
         worst.fill(0)
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & np.isfinite(radius))

@@ -12,7 +12,7 @@ from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.machine_code.memory import has_room, roomy, roomy_rows
 from antdsl.numerics import compiled
-from antdsl.runtime import Options, bind, motion_measures, state_hash, step
+from antdsl.runtime import Options, bind, claims, motion_measures, state_hash, step
 from antdsl.runtime.world import select_rows
 from antdsl.senses.overlaps import worst_overlaps
 from tests.compilers import need_llvmlite
@@ -39,6 +39,22 @@ def test_every_half_chord_near_a_bin_is_counted_where_numpy_counts_it():
     wanted = motion_measures._bin_of(motion_measures._angle(half))
     assert np.array_equal(np.searchsorted(least[1:-1], half, side="right"), wanted)
     assert (first[(half * np.float32(4096)).astype(np.int64)] <= wanted).all()
+
+
+def test_claims_are_served_as_numpy_serves_them(by_kernels):
+    rng = np.random.default_rng(4)
+    for count in (1, 2, 9, 300):
+        item = np.sort(rng.integers(0, 40, count))
+        change = rng.choice([0.0, 0.25, 1.0, 1.0, 3.0, np.nan, np.inf], count, p=[0.1, 0.3, 0.2, 0.2, 0.16, 0.02, 0.02])
+        found = []
+        for fast in (False, True):
+            by_kernels(fast)
+            rest = np.random.default_rng(5).random(40) * 8
+            asks = claims._Asks(change, np.zeros(count, bool), np.zeros(count, np.float32), np.zeros(count, bool), 0.0)
+            found.append((claims._served(rest, item, asks), rest))
+        (got, rest), (own, left) = found
+        assert np.array_equal(bits(got), bits(own)) and np.array_equal(bits(rest), bits(left))
+        assert count < 300 or ((got >= 0).any() and (got < 0).any())
 
 
 def flock(count):

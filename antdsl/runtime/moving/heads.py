@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.world import Population, World
+from antdsl.numerics import vectors as vec
+from antdsl.runtime.world import AXES, Population, World
 
 RAISED = 0.1  # of a body: how high its middle is over the feet, unless its clearance is more
 DEEP = 0.1  # of a body: a head that is no deeper inside but touches
@@ -18,16 +19,18 @@ def heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
     inside where a surface lies between the two, or where it is in a solid, and more than a tenth of a body behind that."""
     now = population.now
     size = now["size"].astype(np.float64)
-    up, heading = population.vector("up"), population.vector("heading")
-    high = np.maximum(RAISED * size, now["clearance"])[:, None]
-    middle = population.position + (up + population.normal) * (high / 2)
-    ahead = heading * (size / 2)[:, None]
+    high = np.maximum(RAISED * size, now["clearance"])
+    middle, ahead = np.empty((2, 3, len(population)))
+    for k, axis in enumerate(AXES):
+        upright = now[f"up.{axis}"].astype(np.float64) + population.normal[:, k]
+        middle[k] = population.position[:, k] + upright * (high / 2)
+        ahead[k] = now[f"heading.{axis}"] * (size / 2)
     found = np.zeros(len(population), np.bool_)
     meshes = world.ground.meshes
     if meshes is not None:
-        met, part, footing = meshes.met(middle, ahead, world.options.threads)
-        beyond = np.abs((ahead * meshes.normal(footing)).sum(axis=1)) * (1 - part)
-        found = met & (beyond > DEEP * size)
+        which, part, normal = meshes.faced(middle.T, ahead.T, world.options.threads)
+        beyond = np.abs(vec.dot(ahead.take(which, axis=1), normal)) * (1 - part)
+        found[which] = beyond > DEEP * size.take(which)
     for volume in world.solids.values():
-        found |= volume.sample(middle + ahead) < -DEEP * size
+        found |= volume.sample((middle + ahead).T) < -DEEP * size
     return found
