@@ -287,13 +287,7 @@ class Tables:
         if what == "block":
             count = int(str(key[3]))
             return lambda world, population: lies.of(key, world.fields[name].cells.nearest(count))
-        axis = AXES.index(str(what))
-
-        def along(world: World, population: Population) -> int:
-            places = world.fields[name].seen_places
-            return lies.of(key, places) + axis * places.strides[0]
-
-        return along
+        return lambda world, population: lies.of(key, world.fields[name].seen_places)
 
     def _copy(self, key: Key) -> Copy:
         """What stands for a key of this species."""
