@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code.emitter import Emitter
+from antdsl.machine_code.fours import quadruples
 from antdsl.machine_code.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.numerics import randomness
 from antdsl.numerics.philox import UNIT
@@ -201,9 +202,8 @@ def _cells_ahead(w: Any, field: str, eights: int) -> Lanes:
 
 def _fetch(e: Emitter, array: Lanes, at: Lanes, size: int) -> None:
     """Have so many bytes of an array from an index on brought into the cache; it may be any."""
-    e.module.declare("llvm.prefetch.p0", "void", ["ptr", "i32", "i32", "i32"])
     place = e.address(array, e.one(f"mul i64 {e.convert(at, I64).name}, {size}", I64), I8)
-    e.do(f"call void @llvm.prefetch.p0(ptr {place.name}, i32 0, i32 3, i32 1)")
+    e.fetch(place.name)
 
 
 def fetch_ahead(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
@@ -230,8 +230,8 @@ def _fetch_around(w: Any, field: str, held: Lanes, places: Lanes, block: Lanes, 
 
 
 def _first_most(e: Emitter, held: Lanes, cells: Lanes, count: int, own: Lanes) -> tuple[Lanes, Lanes]:
-    """The greatest of the amounts in so many cells of a list, and the first cell that has it; 0 and a cell of one's own where none
-    is above 0. What is no number counts as 0."""
+    """The greatest of the amounts in so many cells of a list, and the first cell that has it; 0 and the own cell where none is
+    above 0. What is no number counts as 0."""
     none = e.constant(0.0, F64)
     eights = []
     for first in range(0, count, WIDTH):
@@ -285,7 +285,7 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     small = e.convert(value, F32)
     nothing = ~(small > 0)
     parts = [small]
-    for axis, there in zip(AXES, e.quadruples(places, cell), strict=False):
+    for axis, there in zip(AXES, quadruples(e, places, cell), strict=False):
         mine = e.load(w.base("start", f"position.{axis}"), w.row, F32)
         parts.append(e.where(nothing, mine, there))
     return tuple(parts)
