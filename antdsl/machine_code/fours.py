@@ -19,10 +19,19 @@ def _shuffled(e: Emitter, a: str, b: str, width: int, order: Sequence[int]) -> s
 
 def quadruples(e: Emitter, base: Lanes, index: Lanes) -> list[Lanes]:
     """Of an array of four floats each the four of every lane's index (i32)."""
-    rows = []
-    for lane in range(WIDTH):
-        place = four_at(e, base, e.one(f"extractelement {index.typed}, i64 {lane}", index.kind))
-        rows.append(e.op(f"load {FOUR}, ptr {place.name}, align 4", F32).name)
+    return _columns(
+        e, [four_at(e, base, e.one(f"extractelement {index.typed}, i64 {lane}", index.kind)) for lane in range(WIDTH)]
+    )
+
+
+def quadruples_from(e: Emitter, base: Lanes, index: Lanes) -> list[Lanes]:
+    """Of an array of four floats each the four of eight in a row from a single index on."""
+    first = four_at(e, base, index).name
+    return _columns(e, [Lanes(e, PTR, e.field(first, 16 * lane), one=True) for lane in range(WIDTH)])
+
+
+def _columns(e: Emitter, places: list[Lanes]) -> list[Lanes]:
+    rows = [e.op(f"load {FOUR}, ptr {place.name}, align 4", F32).name for place in places]
     a, b, c, d = (_shuffled(e, rows[k], rows[k + 4], 4, range(8)) for k in range(4))
     low, high = (0, 8, 1, 9, 4, 12, 5, 13), (2, 10, 3, 11, 6, 14, 7, 15)
     halves = [(_shuffled(e, a, b, 8, order), _shuffled(e, c, d, 8, order)) for order in (low, high)]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.fours import four_at, put_quadruples
+from antdsl.machine_code.fours import FOUR, four_at, put_quadruples, quadruples_from
 from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, WIDTH, Lanes, Module
 from antdsl.machine_code.memory import address
 from antdsl.numerics import compiled
@@ -123,14 +123,16 @@ def _sort(w: Writer) -> None:
         cursor = e.address(starts, e.one(f"add i64 {key.name}, 1", I64), I32)
         small = e.get(cursor.name, I32, one=True)
         e.put(cursor.name, e.one(f"add i32 {small.name}, 1", I32))
-        to = e.convert(small, I64)
-        four = four_at(e, w.base("places"), small)
-        for k, axis in enumerate(AXES):
-            value = e.load_one(w.base(axis), at, F32)
-            e.put(e.address(w.base(f"sorted {axis}"), to, F32).name, value)
-            e.put(e.field(four.name, 4 * k), value)
-        e.put(e.field(four.name, 12), e.convert(at, I32))
+        four = f"{FOUR} poison"
+        values = [e.load_one(w.base(axis), at, F32) for axis in AXES]
+        for k, value in enumerate((*values, e.one(f"bitcast i32 {e.convert(at, I32).name} to float", F32))):
+            four = e.op(f"insertelement {four}, {value.typed}, i64 {k}", F32).name
+            four = f"{FOUR} {four}"
+        e.do(f"store {four}, ptr {four_at(e, w.base('places'), small).name}, align 4")
         e.put(e.address(w.base("at"), at, I32).name, small)
+    with e.loop(rows, WIDTH) as at:  # there is room behind the last one
+        for axis, value in zip(AXES, quadruples_from(e, w.base("places"), at), strict=False):
+            e.store(w.base(f"sorted {axis}"), at, value)
 
 
 def _beside(w: Writer) -> None:
