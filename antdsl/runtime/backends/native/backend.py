@@ -152,9 +152,10 @@ class NativeBackend(NumpyBackend):
         if key not in self._widest:
             self._widest[key] = _guessed(world, population, other, [chosen.args[0] for chosen in near.sets])
         widest = self._widest[key]
-        for name in (*PLACE, *" ".join(near.beside).split()):
+        for name in PLACE:
             self._rooms.moved(other, name, start=True)
-        return self._grids.of(world, other, widest if widest > 0 else 1.0, near.beside)
+        beside = [(names, [self._rooms.moved(other, name, start=True)[1] for name in names.split()]) for names in near.beside]
+        return self._grids.of(world, other, widest if widest > 0 else 1.0, beside)
 
 
 def _guessed(world: World, population: Population, other: Population, radii: list[ir.Node]) -> float:

@@ -163,21 +163,19 @@ class _Sorted:
         self.count, self.tables = count, tables
         self._laid: dict[str, tuple[int, NDArray[np.int64]]] = {}  # the step that registers are of, addresses
 
-    def lay(self, names: str, start: Mapping[str, NDArray[Any]], step: int, run: Callable[[int], None]) -> None:
-        """Have registers put in order, once a step; `run` does so with a table of addresses."""
-        known, table = self._laid.get(names, (-1, np.zeros(len(_COLUMNS), np.int64)))
+    def lay(self, names: str, columns: list[int], step: int) -> int:
+        """The address of the table that registers are put in order with, given theirs; 0 where that was done in this step."""
+        known, table = self._laid.get(names, (-1, _NO_KEYS))
         if known == step:
-            return
+            return 0
         if known < 0:
-            self.tables = {**self.tables, names: np.zeros((self.count + WIDTH, 4), np.float32)}
-        columns = [start[name] for name in names.split()]
-        for each in columns:
-            _with_room(each)
-        columns += columns[:1] * (4 - len(columns))
-        arrays = (self.tables["at"], self.tables["whole"], *columns, self.tables[names])
-        table[:] = [address(each) for each in arrays if each is not None]
+            table, laid = np.zeros(len(_COLUMNS), np.int64), np.zeros((self.count + WIDTH, 4), np.float32)
+            self.tables = {**self.tables, names: laid}
+            arrays = (self.tables["at"], self.tables["whole"], laid)
+            table[[0, 1, -1]] = [address(each) for each in arrays if each is not None]
         self._laid[names] = step, table
-        run(address(table))
+        table[2:-1] = columns + columns[:1] * (4 - len(columns))
+        return address(table)
 
 
 class _Crowd(_Sorted):
@@ -244,9 +242,9 @@ class Grids:
         for key in [key for key, each in self._kept.items() if self._step - each.asked > _UNUSED]:
             del self._kept[key]
 
-    def of(self, world: World, other: Population, cell: float, beside: Sequence[str] = ()) -> Arrays:
-        """What a search is run with, of cells that suit a radius; `beside`: names of up to four registers each that are wanted in
-        the order of the cells."""
+    def of(self, world: World, other: Population, cell: float, beside: Sequence[tuple[str, list[int]]] = ()) -> Arrays:
+        """What a search is run with, of cells that suit a radius; `beside`: up to four registers each that are wanted in the
+        order of the cells, by their names, and where they lie, with room."""
         size = float(np.ceil(4 * np.log2(cell))) if len(other) > _FEW else np.inf
         for wider in range(_COARSER + 1):
             found = self._found.get((other.name, size + wider))
@@ -255,8 +253,9 @@ class Grids:
         if found is None:
             found = self._sorted(world, other, size) or _Sorted(len(other), grid_for(world, other, cell).tables)
             self._found[other.name, size] = found
-        for names in beside:
-            found.lay(names, other.start, self._step, lambda table: self._in_parts(world, "grid.beside", table, len(other)))
+        for names, columns in beside:
+            if table := found.lay(names, columns, self._step):
+                self._in_parts(world, "grid.beside", table, len(other))
         return found.tables
 
     def _in_parts(self, world: World, name: str, table: int, count: int) -> None:
