@@ -60,7 +60,7 @@ class PheromoneField:
 
     @property
     def seen_places(self) -> NDArray[np.float32]:
-        """Places of cells as agents see them, float32[3, cells + 1], the last one for no cell."""
+        """Places of cells as agents see them, x, y, z and 0 side by side, float32[cells + 1, 4], the last one for no cell."""
         return self._seen
 
     @property
@@ -82,7 +82,7 @@ class PheromoneField:
                 self.__dict__.pop(name, None)
         elif "_places" in self.__dict__:
             self._places[:, new] = self.cells.position[new].T
-            self._seen[:, new] = self._places[:, new]
+            self._seen[new, :3] = self._places[:, new].T
         self.__dict__.pop("_laplacian", None)
 
     @property
@@ -202,7 +202,7 @@ class PheromoneField:
         """
         find = self._strongest_compiled if compiled.wanted(np.size(cells)) else self._strongest
         best, value = find(np.asarray(cells), self._block(k))
-        x, y, z = (place.take(best) for place in self._seen)
+        x, y, z = (self._seen[:, k].take(best) for k in range(3))
         return value.astype(np.float32), x, y, z
 
     def _strongest(self, cells: NDArray[np.integer[Any]], block: Cells) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -275,8 +275,10 @@ class PheromoneField:
 
     @cached_property
     def _seen(self) -> NDArray[np.float32]:
-        """Positions as agents see them: `_places` in float32."""
-        return np.ascontiguousarray(self._places, np.float32)
+        """Positions as agents see them: `_places` in float32, one cell after the other."""
+        seen = np.zeros((len(self.cells) + 1, 4), np.float32)
+        seen[:, :3] = self._places.T
+        return seen
 
     @cached_property
     def _places(self) -> NDArray[np.float64]:

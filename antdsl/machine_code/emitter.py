@@ -295,29 +295,6 @@ class Emitter:
         self.module.declare("llvm.vector.reduce.smax.v8i32", I32, [f"<{WIDTH} x i32>"])
         return self.one(f"call i32 @llvm.vector.reduce.smax.v8i32({value.typed})", I32)
 
-    def quadruples(self, base: Lanes, index: Lanes) -> list[Lanes]:
-        """Of an array of four floats each the four of every lane's index (i32)."""
-        rows = []
-        for lane in range(WIDTH):
-            at = self.one(f"extractelement {index.typed}, i64 {lane}", index.kind)
-            wide = self.convert(at, I64)
-            place = self.one(f"getelementptr <4 x float>, ptr {base.name}, i64 {wide.name}", PTR)
-            rows.append(self.op(f"load <4 x float>, ptr {place.name}, align 4", F32).name)
-
-        def shuffled(a: str, b: str, width: int, order: tuple[int, ...]) -> str:
-            text = ", ".join(f"i32 {k}" for k in order)
-            type = f"<{width} x float>"
-            return self.op(f"shufflevector {type} {a}, {type} {b}, <{len(order)} x i32> <{text}>", F32).name
-
-        a, b, c, d = (shuffled(rows[k], rows[k + 4], 4, (0, 1, 2, 3, 4, 5, 6, 7)) for k in range(4))
-        low, high = (0, 8, 1, 9, 4, 12, 5, 13), (2, 10, 3, 11, 6, 14, 7, 15)
-        halves = [(shuffled(a, b, 8, order), shuffled(c, d, 8, order)) for order in (low, high)]
-        even, odd = (0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15)
-        found = []
-        for x, y in halves:
-            found += [Lanes(self, F32, shuffled(x, y, 8, order)) for order in (even, odd)]
-        return found
-
     def permuted(self, value: Lanes, order: Lanes) -> Lanes:
         """Of each lane the value of the lane that an i32 of 0 to 7 names."""
         if value.constant:
@@ -363,6 +340,11 @@ class Emitter:
         before = self.op(f"load <{WIDTH} x {value.kind}>, ptr {place.name}, align 1", value.kind)
         chosen = self.op(f"select {mask.typed}, {self.splat(value).typed}, {before.typed}", value.kind)
         self.do(f"store {chosen.typed}, ptr {place.name}, align 1")
+
+    def fetch(self, place: str) -> None:
+        """Have what lies at an address, which may be any, brought into the cache."""
+        self.module.declare("llvm.prefetch.p0", "void", [PTR, "i32", "i32", "i32"])
+        self.do(f"call void @llvm.prefetch.p0(ptr {place}, i32 0, i32 3, i32 1)")
 
     def load_one(self, base: Lanes, index: Lanes, kind: str) -> Lanes:
         place = self.address(base, index, I8 if kind == BOOL else kind)

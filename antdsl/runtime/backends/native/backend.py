@@ -15,6 +15,7 @@ from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.native import listing
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays, Grids
+from antdsl.runtime.backends.native.near import PLACE
 from antdsl.runtime.backends.native.programs import Facts, program
 from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, known
 from antdsl.runtime.backends.native.runner import Block
@@ -151,9 +152,10 @@ class NativeBackend(NumpyBackend):
         if key not in self._widest:
             self._widest[key] = _guessed(world, population, other, [chosen.args[0] for chosen in near.sets])
         widest = self._widest[key]
-        for axis in AXES:
-            self._rooms.moved(other, f"position.{axis}", start=True)
-        return self._grids.of(world, other, widest if widest > 0 else 1.0)
+        for name in PLACE:
+            self._rooms.moved(other, name, start=True)
+        beside = [(names, [self._rooms.moved(other, name, start=True)[1] for name in names.split()]) for names in near.beside]
+        return self._grids.of(world, other, widest if widest > 0 else 1.0, beside)
 
 
 def _guessed(world: World, population: Population, other: Population, radii: list[ir.Node]) -> float:

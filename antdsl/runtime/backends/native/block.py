@@ -76,10 +76,12 @@ class Writer:
 
 @dataclass(slots=True, eq=False)
 class Near:
-    """Reductions over neighbours of one species that are found in one search; `sets` are theirs."""
+    """Reductions over neighbours of one species that are found in one search; `sets` are theirs, `beside` names of others'
+    registers, up to four in a text, that are wanted in the order of the cell grid."""
 
     species: str
     sets: list[ir.Node]
+    beside: list[str]
 
 
 @dataclass(slots=True, eq=False)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from antdsl.machine_code.emitter import Emitter
@@ -124,19 +122,28 @@ class Rows:
         widest = e.where(self.usable & np.isfinite(self.widest), self.widest, e.constant(0.0, F32))
         e.store(place, zero, e.meaning(np.fmax, e.load(place, zero, F32), widest))
 
-    def each(self, do: Callable[[Lanes, Lanes], None]) -> None:
-        """Emit `do` for each row of cells: where its agents begin in the grid's order, and how many may be in reach, i32."""
-        e, cells, nothing = self.e, self.cells, self.e.constant(0, I32)
-        deep, tall = (
-            e.convert(e.greatest(e.where(self.usable, z - a, nothing) + 1), I64)
-            for a, z in ((self.c0, self.c1), (self.b0, self.b1))
+    def many(self) -> Lanes:
+        """How many rows `following` gives before it comes to the end, i64; from here on the first one comes first."""
+        e, nothing = self.e, self.e.constant(0, I32)
+        self._deep, self._tall = e.slot(I32, one=True), e.slot(I32, one=True)
+        for slot in (self._deep, self._tall):
+            e.put(slot, e.constant(0, I32, one=True))
+        deep, self._most = (
+            e.greatest(e.where(self.usable, z - a, nothing) + 1) for a, z in ((self.c0, self.c1), (self.b0, self.b1))
         )
-        with e.loop(deep) as j:
-            cz = self.c0 + e.convert(e.splat(j), I32)
-            with e.loop(tall) as i:
-                cy = self.b0 + e.convert(e.splat(i), I32)
-                within = self.usable & (cy <= self.b1) & (cz <= self.c1) & (self.a0 <= self.a1)
-                do(*cells.between(cz, cy, self.a0, self.a1, within))
+        return e.convert(e.one(f"mul i32 {deep.name}, {self._most.name}", I32), I64)
+
+    def following(self) -> tuple[Lanes, Lanes]:
+        """The next row of cells: where its agents begin in the grid's order, and how many may be in reach, i32."""
+        e = self.e
+        deep, tall = e.get(self._deep, I32, one=True), e.get(self._tall, I32, one=True)
+        cz, cy = self.c0 + e.splat(deep), self.b0 + e.splat(tall)
+        next_one = e.one(f"add i32 {tall.name}, 1", I32)
+        over = e.one(f"icmp sge i32 {next_one.name}, {self._most.name}", BOOL)
+        e.put(self._tall, e.one(f"select i1 {over.name}, i32 0, {next_one.typed}", I32))
+        e.put(self._deep, e.one(f"add i32 {deep.name}, {e.one(f'zext i1 {over.name} to i32', I32).name}", I32))
+        within = self.usable & (cy <= self.b1) & (cz <= self.c1) & (self.a0 <= self.a1)
+        return self.cells.between(cz, cy, self.a0, self.a1, within)
 
 
 def write_down(e: Emitter, buffer: Lanes, total: str, numbers: Lanes, inside: Lanes) -> None:

@@ -96,8 +96,9 @@ class _Crowd:
         limit = (search.widest * search.widest) * np.float32(BEYOND) + np.float32(1e-30)
         columns = [w.base("grid", self.near.number, axis) for axis in AXES]
 
-        def through(first: Lanes, number: Lanes) -> None:
-            begin, count = (e.convert(e.one(f"extractelement {each.typed}, i64 0", I32), I64) for each in (first, number))
+        with e.loop(search.many()):
+            row = search.following()
+            begin, count = (e.convert(e.one(f"extractelement {each.typed}, i64 0", I32), I64) for each in row)
             with e.loop(count, WIDTH) as k:
                 at = e.one(f"add i64 {begin.name}, {k.name}", I64)
                 there = (e.splat(k) + e.iota()) < e.splat(count)
@@ -105,8 +106,6 @@ class _Crowd:
                 square = (dx * dx + dy * dy) + dz * dz
                 numbers = e.splat(e.convert(at, I32)) + e.convert(e.iota(), I32)
                 write_down(e, self.buffer, self.total, numbers, there & (square <= limit))
-
-        search.each(through)
         count = e.get(self.total, I64, one=True)
         self._end(count)
         self.keys = e.address(self.buffer, e.one(f"add i64 {count.name}, {WIDTH}", I64), I32)

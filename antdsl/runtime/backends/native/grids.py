@@ -6,14 +6,15 @@ place (D. E. Knuth, The Art of Computer Programming 3, 5.2)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
+from antdsl.machine_code.fours import FOUR, four_at, put_quadruples, quadruples_from
+from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, WIDTH, Lanes, Module
 from antdsl.machine_code.memory import address
 from antdsl.numerics import compiled
 from antdsl.runtime.backends.native.block import Writer
@@ -22,9 +23,10 @@ from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.neighbours import Shape
 
-NAMES = ("grid.bounds", "grid.keys", "grid.sort")
+NAMES = ("grid.bounds", "grid.keys", "grid.sort", "grid.beside")
 _LAST = ("places", "bounds", "whole", "at")
 _KEYS = ("numbers", "x", "y", "z", "keys", "starts", "sorted x", "sorted y", "sorted z", *_LAST)
+_COLUMNS = ("at", "whole", "0", "1", "2", "3", "beside")
 _AGAIN = 64  # searches of a crowd after which it is asked anew whether it lies in one sheet
 _FEW = 128  # agents; among fewer the cells of an agent are no fewer to go through than all others
 _UNUSED = 16  # steps after which arrays of a size of cells that nobody asks for are let go
@@ -40,8 +42,10 @@ Arrays = Mapping[str, NDArray[Any] | None]
 def write(module: Module) -> None:
     """The functions of the sort."""
     layout = Layout({(name,): k for k, name in enumerate(_KEYS)})
-    for name, made in zip(NAMES, (_bounds, _keys, _sort), strict=True):
-        w = Writer(module, layout)
+    beside = Layout({(name,): k for k, name in enumerate(_COLUMNS)})
+    writers = ((_bounds, layout), (_keys, layout), (_sort, layout), (_beside, beside))
+    for name, (made, of) in zip(NAMES, writers, strict=True):
+        w = Writer(module, of)
         made(w)
         module.functions[name] = w.function(name)
 
@@ -119,14 +123,29 @@ def _sort(w: Writer) -> None:
         cursor = e.address(starts, e.one(f"add i64 {key.name}, 1", I64), I32)
         small = e.get(cursor.name, I32, one=True)
         e.put(cursor.name, e.one(f"add i32 {small.name}, 1", I32))
-        to = e.convert(small, I64)
-        four = e.one(f"getelementptr <4 x float>, ptr {w.base('places').name}, i64 {to.name}", PTR)
-        for k, axis in enumerate(AXES):
-            value = e.load_one(w.base(axis), at, F32)
-            e.put(e.address(w.base(f"sorted {axis}"), to, F32).name, value)
-            e.put(e.field(four.name, 4 * k), value)
-        e.put(e.field(four.name, 12), e.convert(at, I32))
+        four = f"{FOUR} poison"
+        values = [e.load_one(w.base(axis), at, F32) for axis in AXES]
+        for k, value in enumerate((*values, e.one(f"bitcast i32 {e.convert(at, I32).name} to float", F32))):
+            four = e.op(f"insertelement {four}, {value.typed}, i64 {k}", F32).name
+            four = f"{FOUR} {four}"
+        e.do(f"store {four}, ptr {four_at(e, w.base('places'), small).name}, align 4")
         e.put(e.address(w.base("at"), at, I32).name, small)
+    with e.loop(rows, WIDTH) as at:  # there is room behind the last one
+        for axis, value in zip(AXES, quadruples_from(e, w.base("places"), at), strict=False):
+            e.store(w.base(f"sorted {axis}"), at, value)
+
+
+def _beside(w: Writer) -> None:
+    """Four registers side by side, in the order of the cells. Who is in none is written behind the last one."""
+    e = w.e
+    rows = e.op("sub i64 %end, %begin", I64, one=True)
+    behind = e.splat(e.convert(e.load_one(w.base("whole"), e.constant(6, I64, one=True), I64), I32))
+    with e.loop(rows, WIDTH) as offset:
+        row = e.one(f"add i64 %begin, {offset.name}", I64)
+        at = e.load(w.base("at"), row, I32)
+        inside = ((e.splat(offset) + e.iota()) < e.splat(rows)) & (at >= 0)
+        at = e.where(inside, at, behind)
+        put_quadruples(e, w.base("beside"), at, [e.load(w.base(str(k)), row, F32) for k in range(4)])
 
 
 def _with_room(array: NDArray[Any]) -> None:
@@ -136,19 +155,40 @@ def _with_room(array: NDArray[Any]) -> None:
         raise ValueError("machine code reads eight places at once, so that there has to be room behind the last one")
 
 
-class _Crowd:
-    """Arrays that a crowd is sorted with into cells of one size, kept from step to step. `tables` are those of `CellGrid.tables`:
-    another mapping whenever one of them is another array."""
+class _Sorted:
+    """A crowd in the order of cells: `tables` are those of `CellGrid.tables` and registers in that order, [n + 8, 4] by up to
+    four names; another mapping whenever one of them is another array."""
+
+    def __init__(self, count: int, tables: Arrays) -> None:
+        self.count, self.tables = count, tables
+        self._laid: dict[str, tuple[int, NDArray[np.int64]]] = {}  # the step that registers are of, addresses
+
+    def lay(self, names: str, columns: list[int], step: int) -> int:
+        """The address of the table that registers are put in order with, given theirs; 0 where that was done in this step."""
+        known, table = self._laid.get(names, (-1, _NO_KEYS))
+        if known == step:
+            return 0
+        if known < 0:
+            table, laid = np.zeros(len(_COLUMNS), np.int64), np.zeros((self.count + WIDTH, 4), np.float32)
+            self.tables = {**self.tables, names: laid}
+            arrays = (self.tables["at"], self.tables["whole"], laid)
+            table[[0, 1, -1]] = [address(each) for each in arrays if each is not None]
+        self._laid[names] = step, table
+        table[2:-1] = columns + columns[:1] * (4 - len(columns))
+        return address(table)
+
+
+class _Crowd(_Sorted):
+    """Arrays that a crowd is sorted with into cells of one size, kept from step to step."""
 
     def __init__(self, count: int) -> None:
-        self.count = count
         self.bounds, self._numbers, self._table = np.zeros(7), np.zeros(9), np.zeros(len(_KEYS), np.int64)
         self._keys = np.zeros(count + WIDTH, np.int32)
         self.floats, self.whole = np.zeros(9), np.zeros(8, np.int64)
         own: dict[str, NDArray[Any]] = {axis: np.zeros(count + WIDTH, np.float32) for axis in AXES}
         own |= {"places": np.zeros((count + WIDTH, 4), np.float32), "floats": self.floats, "whole": self.whole, "keys": _NO_KEYS}
         own["at"] = np.zeros(count + WIDTH, np.int32)
-        self.tables: dict[str, NDArray[Any]] = own | {"starts": np.zeros(0, np.int32)}
+        super().__init__(count, own | {"starts": np.zeros(0, np.int32)})
         self._places: list[NDArray[np.float32]] = []
         self._lies: list[int] = []
         self.asked = 0  # the last step in which somebody did
@@ -170,7 +210,7 @@ class _Crowd:
         """Cells for it."""
         many = shape.cells + 2
         starts = self.tables["starts"]
-        if len(starts) < many + WIDTH:
+        if starts is None or len(starts) < many + WIDTH:
             starts = np.zeros(many + (many >> 3) + WIDTH, np.int32)
             self.tables = {**self.tables, "starts": starts}
             self._table[5] = address(starts)
@@ -190,7 +230,7 @@ class Grids:
     """Sorts crowds into cells; arrays are kept from step to step."""
 
     functions: Callable[[str], Callable[[int, int, int], None]]
-    _found: dict[tuple[str, float], Arrays] = field(default_factory=dict)  # of this step
+    _found: dict[tuple[str, float], _Sorted] = field(default_factory=dict)  # of this step
     _kept: dict[tuple[str, float], _Crowd] = field(default_factory=dict)
     _step: int = 0
     _sheets: dict[str, tuple[int, int, bool]] = field(default_factory=dict)  # agents, searches since, whether
@@ -202,19 +242,35 @@ class Grids:
         for key in [key for key, each in self._kept.items() if self._step - each.asked > _UNUSED]:
             del self._kept[key]
 
-    def of(self, world: World, other: Population, cell: float) -> Arrays:
-        """What a search is run with, of cells that suit a radius."""
+    def of(self, world: World, other: Population, cell: float, beside: Sequence[tuple[str, list[int]]] = ()) -> Arrays:
+        """What a search is run with, of cells that suit a radius; `beside`: up to four registers each that are wanted in the
+        order of the cells, by their names, and where they lie, with room."""
         size = float(np.ceil(4 * np.log2(cell))) if len(other) > _FEW else np.inf
         for wider in range(_COARSER + 1):
             found = self._found.get((other.name, size + wider))
             if found is not None:
-                return found
-        found = self._found[other.name, size] = self._sorted(world, other, size) or grid_for(world, other, cell).tables
-        return found
+                break
+        if found is None:
+            found = self._sorted(world, other, size) or _Sorted(len(other), grid_for(world, other, cell).tables)
+            self._found[other.name, size] = found
+        for names, columns in beside:
+            if table := found.lay(names, columns, self._step):
+                self._in_parts(world, "grid.beside", table, len(other))
+        return found.tables
 
-    def _sorted(self, world: World, other: Population, size: float) -> Arrays | None:
-        """The arrays of `CellGrid.tables`; None where NumPy has to sort: where some are without a place, and of a crowd so far
-        apart that its cells are not listed."""
+    def _in_parts(self, world: World, name: str, table: int, count: int) -> None:
+        """Call a function for so many rows, by several threads where that pays."""
+        function, threads = self.functions(name), world.options.threads if count >= _PARTED else 1
+        if threads > 1:
+            part = -(-count // (WIDTH * threads)) * WIDTH
+            parts = [(begin, min(begin + part, count)) for begin in range(0, count, part)]
+            list(compiled.workers(threads).map(lambda each: function(table, *each), parts))
+        else:
+            function(table, 0, count)
+
+    def _sorted(self, world: World, other: Population, size: float) -> _Crowd | None:
+        """None where NumPy has to sort: where some are without a place, and of a crowd so far apart that its cells are not
+        listed."""
         count = len(other)
         crowd = self._kept.get((other.name, size))
         if crowd is None or crowd.count != count:
@@ -222,23 +278,17 @@ class Grids:
         crowd.asked = self._step
         places = [other.start[f"position.{axis}"] for axis in AXES]
         crowd.at(places)
-        bounds, number, sort = (self.functions(name) for name in NAMES)
+        bounds, sort = self.functions("grid.bounds"), self.functions("grid.sort")
         bounds(crowd.address, 0, count)
         *corners, good = crowd.bounds.tolist()
         shape = self._shape(other, places, corners, size) if good and count else None
         if shape is None:
             return None
         crowd.shaped(shape)
-        threads = world.options.threads if count >= _PARTED else 1
-        if threads > 1:
-            part = -(-count // (WIDTH * threads)) * WIDTH
-            parts = [(begin, min(begin + part, count)) for begin in range(0, count, part)]
-            list(compiled.workers(threads).map(lambda each: number(crowd.address, *each), parts))
-        else:
-            number(crowd.address, 0, count)
+        self._in_parts(world, "grid.keys", crowd.address, count)
         crowd.numbered()
         sort(crowd.address, 0, count)
-        return crowd.tables
+        return crowd
 
     def _shape(self, other: Population, places: list[NDArray[np.float32]], corners: list[float], size: float) -> Shape | None:
         """Cells of a crowd in a box between two corners, one for all of very few agents; None where there would be too many."""

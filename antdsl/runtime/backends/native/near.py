@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from antdsl.machine_code.lanes import I32, I64, PTR, WIDTH, Lanes
+from antdsl.machine_code.fours import four_at, quadruples
+from antdsl.machine_code.lanes import I32, I64, WIDTH, Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.layout import KINDS
@@ -29,7 +30,7 @@ class Search:
     view: dict[ir.Node, int] = field(default_factory=dict)
     places: dict[ir.Node, int] = field(default_factory=dict)
     stops: dict[ir.Node, int] = field(default_factory=dict)  # sets of which too many are told, and where among the results
-    beside: list[str] = field(default_factory=list)  # others' registers that are laid side by side, four and four
+    beside: list[str] = field(default_factory=list)  # others' registers that lie in the grid's order, up to four in a text
 
 
 @dataclass(slots=True, eq=False)
@@ -63,14 +64,15 @@ class Found:
             return self.ids()
         if node.attrs[0] in PLACE:
             return self.place[PLACE.index(node.attrs[0])]
-        beside = self.near.beside
-        if node.attrs[0] in beside:
-            block, part = divmod(beside.index(node.attrs[0]), 4)
-            names = tuple(beside[4 * block : 4 * block + 4])
-            base = self.w.base("beside", self.near.other, *names)
-            found: Lanes = self.w.e.once(("beside", block, self.rows.name), lambda: self.w.e.quadruples(base, self._rows()))[part]
-            return found
+        for names in self.near.beside:
+            if node.attrs[0] in names.split():
+                return self._beside(names)[names.split().index(node.attrs[0])]
         return self.w.e.gather(self.w.base("other", self.near.other, node.attrs[0]), self._rows(), KINDS[node.kind])
+
+    def _beside(self, names: str) -> list[Lanes]:
+        e, base = self.w.e, self.w.base("grid", self.near.number, names)
+        found: list[Lanes] = e.once((names, self.rows.name), lambda: quadruples(e, base, self.at))
+        return found
 
     def _rows(self) -> Lanes:
         """Others' rows, each read by itself: as addresses they are wanted one by one, which is slow out of eight."""
@@ -79,8 +81,8 @@ class Found:
         def make() -> Lanes:
             value = f"<{WIDTH} x i32> poison"
             for lane in range(WIDTH):
-                at = e.convert(e.one(f"extractelement {self.at.typed}, i64 {lane}", I32), I64)
-                four = e.one(f"getelementptr <4 x float>, ptr {places.name}, i64 {at.name}", PTR)
+                at = e.one(f"extractelement {self.at.typed}, i64 {lane}", I32)
+                four = four_at(e, places, at)
                 value = e.op(
                     f"insertelement {value}, {e.get(e.field(four.name, 12), I32, one=True).typed}, i64 {lane}", I32
                 ).typed
@@ -93,6 +95,6 @@ class Found:
 def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lanes) -> Found:
     """Others at places in the grid, as seen from places of the asking agents."""
     e = w.e
-    *others, rows = e.quadruples(w.base("grid", near.number, "places"), at)
+    *others, rows = quadruples(e, w.base("grid", near.number, "places"), at)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
     return Found(w, near, there, at, e.bits(rows, I32), others, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))

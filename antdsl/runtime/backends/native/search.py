@@ -17,6 +17,7 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.machine_code.emitter import Emitter
+from antdsl.machine_code.fours import four_at
 from antdsl.machine_code.lanes import BOOL, F32, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
@@ -33,6 +34,8 @@ from antdsl.runtime.pairs import nearest_asked
 from antdsl.runtime.world import AXES
 
 MOST = limits.NEIGHBOURS  # candidates of one agent that are gone through here, so that the cap leaves out none
+_LINE = 64  # bytes of memory that come together
+_ROWS = 8  # of cells, which are looked up before those in them are gone through
 _LIST = MOST + 2 * WIDTH  # numbers from one agent's list to that of the next
 _TINY, _SLACK = np.float32(1e-30), np.float32(1e-5)
 
@@ -129,8 +132,8 @@ def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
         near.stops = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
         read = needed(arg for node in near.nodes for arg in node.args[1:])
         names = sorted({each.attrs[0] for each in read if each.op == "other" and each.kind is ir.Kind.F32} - {*PLACE})
-        near.beside = names if len(names) > 1 else []
-        b.code.near.append(Near(near.other, list(near.reach)))
+        near.beside = [" ".join(names[k : k + 4]) for k in range(0, len(names), 4)]
+        b.code.near.append(Near(near.other, list(near.reach), near.beside))
     for k, value in enumerate(values):
         e.put(e.field(group.own, STRIDE * k), e.convert(value, I8) if value.kind == BOOL else value)
     if fresh:
@@ -265,43 +268,64 @@ def _candidates(
     too many candidates, whose lists are not gone through."""
     e = w.e
     buffer = w.base("candidates")
-    asked, found, first, number, own_place = (e.slot(I32) for _ in range(5))
-    total = e.slot(I64, one=True)
+    asked, found, number, own_place = (e.slot(I32) for _ in range(4))
+    begins, ends = e.slot(I32, count=_ROWS), e.slot(I32, count=_ROWS)
+    total, numbers = e.slot(I64, one=True), e.slot(I32)
     for slot in (asked, found):
         e.put(slot, e.constant(0, I32))
     if itself is not None:
         e.put(own_place, itself)
     columns = [w.base("grid", near.number, axis) for axis in AXES]
+    fours = [w.base("grid", near.number, each) for each in ("places", *near.beside)]
 
     def each_of(slot: str, lane: Lanes) -> Lanes:
         return e.load_one(Lanes(e, PTR, slot, one=True), lane, I32)
 
-    def through(begin: Lanes, count: Lanes) -> None:
-        sums = e.get(asked, I32) + count
-        e.put(asked, sums)
-        e.put(first, begin)
-        e.put(number, e.where(sums <= MOST, count, e.constant(0, I32)))
-        with e.loop(e.constant(WIDTH, I64, one=True)) as lane:
-            many = e.convert(each_of(number, lane), I64)
-            with e.inside(e.one(f"icmp sgt i64 {many.name}, 0", BOOL)):
-                start = e.convert(each_of(first, lane), I64)
-                test = seen.of(lane)
-                mine = None if itself is None else e.splat(each_of(own_place, lane))
-                own = e.address(buffer, e.one(f"mul i64 {lane.name}, {_LIST}", I64), I32)
-                so_far = e.address(Lanes(e, PTR, found, one=True), lane, I32).name
-                e.put(total, e.convert(e.get(so_far, I32, one=True), I64))
-                with e.loop(many, WIDTH) as k:
-                    at = e.one(f"add i64 {start.name}, {k.name}", I64)
-                    numbers = e.splat(e.convert(at, I32)) + e.convert(e.iota(), I32)
-                    inside = test([e.load(column, at, F32) for column in columns])
-                    left = e.convert(e.one(f"sub i64 {many.name}, {k.name}", I64), I32)
-                    inside = inside & (e.convert(e.iota(), I32) < e.splat(left))
-                    if mine is not None:
-                        inside = inside & (numbers != mine)
-                    write_down(e, own, total, numbers, inside)
-                e.put(so_far, e.convert(e.get(total, I64, one=True), I32))
+    def some(lane: Lanes, rows: Lanes) -> None:
+        """Those of one agent, in some rows of cells."""
+        test = seen.of(lane)
+        mine = None if itself is None else e.splat(each_of(own_place, lane))
+        own = e.address(buffer, e.one(f"mul i64 {lane.name}, {_LIST}", I64), I32)
+        so_far = e.address(Lanes(e, PTR, found, one=True), lane, I32).name
+        e.put(total, e.convert(e.get(so_far, I32, one=True), I64))
+        with e.loop(rows) as row:
+            index = e.one(f"add i64 {e.one(f'shl i64 {row.name}, 3', I64).name}, {lane.name}", I64)
+            begin, end = each_of(begins, index), each_of(ends, index)
+            start, many = e.convert(begin, I64), e.convert(e.one(f"sub i32 {end.name}, {begin.name}", I32), I64)
+            last = e.splat(end)
+            e.put(numbers, e.splat(begin) + e.convert(e.iota(), I32))
+            with e.loop(many, WIDTH) as k:
+                at = e.one(f"add i64 {start.name}, {k.name}", I64)
+                for each in fours:  # for when the list is gone through: eight of them lie in three lines of memory at most
+                    for offset in (0, _LINE, WIDTH * 16 - 4):
+                        e.fetch(e.field(four_at(e, each, at).name, offset))
+                now = e.get(numbers, I32)
+                e.put(numbers, now + WIDTH)
+                inside = test([e.load(column, at, F32) for column in columns]) & (now < last)
+                if mine is not None:
+                    inside = inside & (now != mine)
+                write_down(e, own, total, now, inside)
+        e.put(so_far, e.convert(e.get(total, I64, one=True), I32))
 
-    search.each(through)
+    every = search.many()
+    with e.loop(every, _ROWS) as first:
+        rest = e.one(f"sub i64 {every.name}, {first.name}", I64)
+        rows = e.intrinsic("smin", rest, e.constant(_ROWS, I64, one=True))
+        e.put(number, e.constant(0, I32))
+        with e.loop(rows) as row:
+            begin, count = search.following()
+            sums = e.get(asked, I32) + count
+            e.put(asked, sums)
+            count = e.where(sums <= MOST, count, e.constant(0, I32))
+            e.put(number, e.get(number, I32) | count)
+            at = e.one(f"shl i64 {row.name}, 3", I64)
+            e.store(Lanes(e, PTR, begins, one=True), at, begin)
+            e.store(Lanes(e, PTR, ends, one=True), at, begin + count)
+        with (
+            e.loop(e.constant(WIDTH, I64, one=True)) as lane,
+            e.inside(e.one(f"icmp sgt i32 {each_of(number, lane).name}, 0", BOOL)),
+        ):
+            some(lane, rows)
     counted = e.get(found, I32)
     over = asks & (e.get(asked, I32) > MOST)
     counted = e.where(asks & ~over, counted, e.constant(0, I32))

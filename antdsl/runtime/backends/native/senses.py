@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code.emitter import Emitter
+from antdsl.machine_code.fours import quadruples
 from antdsl.machine_code.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.numerics import randomness
 from antdsl.numerics.philox import UNIT
@@ -16,6 +17,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Lower, Writer
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.moving.obstacle_clearance import may_touch
+from antdsl.runtime.world import AXES
 
 _APART = 4  # of cells around one, which come in the order of their numbers, so many lie about within a line of memory
 
@@ -190,12 +192,6 @@ def _field_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     return found
 
 
-def _greater(e: Emitter, one: Lanes, other: Lanes, then: Lanes, otherwise: Lanes) -> Lanes:
-    """The first of two single values where one number is greater than another, else the second."""
-    more = e.one(f"fcmp ogt double {one.name}, {other.name}", BOOL)
-    return e.one(f"select i1 {more.name}, {then.typed}, {otherwise.typed}", then.kind)
-
-
 def _cells_ahead(w: Any, field: str, eights: int) -> Lanes:
     """The cells of eight agents who come so many turns later; those of now at the end."""
     e: Emitter = w.e
@@ -206,9 +202,8 @@ def _cells_ahead(w: Any, field: str, eights: int) -> Lanes:
 
 def _fetch(e: Emitter, array: Lanes, at: Lanes, size: int) -> None:
     """Have so many bytes of an array from an index on brought into the cache; it may be any."""
-    e.module.declare("llvm.prefetch.p0", "void", ["ptr", "i32", "i32", "i32"])
     place = e.address(array, e.one(f"mul i64 {e.convert(at, I64).name}, {size}", I64), I8)
-    e.do(f"call void @llvm.prefetch.p0(ptr {place.name}, i32 0, i32 3, i32 1)")
+    e.fetch(place.name)
 
 
 def fetch_ahead(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
@@ -219,7 +214,7 @@ def fetch_ahead(w: Any, field: str, array: Lanes, size: int, eights: int = 1) ->
         _fetch(e, array, e.one(f"extractelement {cells.typed}, i64 {lane}", I32), size)
 
 
-def _fetch_around(w: Any, field: str, held: Lanes, block: Lanes, count: int) -> None:
+def _fetch_around(w: Any, field: str, held: Lanes, places: Lanes, block: Lanes, count: int) -> None:
     """Have what lies in the cells around the next eight agents brought into the cache, and which they are of those after them."""
     e: Emitter = w.e
     fetch_ahead(w, field, block, 4 * count, 2)
@@ -229,13 +224,47 @@ def _fetch_around(w: Any, field: str, held: Lanes, block: Lanes, count: int) -> 
         cell = e.convert(e.one(f"extractelement {known.typed}, i64 {lane}", I32), I64)
         around = e.address(block, e.one(f"mul i64 {cell.name}, {count}", I64), I32)
         for k in range(0, count, _APART):
-            _fetch(e, held, e.load_one(around, e.constant(k, I64, one=True), I32), 8)
+            there = e.load_one(around, e.constant(k, I64, one=True), I32)
+            _fetch(e, held, there, 8)
+            _fetch(e, places, there, 16)
+
+
+def _first_most(e: Emitter, held: Lanes, cells: Lanes, count: int, own: Lanes) -> tuple[Lanes, Lanes]:
+    """The greatest of the amounts in so many cells of a list, and the first cell that has it; 0 and the own cell where none is
+    above 0. What is no number counts as 0."""
+    none = e.constant(0.0, F64)
+    eights = []
+    for first in range(0, count, WIDTH):
+        value = none.typed
+        for k in range(first, min(first + WIDTH, count)):
+            cell = e.load_one(cells, e.constant(k, I64, one=True), I32)
+            amount = e.load_one(held, e.convert(cell, I64), F64)
+            value = e.op(f"insertelement {value}, {amount.typed}, i64 {k - first}", F64).typed
+        amounts = Lanes(e, F64, value.removeprefix(f"<{WIDTH} x {F64}> "))
+        eights.append(e.where(amounts > none, amounts, none))
+    most = eights[0]
+    for each in eights[1:]:
+        most = e.where(each > most, each, most)
+    for half in (4, 2, 1):
+        order = ", ".join(f"i32 {(k + half) % WIDTH}" for k in range(WIDTH))
+        other = e.op(f"shufflevector {most.typed}, {most.type} poison, <{WIDTH} x i32> <{order}>", F64)
+        most = e.where(other > most, other, most)
+    where = e.constant(1 << count, I64, one=True)  # there is one that is the greatest
+    for first, each in enumerate(eights):
+        bits = e.one(f"zext i8 {e.mask_bits(each == most).name} to i64", I64)
+        where = e.one(f"or i64 {where.name}, {e.one(f'shl i64 {bits.name}, {WIDTH * first}', I64).name}", I64)
+    e.module.declare("llvm.cttz.i64", I64, [I64, BOOL])
+    at = e.load_one(cells, e.one(f"call i64 @llvm.cttz.i64(i64 {where.name}, i1 true)", I64), I32)
+    best = e.one(f"extractelement {most.typed}, i64 0", F64)
+    more = e.one(f"fcmp ogt {best.typed}, 0.0", BOOL)
+    return best, e.one(f"select i1 {more.name}, {at.typed}, {own.typed}", I32)
 
 
 def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     e: Emitter = w.e
     field, count = node.attrs
     held, block, own = w.base("field", field, "held"), w.base("field", field, "block", int(count)), _cell(w, field)
+    places = w.base("field", field, "places")
     there = own < w.number(I32, "cells", field)
     most, where, whose = e.slot(F64), e.slot(I32), e.slot(I32)
     e.put(most, e.constant(0.0, F64))
@@ -243,35 +272,20 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     e.put(whose, e.where(there, own, e.constant(0, I32)))
     asks = e.one(f"zext i8 {e.mask_bits(w.mask[-1] & there).name} to i64", I64)
     with e.inside(e.one(f"icmp ne i64 {asks.name}, 0", BOOL)):
-        _fetch_around(w, field, held, block, int(count))
+        _fetch_around(w, field, held, places, block, int(count))
     with e.loop(e.constant(WIDTH, I64, one=True)) as lane:  # cells of one agent lie side by side
         bit = e.one(f"lshr i64 {asks.name}, {lane.name}", I64)
         with e.inside(e.one(f"trunc i64 {bit.name} to i1", BOOL)):
             mine = e.load_one(Lanes(e, PTR, whose, one=True), lane, I32)
             start = e.one(f"mul i64 {e.convert(mine, I64).name}, {int(count)}", I64)
-            cells = e.address(block, start, I32)
-            none = e.constant(0.0, F64, one=True)
-            found = []
-            for k in range(int(count)):
-                cell = e.load_one(cells, e.constant(k, I64, one=True), I32)
-                amount = e.load_one(held, e.convert(cell, I64), F64)
-                found.append((_greater(e, amount, none, amount, none), cell))  # 0 for what is no number, too
-            while len(found) > 1:  # in pairs, so that few wait for others; of equal ones the first
-                pairs = [
-                    (_greater(e, two[0], one[0], two[0], one[0]), _greater(e, two[0], one[0], two[1], one[1]))
-                    for one, two in zip(found[::2], found[1::2], strict=False)
-                ]
-                found = pairs + found[2 * len(pairs) :]
-            best = found[0][0]
-            at = _greater(e, best, none, found[0][1], mine)
+            best, at = _first_most(e, held, e.address(block, start, I32), int(count), mine)
             e.put(e.address(Lanes(e, PTR, most, one=True), lane, F64).name, best)
             e.put(e.address(Lanes(e, PTR, where, one=True), lane, I32).name, at)
     value, cell = e.get(most, F64), e.get(where, I32)
     small = e.convert(value, F32)
     nothing = ~(small > 0)
     parts = [small]
-    for axis in "xyz":
-        there = e.gather(w.base("field", field, axis), cell, F32)
+    for axis, there in zip(AXES, quadruples(e, places, cell), strict=False):
         mine = e.load(w.base("start", f"position.{axis}"), w.row, F32)
         parts.append(e.where(nothing, mine, there))
     return tuple(parts)

@@ -21,7 +21,7 @@ from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.backends.native.search import MOST
 from antdsl.runtime.clip_values import clip_table
 from antdsl.runtime.moving.obstacle_clearance import clearance
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.runtime.world import Population, World
 
 _FEW = 64  # arrays that nobody looks for whether they are still in use
 Find = Callable[[World, Population], int]
@@ -90,16 +90,6 @@ class Copy:
             self._of = stamp
         return self._address
 
-    def fours(self, columns: list[NDArray[np.float32]]) -> int:
-        """The address of up to four columns side by side, four floats a row, as they are in this step."""
-        rows = len(columns[0])
-        if self._rooms.step != self._of or len(self._whole) != rows + WIDTH:
-            self._size(rows, np.float32, 4)
-            for k, column in enumerate(columns):
-                self._whole[:rows, k] = column
-            self._of = self._rooms.step
-        return self._address
-
     def lasting(self, of: Any, make: Callable[[], NDArray[Any]]) -> int:
         """The address of what is made of something, as long as that is the same one."""
         if of is not self._of:
@@ -107,9 +97,9 @@ class Copy:
             self._address = address(self._whole)
         return self._address
 
-    def _size(self, rows: int, dtype: Any, *more: int) -> None:
+    def _size(self, rows: int, dtype: Any) -> None:
         if len(self._whole) != rows + WIDTH:
-            self._whole = np.zeros((rows + WIDTH, *more), dtype)
+            self._whole = np.zeros(rows + WIDTH, dtype)
             self._address = address(self._whole)
 
 
@@ -252,16 +242,6 @@ class Tables:
             return of_rows
         return lambda world, population: self._rooms.moved(world.populations[species], name, start=True)[1]
 
-    def _beside(self, key: Key) -> Find:
-        """Up to four registers of others at the start of the step, side by side."""
-        copy, species, names = self._rooms.copy(*key), str(key[1]), [str(name) for name in key[2:]]
-
-        def find(world: World, population: Population) -> int:
-            start = world.populations[species].start
-            return copy.fours([start[name] for name in names])
-
-        return find
-
     def _item(self, key: Key) -> Find:
         copy, items, name = self._rooms.copy(*key), str(key[1]), str(key[2])
         return lambda world, population: copy.of(world.items[items].seen[name], np.float32)
@@ -287,13 +267,7 @@ class Tables:
         if what == "block":
             count = int(str(key[3]))
             return lambda world, population: lies.of(key, world.fields[name].cells.nearest(count))
-        axis = AXES.index(str(what))
-
-        def along(world: World, population: Population) -> int:
-            places = world.fields[name].seen_places
-            return lies.of(key, places) + axis * places.strides[0]
-
-        return along
+        return lambda world, population: lies.of(key, world.fields[name].seen_places)
 
     def _copy(self, key: Key) -> Copy:
         """What stands for a key of this species."""
@@ -373,7 +347,6 @@ _POINTERS: dict[str, Callable[[Tables, Key], Find]] = {
     "mesh": Tables._mesh,
     "event": Tables._event,
     "other": Tables._other,
-    "beside": Tables._beside,
     "item": Tables._item,
     "cell": Tables._cell,
     "clear": Tables._clear,
