@@ -230,12 +230,8 @@ class Grids:
             return None
         crowd.shaped(shape)
         threads = world.options.threads if count >= _PARTED else 1
-        if threads > 1:
-            part = -(-count // (WIDTH * threads)) * WIDTH
-            parts = [(begin, min(begin + part, count)) for begin in range(0, count, part)]
-            list(compiled.workers(threads).map(lambda each: number(crowd.address, *each), parts))
-        else:
-            number(crowd.address, 0, count)
+        part = -(-count // (WIDTH * threads)) * WIDTH
+        compiled.listed(number, [(crowd.address, begin, min(begin + part, count)) for begin in range(0, count, part)], threads)
         crowd.numbered()
         sort(crowd.address, 0, count)
         return crowd.tables
