@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from antdsl.cli.cores import cores
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import cluster
+from antdsl.numerics.cores import cores
 
 if TYPE_CHECKING:
     from antdsl.executors import Answered, Task

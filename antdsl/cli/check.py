@@ -50,10 +50,10 @@ def check(
         raise typer.BadParameter("name a file or a folder", param_hint="PATH")
     from antdsl.checking import check_all
     from antdsl.cli.arguments import grants
-    from antdsl.cli.cores import cores
     from antdsl.cli.printing.reports import show, verdict
     from antdsl.diagnostics.ignoring import judged, without_ignored
     from antdsl.files import find_files
+    from antdsl.numerics.cores import cores
     from antdsl.pipeline import Choices
 
     files, report = find_files(paths)

@@ -20,10 +20,10 @@ def explain(
 ) -> None:
     """Say why an agent did what it did in a frame: each change looked at, each layer's push, what it sensed and drew."""
     from antdsl.cli.arguments import grants
-    from antdsl.cli.cores import cores
     from antdsl.cli.printing.reports import demand, show
     from antdsl.explain import ExplainError, as_json, tell
     from antdsl.explain import explain as explained
+    from antdsl.numerics.cores import cores
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.runtime import BindError

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.cores import cores
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.shots import run_shots
+from antdsl.numerics.cores import cores
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.cores import cores
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import cluster
 from antdsl.cli.stopping import code_of, stoppable
+from antdsl.numerics.cores import cores
 
 if TYPE_CHECKING:
     from antdsl.executors import Executors, Task

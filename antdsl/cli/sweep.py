@@ -93,10 +93,10 @@ def sweep(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
-    from antdsl.cli.cores import cores
     from antdsl.cli.printing.reports import demand
     from antdsl.cli.sweep_words import asked_before, nothing, study_of, widths_of
     from antdsl.executors import Lost, Processes
+    from antdsl.numerics.cores import cores
     from antdsl.scene.paths import sought
     from antdsl.sweep import Chooser, Keeper, run_all
     from antdsl.sweep.asked import Asked

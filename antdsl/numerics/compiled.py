@@ -12,28 +12,24 @@ bounded by that cost (A. Karlin et al., Competitive Snoopy Caching, Algorithmica
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache
-from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code import machine
-from antdsl.numerics.float_environment import be_standard
+from antdsl.numerics.cores import cores
 
 T = TypeVar("T")
 VARIABLE = "ANTDSL_KERNELS"
-PART = 4_096  # agents for whom a thread pays
-LIGHT = 30_000  # the same, of work that is a few operations each
+PART = 1_024  # agents for whom a thread pays
+LIGHT = 4_096  # the same, of work that is a few operations each
 LEAST = 2_000  # agents; a step of these without kernels takes so long that a few make up for loading them
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _AT_ONCE = 50_000  # numbers, worked on before any step: then a world is made ready that is large
 _LOADING, _COMPILING = 0.2, 2.5  # s of processor time before it: for a program's code, and kernels that are made the first time
-_here = threading.local()
 _long = False
 _running = False
 _spent = 0.0
@@ -120,42 +116,37 @@ def plain(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     return tuple(np.ascontiguousarray(a) for a in arrays)
 
 
-@cache
-def workers(threads: int) -> ThreadPoolExecutor:
-    """Threads that are kept for the next step; kernels run side by side in them."""
-    return ThreadPoolExecutor(threads, "kernels", _be_worker)
-
-
-if hasattr(os, "register_at_fork"):  # a process that was forked has none of these threads
-    os.register_at_fork(after_in_child=workers.cache_clear)
-
-
-def _be_worker() -> None:
-    be_standard()
-    _here.works = True
-
-
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int = PART) -> list[T]:
     """`work(begin, end)` over so many agents, in as many parts as pay, of no fewer than `least` each, side by side; what each
-    gave, in order. The thread that asks takes the first; one that works on a part already takes all, since nobody may be free."""
-    parts = max(1, min(threads, count // least))
-    if parts == 1 or getattr(_here, "works", False):
+    gave, in order. A kernel (a `partial` of one, whose last two arguments are missing) is handed over in machine code, in more
+    parts than there are threads, to even them out. Who finds the threads at work for another takes all, in one part."""
+    threads, parts = min(threads, cores()), count // max(1, least)
+    if threads < 2 or parts < 2:
         return [work(0, count)]
-    bounds = [count * k // parts for k in range(parts + 1)]
-    others = [workers(threads).submit(work, begin, end) for begin, end in pairwise(bounds[1:])]
-    try:
-        first = work(0, bounds[1])
-    finally:
-        settled(others)
-    return [first, *(other.result() for other in others)]
+    from antdsl.numerics import workers
+
+    return workers.in_parts(work, count, threads, parts, _running)
 
 
-def settled(others: Sequence[Future[Any]]) -> None:
-    """Wait until all parts have come to their end, whatever interrupts it: they write to arrays that the next step has too."""
-    try:
-        wait(others)
-    except BaseException:
-        for other in others:
-            other.cancel()
-        wait(others)
-        raise
+def side_by_side(work: Callable[[int], object], threads: int) -> None:
+    """Call `work(0)`, and meanwhile `work(1)` to before `work(threads)` as far as somebody is free for them: each is to take of
+    what there is to do until nothing is left. All have ended then, whatever interrupts it."""
+    threads = min(threads, cores())
+    if threads < 2:
+        work(0)
+        return
+    from antdsl.numerics import workers
+
+    workers.side_by_side(work, threads, _running)
+
+
+def listed(function: Callable[[int, int, int], None], parts: Sequence[tuple[int, int, int]], threads: int) -> None:
+    """Call a function of machine code with each of these (address, begin, end), side by side."""
+    threads = min(threads, cores())
+    if threads < 2 or len(parts) < 2:
+        for part in parts:
+            function(*part)
+        return
+    from antdsl.numerics import workers
+
+    workers.listed(function, parts, threads, _running)

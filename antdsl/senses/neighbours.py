@@ -252,10 +252,8 @@ class CellGrid:
                 who = None if qid is None else qid[part][b:e]
                 jobs.append((a + b, sub, reach[part][b:e], who, first[b:e], count[b:e], each[b:e], limit))
                 b = e
-        if threads > 1 and len(jobs) > 1:
-            found = list(compiled.workers(threads).map(lambda job: self._within(*job), jobs))
-        else:
-            found = [self._within(*job) for job in jobs]
+        parted = compiled.in_parts(lambda a, b: [self._within(*job) for job in jobs[a:b]], len(jobs), threads, 1)
+        found = [columns for part in parted for columns in part]
         if not found:
             empty = np.empty(0, np.float32)
             return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), empty, empty, empty, empty)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from meaning import crowd
 from plan_text import plan_of
+from test_workers import squared
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.lanes import Module
+from antdsl.numerics import compiled
 from antdsl.numerics.float_environment import be_standard, is_standard, standard
 from antdsl.passes import optimise
 from antdsl.plan import ir
@@ -116,6 +119,20 @@ def test_machine_code_works_as_the_standard_says(bits: int) -> None:
         return values.tobytes()
 
     assert hosted(bits, work) == work()
+
+
+@pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
+def test_parts_on_threads_work_as_the_standard_says(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_running", True)
+    monkeypatch.setattr(compiled, "cores", lambda: 4)
+    values = np.linspace(2.0**-540, 2.0**-500, 4_000)
+
+    def work() -> bytes:
+        x, out, times = values.copy(), np.zeros(4_000), np.zeros(4_000, np.int64)
+        compiled.in_parts(partial(squared, x, out, times), 4_000, 3, 100)
+        return out.tobytes()
+
+    assert hosted(bits, work) == work() == (values * values).tobytes()
 
 
 SMALL = """

@@ -11,14 +11,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from antdsl.machine_code import machine
+from antdsl.machine_code import machine, workers_text
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct import Wanted
-from antdsl.machine_code.kernels.direct_text import REAL, TRUTH, UNSIGNED, WHOLE
-from antdsl.machine_code.kernels.types import ArrayType, Scalar
+from antdsl.machine_code.kernels.direct_text import REAL, RESULTS, TRUTH, UNSIGNED, WHOLE
+from antdsl.machine_code.kernels.types import INT, ArrayType, Scalar
 from antdsl.machine_code.memory import address
 
-RESULTS = 8  # words before the arguments, for what is given back
 _FORMATS = {"double": "d", "float": "d", "i64": "q", "u64": "Q", "i1": "q"}
 _KINDS = {"double": REAL, "float": REAL, "i64": WHOLE, "u64": UNSIGNED, "i1": WHOLE}
 
@@ -53,6 +52,27 @@ def caller(name: str, code: machine.Code, types: Sequence[Any], told: Told) -> C
         return kept
     kinds = [TRUTH if each == "i1" else _KINDS[each] for each in given]
     return direct.direct(name, code, wanted, words, kinds, kept) or kept
+
+
+def parted(
+    name: str, code: machine.Code, types: Sequence[Any], told: Told, whole: Callable[..., Any]
+) -> Callable[..., Any] | None:
+    """A function of the arguments of a kernel whose last two are where its loop begins and ends, of a number of parts, and of the
+    address of a pool: a list of what the kernel gives for each part, which the pool's workers have done. What cannot be read is
+    done by `whole`, in one part. None where there is no such function."""
+    wanted = list(_wanted(types, told.stored))
+    words = RESULTS + sum(_words(each) for each in wanted)
+    if any(not isinstance(each, Scalar) or each.kind != INT for each in types[-2:]) or (told.several and len(told.gives) == 1):
+        return None
+    more = [Wanted((len(types) + k,), words + k, WHOLE) for k in range(2)]
+    kinds = [TRUTH if each == "i1" else _KINDS[each] for each in told.gives]
+
+    def alone(*arguments: Any) -> list[Any]:
+        return [whole(*arguments[:-2])]
+
+    run = workers_text.code().place("run")
+    found: Callable[..., Any] | None = direct.direct(name, code, [*wanted, *more], words, kinds, alone, run)
+    return found
 
 
 def _wanted(types: Sequence[Any], stored: Sequence[int]) -> Iterator[Wanted]:

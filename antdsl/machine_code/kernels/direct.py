@@ -48,19 +48,26 @@ class Wanted:
 
 
 def direct(
-    name: str, code: machine.Code, wanted: Sequence[Wanted], words: int, gives: Sequence[int], otherwise: Callable[..., Any]
+    name: str,
+    code: machine.Code,
+    wanted: Sequence[Wanted],
+    words: int,
+    gives: Sequence[int],
+    otherwise: Callable[..., Any],
+    run: int = 0,
 ) -> Any:
     """The built-in function for code which takes a table of so many words and leaves what it `gives` in the first of them. Tuples
-    stand before what is in them. None where none can be made."""
+    stand before what is in them. `run`: the address of what has such code done in parts; then two more words are `wanted` behind
+    the table, and a list is given back. None where none can be made."""
     if (
-        words > reading.WORDS
+        words + 2 > reading.WORDS
         or len(gives) > reading.RESULTS
         or any(len(each.path) >= reading.DEPTH for each in wanted)
         or not possible()
     ):
         return None
     count = sum(len(each.path) == 1 for each in wanted)
-    head = [code.place(name), count, id(otherwise), len(wanted), len(gives), ctypes.addressof(_here()), 0, 0, *gives]
+    head = [code.place(name), count, id(otherwise), len(wanted), len(gives), ctypes.addressof(_here()), run, words, *gives]
     told = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER, b"\0") + b"".join(map(_step, wanted))
     method = _Method(name.encode(), _code().place("direct"), _FASTCALL, None)
     make = ctypes.pythonapi.PyCFunction_NewEx

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 WORDS = 256  # of a call's table at most: 2 kB of the stack
+PARTS = 64  # of a job at most
+RESULTS = 8  # words at the beginning of a table for what is given back
+GIVEN = 40  # word of a pool from which on stands what each part of a job gave
 DEPTH = 4  # tuples within tuples at most
 REAL, WHOLE, UNSIGNED, TRUTH = range(4)  # kinds of numbers
 ARRAY, TUPLE, NUMBER = range(3)
 STEP = 8  # words that tell of an argument
 HEADER = 16  # words before these
-RESULTS = 8
 OBJECTS: Mapping[str, Any] = {
     "array.type": np.ndarray, "tuple": tuple, "float": float, "f64": np.float64, "f32": np.float32, "int": int, "i64": np.int64,
     "u64": np.uint64, "bool": bool, "b8": np.bool_, "None": None, "True": True,
@@ -21,7 +23,8 @@ OBJECTS: Mapping[str, Any] = {
 CALLS = (
     "PyObject_Vectorcall", "PyEval_SaveThread", "PyEval_RestoreThread", "PyLong_AsLongLongAndOverflow",
     "PyLong_AsUnsignedLongLong", "PyErr_Clear", "PyTuple_New", "PyTuple_SetItem", "PyFloat_FromDouble", "PyLong_FromLongLong",
-    "PyLong_FromUnsignedLongLong", "PyBool_FromLong", "Py_IncRef",
+    "PyLong_FromUnsignedLongLong", "PyBool_FromLong", "Py_IncRef", "Py_DecRef", "PyList_New",
+    "PyList_SetItem",
 )  # fmt: skip
 
 
@@ -37,6 +40,7 @@ def text() -> str:
     values = {"HEAD": head, "TYPE": head - 8, "TOLD": bytes_at(), "INSIDE": tuple.__basicsize__, "WORDS": WORDS, "DEPTH": DEPTH}
     values |= {"AXES": head + 8, "LENGTHS": head + 16, "STEPS": head + 24, "DTYPE": head + 40, "FLAGS": head + 48}
     values |= {"STEP": 8 * STEP, "FIRST": 8 * HEADER, "ARRAY": ARRAY, "TUPLE": TUPLE}
+    values |= {"GIVEN": 8 * GIVEN, "GIVEN.STEP": 8 * RESULTS}
     values |= {"REAL": REAL, "WHOLE": WHOLE, "UNSIGNED": UNSIGNED, "RESULTS": RESULTS}
     for name, value in values.items():
         found = found.replace(f"${name}$", str(value))
@@ -226,13 +230,59 @@ none:
   ret i1 false
 }
 define internal ptr @call(ptr %told, ptr %table, ptr %here) {
-entry:
   %gone.call = call ptr @call.PyEval_SaveThread(ptr %here)
   %thread = call ptr %gone.call()
   %code = call ptr @object(ptr %told, i64 0)
   call void %code(ptr %table, i64 0, i64 0)
   %back.call = call ptr @call.PyEval_RestoreThread(ptr %here)
   call void %back.call(ptr %thread)
+  %found = call ptr @given(ptr %told, ptr %table, ptr %here)
+  ret ptr %found
+}
+; The same by the workers of a pool, which stands behind the arguments and the number of parts: a list of what each part gave.
+define internal ptr @parted(ptr %told, ptr %table, ptr %here, ptr %run) {
+entry:
+  %words = call i64 @word(ptr %told, i64 56)
+  %parts.at = getelementptr i64, ptr %table, i64 %words
+  %parts = load i64, ptr %parts.at
+  %pool.at = getelementptr i64, ptr %parts.at, i64 1
+  %pool = load ptr, ptr %pool.at
+  %list.call = call ptr @call.PyList_New(ptr %here)
+  %set.call = call ptr @call.PyList_SetItem(ptr %here)
+  %list = call ptr %list.call(i64 %parts)
+  %failed = icmp eq ptr %list, null
+  br i1 %failed, label %end, label %work
+work:
+  %gone.call = call ptr @call.PyEval_SaveThread(ptr %here)
+  %thread = call ptr %gone.call()
+  %code = call ptr @object(ptr %told, i64 0)
+  call void %run(ptr %pool, ptr %code, ptr %table, i64 %words, i64 %parts)
+  %back.call = call ptr @call.PyEval_RestoreThread(ptr %here)
+  call void %back.call(ptr %thread)
+  br label %fill
+fill:
+  %k = phi i64 [ 0, %work ], [ %next, %good ]
+  %row = mul i64 %k, $GIVEN.STEP$
+  %from.pool = add i64 %row, $GIVEN$
+  %from = getelementptr i8, ptr %pool, i64 %from.pool
+  %item = call ptr @given(ptr %told, ptr %from, ptr %here)
+  %none = icmp eq ptr %item, null
+  br i1 %none, label %undo, label %good
+undo:
+  %drop = call ptr @call.Py_DecRef(ptr %here)
+  call void %drop(ptr %list)
+  ret ptr null
+good:
+  %set = call i32 %set.call(ptr %list, i64 %k, ptr %item)
+  %next = add i64 %k, 1
+  %more = icmp slt i64 %next, %parts
+  br i1 %more, label %fill, label %end
+end:
+  ret ptr %list
+}
+; What a table's first words are as an object.
+define internal ptr @given(ptr %told, ptr %table, ptr %here) {
+entry:
   %gives = call i64 @word(ptr %told, i64 32)
   switch i64 %gives, label %several [ i64 0, label %nothing  i64 1, label %one ]
 nothing:
@@ -320,8 +370,15 @@ good:
   %next = add i64 %k, 1
   br label %argument
 ready:
+  %run = call ptr @object(ptr %told, i64 48)
+  %alone = icmp eq ptr %run, null
+  br i1 %alone, label %at.once, label %apart
+at.once:
   %made = call ptr @call(ptr %told, ptr %table, ptr %here)
   ret ptr %made
+apart:
+  %parts = call ptr @parted(ptr %told, ptr %table, ptr %here, ptr %run)
+  ret ptr %parts
 slow:
   %otherwise = call ptr @object(ptr %told, i64 16)
   %vectorcall = call ptr @call.PyObject_Vectorcall(ptr %here)

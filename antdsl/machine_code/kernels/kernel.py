@@ -15,7 +15,8 @@ from typing import Any
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.kernels import sources
-from antdsl.machine_code.kernels.calling import RESULTS, Told, caller
+from antdsl.machine_code.kernels.calling import Told, caller, parted
+from antdsl.machine_code.kernels.direct_text import RESULTS
 from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit, result_type
@@ -61,6 +62,7 @@ class Kernel:
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
         self._lock = Lock()
         self._run: Callable[..., Any] | None = None
+        self._apart: Callable[[], Callable[..., list[Any]] | None] | None = None
 
     def __call__(self, *arguments: Any) -> Any:
         run = self._run or self.made()
@@ -74,8 +76,17 @@ class Kernel:
                 key = sources.key(self.part, types)
                 host = machine.host()
                 code = codes.code(self.text(host)) if key is None else codes.code(key, lambda: self.text(host))
-                self._run = caller(self.__name__, code, types, Told.read(code.told(_ABOUT)))
+                told = Told.read(code.told(_ABOUT))
+                self._run = run = caller(self.__name__, code, types, told)
+                self._apart = cache(lambda: parted(self.__name__, code, types, told, run))
             return self._run
+
+    def parted(self) -> Callable[..., list[Any]] | None:
+        """The function that has its machine code run by a pool of workers, as `calling.parted` says; None where there is none."""
+        if self._apart is None:
+            self.made()
+        assert self._apart is not None
+        return self._apart()
 
     def kept(self) -> bool:
         """Whether its machine code is there, in memory or from another run."""

@@ -261,12 +261,8 @@ class Grids:
     def _in_parts(self, world: World, name: str, table: int, count: int) -> None:
         """Call a function for so many rows, by several threads where that pays."""
         function, threads = self.functions(name), world.options.threads if count >= _PARTED else 1
-        if threads > 1:
-            part = -(-count // (WIDTH * threads)) * WIDTH
-            parts = [(begin, min(begin + part, count)) for begin in range(0, count, part)]
-            list(compiled.workers(threads).map(lambda each: function(table, *each), parts))
-        else:
-            function(table, 0, count)
+        part = -(-count // (WIDTH * threads)) * WIDTH
+        compiled.listed(function, [(table, begin, min(begin + part, count)) for begin in range(0, count, part)], threads)
 
     def _sorted(self, world: World, other: Population, size: float) -> _Crowd | None:
         """None where NumPy has to sort: where some are without a place, and of a crowd so far apart that its cells are not

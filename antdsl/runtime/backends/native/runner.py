@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.lanes import WIDTH
 from antdsl.numerics import compiled
+from antdsl.numerics.cores import cores
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Scope
 from antdsl.runtime.backends.metering import Metered
@@ -46,7 +47,7 @@ class Block:
     def run(self) -> list[tuple[int, int]]:
         """Take all rows through the block, and put what they ask for into the population's effects, in the order of their rows.
         Gives the parts, as first row and the one after the last, in which some agent has too many others in a radius."""
-        count, threads = len(self.population), max(1, self.world.options.threads)
+        count, threads = len(self.population), max(1, min(self.world.options.threads, cores()))
         size = _part(count, self.world.options.chunk, threads)
         bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
         lanes = [self.tables.lane(k, self.world, min(size, count)) for k in range(min(threads, len(bounds)))]
@@ -58,14 +59,7 @@ class Block:
             for k in coming:  # the next one that nobody has
                 good[k] = Chunk(self, lanes[number], times[number], *bounds[k], effects[k]).run()
 
-        others = [compiled.workers(threads).submit(work, number) for number in range(1, len(lanes))]
-        try:
-            work(0)
-        finally:
-            if others:
-                compiled.settled(others)
-        for other in others:
-            other.result()
+        compiled.side_by_side(work, len(lanes))
         for each in effects:
             self.population.effects.take(each)
         counted = [each for each in times if each is not None]

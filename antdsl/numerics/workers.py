@@ -1,0 +1,275 @@
+"""Threads that wait for work in machine code: to hand them some costs a few microseconds, and no lock of the interpreter.
+
+Each is a thread of Python's that has called machine code (`workers_text`) and comes back at the end of the program. A job of
+kernels never sees the interpreter; one of Python's functions takes its lock in each thread that joins in. Where threads cannot
+wait so, an executor of `concurrent.futures` stands in."""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cache, partial
+from threading import Lock, Thread
+from time import perf_counter
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code import machine
+from antdsl.machine_code import workers_text as words
+from antdsl.machine_code.kernels import direct
+from antdsl.machine_code.kernels.direct_text import PARTS
+from antdsl.machine_code.memory import address
+from antdsl.numerics.float_environment import be_standard
+
+T = TypeVar("T")
+_EACH = 4  # parts of a kernel for each that pays: who comes late, or has slow ones, takes fewer
+_LOCKS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")
+# Seconds that one without work looks out for it before it sleeps: about what it costs to fall asleep and be woken, so that no
+# more than twice of that is spent (A. Karlin et al., Empirical Studies of Competitive Spinning, SOSP 1991).
+_AWAKE = 25e-6
+_TRIED = 1_000  # turns that are timed
+_LINE = 64  # bytes of a line of the processor's memory
+_ENTRY = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
+
+
+class Workers:
+    """So many threads besides the one that asks, who holds `lock` meanwhile: others do not wait for it, but work alone."""
+
+    def __init__(self, count: int) -> None:
+        code = words.code()
+        room = np.zeros(words.SLEEPS + words.LINE * (count + 1) + _LINE // 8, np.int64)
+        self.lock = Lock()
+        self.address = -(-address(room) // _LINE) * _LINE
+        self._words: NDArray[np.int64] = room[(self.address - address(room)) // 8 :]
+        self._start = ctypes.PYFUNCTYPE(*_ENTRY)(code.place("start"))  # which keeps the interpreter's lock
+        self._all, self._finish, self._end, loop = (code.function(name) for name in ("all", "finish", "end", "worker"))
+        self._work: Callable[[int], object] = int
+        self._failed: list[BaseException] = []
+        self._called = ctypes.CFUNCTYPE(*_ENTRY)(self._one)
+        self._numbers = np.array([(0, k + 1, 0) for k in range(PARTS)], np.int64)
+        locks = [_lock() for _ in range(count + 1)]
+        self._words[[words.WORKERS, words.TURNS, words.LOCK]] = count, _turns(), locks[count]
+        self._words[[words.ACQUIRE, words.RELEASE]] = [_place(name) for name in _LOCKS[1:]]
+        for k in range(count):
+            self._words[words.SLEEPS + words.LINE * k + 1] = locks[k]
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))  # its threads may be at work until the process is gone
+        self._threads = [Thread(target=self._stay, args=(loop, k), name=f"kernels {k}", daemon=True) for k in range(count)]
+        for each in self._threads:
+            each.start()
+
+    def _stay(self, loop: Callable[[int, int, int], None], number: int) -> None:
+        be_standard()
+        loop(self.address, number, 0)
+
+    def do(self, work: Callable[[int], object], helpers: int) -> None:
+        """Call `work(0)` here and `work(1)` to `work(helpers)` in workers, as far as some come before it is over here. All have
+        ended then, whatever interrupts it. Raises what one of them raised."""
+        self._work, self._failed = work, []
+        self._job(self._called, self._numbers, min(helpers, PARTS))
+        self._start(self.address, 0, 0)
+        try:
+            work(0)
+        finally:
+            try:
+                self._finish(self.address, 0, 0)
+            except BaseException:
+                self._finish(self.address, 0, 0)
+                raise
+            finally:
+                self._work = int
+        failed, self._failed = self._failed, []
+        if failed:
+            raise failed[0]
+
+    def kernel(self, work: Callable[[int, int], T], count: int, parts: int) -> list[T] | None:
+        """What parts of a kernel give that stands in a `partial`; None for any other work."""
+        if not isinstance(work, partial) or work.keywords:
+            return None
+        parted = getattr(work.func, "parted", None)
+        run = None if parted is None else parted()
+        if run is None:
+            return None
+        found: list[T] = run(*work.args, 0, count, max(1, min(parts, PARTS, count // words.EVEN)), self.address)
+        return found
+
+    def call(self, function: Callable[[int, int, int], None], listed: Sequence[tuple[int, int, int]]) -> None:
+        """Call a function of machine code with each of these."""
+        for first in range(0, len(listed), PARTS):
+            some = np.array(listed[first : first + PARTS], np.int64)
+            self._job(function, some, len(some))
+            self._all(self.address, 0, 0)
+
+    def end(self) -> None:
+        """Have the threads end, each once it is done with the part that it is at. Who asks does the rest."""
+        self._end(self.address, 0, 0)
+        for each in self._threads:
+            each.join()
+
+    def _job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
+        code = ctypes.cast(function, ctypes.c_void_p).value or 0
+        self._words[words.CODE : words.OF + 1] = code, address(table), 0, parts
+
+    def _one(self, _: int, number: int, __: int) -> None:
+        try:
+            self._work(number)
+        except BaseException as problem:
+            self._failed.append(problem)
+
+
+class Executed:
+    """The same by an executor, without machine code."""
+
+    def __init__(self, count: int) -> None:
+        self.lock = Lock()
+        self._executor = ThreadPoolExecutor(count, "kernels", be_standard)
+
+    def do(self, work: Callable[[int], object], helpers: int) -> None:
+        """As `Workers.do`."""
+        others = [self._executor.submit(work, number) for number in range(1, helpers + 1)]
+        try:
+            work(0)
+        finally:
+            begun = [other for other in others if not other.cancel()]
+            try:
+                wait(begun)
+            except BaseException:
+                wait(begun)
+                raise
+        for other in begun:
+            other.result()
+
+    def end(self) -> None:
+        """Have the threads end."""
+        self._executor.shutdown()
+
+
+def in_parts(work: Callable[[int, int], T], count: int, threads: int, parts: int, by_kernels: bool) -> list[T]:
+    """As `compiled.in_parts`, where so many parts pay."""
+    pool = _kept_for(threads, by_kernels)
+    if not pool.lock.acquire(blocking=False):
+        return [work(0, count)]
+    try:
+        found = pool.kernel(work, count, _EACH * min(parts, threads)) if isinstance(pool, Workers) else None
+        return _pulled(pool, work, count, min(parts, threads)) if found is None else found
+    finally:
+        pool.lock.release()
+
+
+def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
+    """What parts give that are Python's. Raises what the first has raised that failed; later ones may not have been begun."""
+    given: dict[int, T] = {}
+    failed: dict[int, BaseException] = {}
+    coming = iter(range(parts))
+
+    def some(_: int) -> None:
+        for k in coming:  # the next one that nobody has
+            try:
+                given[k] = work(count * k // parts, count * (k + 1) // parts)
+            except BaseException as problem:
+                failed[k] = problem
+                return
+
+    pool.do(some, parts - 1)
+    if failed:
+        raise failed[min(failed)]
+    return [given[k] for k in range(parts)]
+
+
+def side_by_side(work: Callable[[int], object], threads: int, by_kernels: bool) -> None:
+    """As `compiled.side_by_side`."""
+    pool = _kept_for(threads, by_kernels)
+    if not pool.lock.acquire(blocking=False):
+        work(0)
+        return
+    try:
+        pool.do(work, threads - 1)
+    finally:
+        pool.lock.release()
+
+
+def listed(
+    function: Callable[[int, int, int], None], parts: Sequence[tuple[int, int, int]], threads: int, by_kernels: bool
+) -> None:
+    """As `compiled.listed`."""
+    pool = _kept_for(threads, by_kernels)
+    taken = pool.lock.acquire(blocking=False)
+    try:
+        if taken and isinstance(pool, Workers):
+            pool.call(function, parts)
+        else:
+            for part in parts:
+                function(*part)
+    finally:
+        if taken:
+            pool.lock.release()
+
+
+@cache
+def possible() -> bool:
+    """Whether threads can wait in machine code here."""
+    return machine.available() and direct.possible() and all(hasattr(ctypes.pythonapi, name) for name in _LOCKS)
+
+
+_kept: dict[tuple[int, bool], Workers | Executed] = {}
+_guard = Lock()
+
+
+def _kept_for(threads: int, by_kernels: bool) -> Workers | Executed:
+    """What is kept for so many threads, who asks among them; with kernels in use it may be of machine code."""
+    key = threads, by_kernels and possible()
+    found = _kept.get(key)
+    if found is None:
+        with _guard:
+            found = _kept.get(key)
+            if found is None:
+                found = _kept[key] = Workers(threads - 1) if key[1] else Executed(threads - 1)
+    return found
+
+
+def _forget() -> None:
+    """A process that was forked has none of these threads."""
+    global _guard
+    _kept.clear()
+    _guard = Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
+
+
+@atexit.register
+def _end() -> None:
+    for each in _kept.values():
+        each.end()
+
+
+def _place(name: str) -> int:
+    return ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0
+
+
+def _lock() -> int:
+    """A lock of CPython's that is taken."""
+    allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_place(_LOCKS[0]))
+    acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_place(_LOCKS[1]))
+    found: int | None = allocate()
+    if not found:
+        raise MemoryError
+    acquire(found, 1)
+    return found
+
+
+@cache
+def _turns() -> int:
+    """How often a thread without work looks out for it."""
+    wait, room = words.code().function("turns"), np.zeros(1, np.int64)
+    spent = []
+    for _ in range(3):
+        began = perf_counter()
+        wait(address(room), _TRIED, 0)
+        spent.append(perf_counter() - began)
+    return max(1, int(_TRIED * _AWAKE / min(spent)))

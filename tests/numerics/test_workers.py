@@ -1,0 +1,215 @@
+"""Threads that wait in machine code: every part is done once, whoever asks for it, and nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from children import child_environment
+
+from antdsl.machine_code import workers_text
+from antdsl.machine_code.kernels import F64, I64, Array1, independent, kernel
+from antdsl.machine_code.kernels.direct_text import PARTS
+from antdsl.numerics import compiled, workers
+
+pytestmark = pytest.mark.skipif(not workers.possible(), reason="no threads that wait in machine code")
+THREADS = (1, 2, 3, 7)
+
+
+@kernel
+def squared(x: Array1[F64], out: Array1[F64], times: Array1[I64], begin: I64, end: I64) -> tuple[int, float, int]:
+    total = 0.0
+    for n in independent(begin, end):
+        out[n] = x[n] * x[n]
+        times[n] += 1
+    for n in range(begin, end):
+        total += x[n]
+    return end - begin, total, begin
+
+
+@kernel
+def nothing(begin: I64, end: I64) -> None:
+    pass
+
+
+@pytest.fixture(autouse=True)
+def many(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """As on a machine of eight cores, with kernels in use."""
+    monkeypatch.setattr(compiled, "_running", True)
+    monkeypatch.setattr(compiled, "cores", lambda: 8)
+    before = dict(workers._kept)
+    yield
+    for key in [key for key in workers._kept if key not in before]:
+        workers._kept.pop(key).end()
+
+
+def arrays(count: int) -> tuple[Any, ...]:
+    return np.arange(count, dtype=np.float64), np.zeros(count), np.zeros(count, np.int64)
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_parts_of_a_kernel_are_done_once_and_told_in_order(threads: int) -> None:
+    for count in (0, 1, 2, 15, 16, 17, 100, 1_000, 4_097):
+        x, out, times = arrays(count)
+        found = compiled.in_parts(partial(squared, x, out, times), count, threads, 1)
+        assert np.array_equal(out, x * x) and (times == 1).all()
+        assert sum(total for _, total, _ in found) == x.sum()
+        assert [begin for _, _, begin in found] == [0, *np.cumsum([many for many, _, _ in found])[:-1]]
+        assert len(found) == (1 if threads == 1 else max(1, min(count // 16, 4 * threads)))
+        assert count == 0 or all(many for many, _, _ in found)
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_thousands_of_small_jobs(threads: int) -> None:
+    x, out, times = arrays(64)
+    work = partial(squared, x, out, times)
+    for each in range(5_000):
+        compiled.in_parts(work if each % 7 else nothing_at_all, 64, threads, 4)
+    assert (times == 5_000 - len(range(0, 5_000, 7))).all()
+
+
+def nothing_at_all(begin: int, end: int) -> None:
+    pass
+
+
+def test_a_kernel_that_gives_nothing_or_reads_what_only_python_reads() -> None:
+    assert compiled.in_parts(nothing, 40, 2, 4) == compiled.in_parts(partial(nothing), 40, 2, 4) == [None] * 2
+    x, out, times = arrays(100)
+    assert compiled.in_parts(partial(squared, x, out, memoryless(times)), 100, 2, 4) == [(100, x.sum(), 0)]
+    with pytest.raises(ValueError, match="float64"):
+        compiled.in_parts(partial(squared, x.astype(np.float32), out, times), 100, 2, 4)
+    assert len(compiled.in_parts(partial(squared, x, out, times), 100, 2, 4)) == 6
+
+
+def memoryless(array: Any) -> Any:
+    """An array of a class that machine code does not know."""
+
+    class Another(np.ndarray):
+        pass
+
+    return array.view(Another)
+
+
+def test_many_of_python_ask_at_once_and_within_parts() -> None:
+    wrong: list[str] = []
+
+    def crowd(number: int) -> None:
+        for each in range(300):
+            x, out, times = arrays(50 + number)
+            threads = 1 + (each + number) % 4
+            if each % 3:
+                compiled.in_parts(partial(squared, x, out, times), len(x), threads, 5)
+            else:
+                compiled.in_parts(lambda a, b: within(x, out, times, a, b), len(x), threads, 5)  # noqa: B023
+            if not (np.array_equal(out, x * x) and (times == 1).all()):
+                wrong.append(f"{number}, {each}")
+
+    def within(x: Any, out: Any, times: Any, a: int, b: int) -> None:
+        compiled.in_parts(partial(squared, x[a:b], out[a:b], times[a:b]), b - a, 3, 2)
+
+    crowds = [threading.Thread(target=crowd, args=(number,), daemon=True) for number in range(6)]
+    for one in crowds:
+        one.start()
+    for one in crowds:
+        one.join(120)
+    assert not any(one.is_alive() for one in crowds) and not wrong
+
+
+@pytest.mark.parametrize("threads", (2, 3, 7))
+def test_the_first_part_that_fails_is_told_and_all_begun_have_ended(threads: int) -> None:
+    at_work: list[int] = []
+
+    def work(begin: int, end: int) -> int:
+        at_work.append(begin)
+        try:
+            if begin:
+                raise ValueError(begin)
+            return end
+        finally:
+            at_work.remove(begin)
+
+    for _ in range(200):
+        with pytest.raises(ValueError, match=r"^5$"):
+            compiled.in_parts(work, 5 * threads, threads, 5)
+        assert not at_work
+    assert compiled.in_parts(lambda a, b: b - a, 10, 2, 1) == [5, 5]
+
+
+def test_functions_of_machine_code_are_called_with_each_row() -> None:
+    room = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
+    for count in (1, 3, PARTS, 3 * PARTS + 5):
+        compiled.listed(workers_text.code().function("turns"), [(room.ctypes.data, 3, 0)] * count, 3)
+    pool = workers._kept[3, True]
+    assert isinstance(pool, workers.Workers)
+    assert pool._words[workers_text.DONE] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_forked_process_makes_threads_of_its_own() -> None:
+    x, out, times = arrays(400)
+    work = partial(squared, x, out, times)
+    compiled.in_parts(work, 400, 3, 10)
+    child = os.fork()
+    if not child:
+        signal.alarm(60)
+        for _ in range(100):
+            compiled.in_parts(work, 400, 3, 10)
+        os._exit(0 if (times == 101).all() and len(threading.enumerate()) >= 3 else 1)
+    assert os.waitpid(child, 0)[1] == 0
+
+
+ENDS = """
+import os, sys, threading, time
+from functools import partial
+import numpy as np
+from antdsl.numerics import compiled
+from test_workers import squared, arrays
+compiled._running, compiled.cores = True, lambda: 8
+x, out, times = arrays(4000)
+def go():
+    while True:
+        compiled.in_parts(partial(squared, x, out, times), 4000, 3, 10)
+        compiled.in_parts(lambda a, b: time.sleep(0), 10, 3, 1)
+compiled.in_parts(partial(squared, x, out, times), 4000, 3, 10)
+if sys.argv[1] == "busy":
+    threading.Thread(target=go, daemon=True).start()
+    time.sleep(0.2)
+elif sys.argv[1] == "asleep":
+    time.sleep(0.2)
+elif sys.argv[1] == "raises":
+    compiled.in_parts(lambda a, b: 1 // 0, 10, 3, 1)
+print("over")
+"""
+
+
+@pytest.mark.parametrize(("how", "status"), [("at once", 0), ("asleep", 0), ("busy", 0), ("raises", 1)])
+def test_a_program_ends_whatever_its_threads_are_at(how: str, status: int) -> None:
+    ran = subprocess.run(
+        [sys.executable, "-c", ENDS, how],
+        env=child_environment(Path(__file__).parent, Path(__file__).parents[1]),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert ran.returncode == status and ("ZeroDivisionError" if status else "over") in ran.stderr + ran.stdout
+    assert status or not ran.stderr
+
+
+def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "possible", lambda: False)
+    x, out, times = arrays(1_000)
+    for threads in THREADS:
+        found = compiled.in_parts(partial(squared, x, out, times), 1_000, threads, 10)
+        assert sum(total for _, total, _ in found) == x.sum()
+        with pytest.raises(ZeroDivisionError):
+            compiled.in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
+    assert (times == len(THREADS)).all() and isinstance(workers._kept[2, False], workers.Executed)
