@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces
 from antdsl.casting.tolerances import TOUCHING
-from antdsl.casting.triangle_grid import Felt, TriangleGrid
+from antdsl.casting.triangle_grid import Arrays, TriangleGrid
 from antdsl.numerics import compiled
 
 Vectors = NDArray[np.float64]
@@ -113,17 +113,18 @@ class Nearby:
         return FeelerHits(t < np.inf, t, *normal)
 
     def felt(
-        self, place: Columns, rows: NDArray[np.intp], way: Columns, reach: NDArray[Any], clear: NDArray[np.float32], found: Felt
+        self, place: Arrays, asking: NDArray[np.bool_], ways: Arrays, clear: NDArray[np.float32], found: Arrays
     ) -> NDArray[np.intp]:
-        """As `feelers`, in one call for `rows` of all places [n], who have no face within `clear` [n], along ways [k] of any
-        length, as far as `reach` [k]: into `found` (whether, distance, normal [3,k]), which says until then that nothing is
-        touched. Gives back who of the k has still to ask by `feelers`: all where the grid's kernels do not run."""
-        grid = self._compiled((*place, *way, reach, clear))
+        """As `feelers`, in one call for those of n places who are `asking`, bool[n], and have no face within `clear` [n], along
+        `ways` (x y z [n]) of any length, as far as the last of these says [n], all float32 in one piece: into `found` (whether,
+        distance, normal x y z, [n] each), which says until then that nothing is touched. Gives back who has still to ask by
+        `feelers`: all where the grid's kernels do not run."""
+        grid = self._triangles() if compiled.wanted(len(asking)) else None
         if grid is None:
-            return np.arange(len(rows))
-        if not grid.felt(place, rows, way, reach, clear, found):
+            return np.flatnonzero(asking)
+        if not grid.felt(place, asking, ways, clear, found):
             return _NOBODY
-        asked = np.flatnonzero(np.isnan(found[1]))
+        asked = np.flatnonzero(asking & np.isnan(found[1]))
         found[1][asked] = np.inf
         return asked
 

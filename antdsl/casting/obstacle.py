@@ -7,7 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import Columns, FeelerHits
+from antdsl.casting.nearby import FeelerHits
+from antdsl.casting.triangle_grid import Arrays
 
 
 class Obstacle(Protocol):
@@ -31,17 +32,11 @@ class Obstacle(Protocol):
         """What lies within `reach` (one or float[n]) of places along unit directions."""
 
     def felt(
-        self,
-        place: Columns,
-        rows: NDArray[np.intp],
-        way: Columns,
-        reach: NDArray[Any],
-        clear: NDArray[np.float32],
-        found: tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]],
+        self, place: Arrays, asking: NDArray[np.bool_], ways: Arrays, clear: NDArray[np.float32], found: Arrays
     ) -> NDArray[np.intp]:
-        """What feelers touch of `rows` of all places [n], who have no surface within `clear` [n], along ways [k] of any length,
-        as far as `reach` [k]: whether, the distance and the normal [3,k], into `found`, which says that nothing is touched.
-        Gives back who of the k has still to ask by `feelers`."""
+        """What feelers touch of those who are `asking`, bool[n], and have no surface within `clear`, along `ways` (x y z) of any
+        length, as far as the last of these says: whether, the distance and the normal (x y z), into `found`, which says that
+        nothing is touched. Gives back the numbers of those who have still to ask by `feelers`."""
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1

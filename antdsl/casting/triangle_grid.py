@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Singles = NDArray[np.float32]
 Columns = tuple[Singles, Singles, Singles]
-Felt = tuple[NDArray[np.bool_], Singles, Singles]
+Arrays = tuple[NDArray[Any], ...]
 Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Floats, Floats, Floats]
 
 _FACE_EDGES = 1.0  # cube's edge, in mean edges of faces
@@ -156,14 +157,13 @@ class TriangleGrid:
         found = np.empty((4, len(reach)), np.float32)
         return found, triangle_grid_compiled.feelers(self.tables, _plain(*place, *direction, reach), found)
 
-    def felt(self, place: Columns, rows: Index, way: Columns, reach: Singles, clear: Singles, found: Felt) -> int:
-        """As `feelers`, for some rows of all places [n] and of how far these have no face (`clear`), with ways [k] of any length
-        and reaches [k]; into `found` (whether, distance, normal [3,k]) of those who touch something or have to ask elsewhere.
-        Compiled."""
-        from antdsl.casting import triangle_grid_compiled
+    def felt(self, place: Arrays, asking: NDArray[np.bool_], ways: Arrays, clear: Singles, found: Arrays) -> int:
+        """As `feelers`, for those of n places who are `asking` and of how far these have no face (`clear`), along `ways` of any
+        length, the last of which is how far they reach; into `found` (whether, distance, normal x y z) of those who touch
+        something or have to ask elsewhere. Compiled."""
+        from antdsl.casting.triangle_grid_compiled import felt
 
-        columns, ways = _plain(*place, clear), _plain(*way, reach)
-        count: int = triangle_grid_compiled.felt(self.tables, columns, rows, ways, *found)
+        count: int = felt(self.tables, (*place, clear), asking, ways, found)
         return count
 
     # ---- nearest faces

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import Columns, FeelerHits
+from antdsl.casting.nearby import FeelerHits
+from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
 from antdsl.numerics import compiled
@@ -89,16 +90,10 @@ class SolidFeelers:
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 
     def felt(
-        self,
-        place: Columns,
-        rows: NDArray[np.intp],
-        way: Columns,
-        reach: NDArray[Any],
-        clear: NDArray[np.float32],
-        found: tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]],
+        self, place: Arrays, asking: NDArray[np.bool_], ways: Arrays, clear: NDArray[np.float32], found: Arrays
     ) -> NDArray[np.intp]:
         """Everybody asks by `feelers`."""
-        return np.arange(len(rows))
+        return np.flatnonzero(asking)
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1

@@ -41,9 +41,7 @@ def sense(world: World) -> None:
     for population in world.populations.values():
         lifecycle.find_cells(world, population)
         tilting.lay(population)
-        for name, register in population.plan.registers.items():
-            if register.role == "temp":
-                population.now[name].fill(register.zero)
+        population.clear_temps()
     if world.detail is not None:
         world.detail.observe(world)
     world.backend.begin(world)
