@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -283,11 +282,10 @@ class Setting:
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
     legs: Mapping[str, LegsData] = field(default_factory=dict)
     unseen: frozenset[str] = frozenset()
+    dt: float = field(init=False)  # seconds a step
 
-    @property
-    def dt(self) -> float:
-        """Seconds a step."""
-        return _seconds(self.fps)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dt", float(1 / self.fps))
 
     @property
     def begun_with(self) -> dict[str, frozenset[str]]:
@@ -298,7 +296,3 @@ class Setting:
         return found
 
 
-@lru_cache(64)
-def _seconds(fps: Fraction) -> float:
-    """Of one frame; asked for many times a step."""
-    return float(1 / fps)

@@ -56,15 +56,20 @@ class Kernel:
     """A function of arrays and numbers, as machine code that is made when it is first called. Raises ValueError for an array of
     another type, or that does not lie as its annotation says; what it gives back are numbers."""
 
+    # What is called is held by the instance, so that the interpreter goes to a built-in function and makes no frame for a call.
+    __slots__ = ("__call__", "__dict__", "__weakref__")
+    __call__: Callable[..., Any]
+
     def __init__(self, function: FunctionType) -> None:
         self.part = Part(function)
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
         self._lock = Lock()
         self._run: Callable[..., Any] | None = None
+        self.__call__ = self._first
 
-    def __call__(self, *arguments: Any) -> Any:
-        run = self._run or self.made()
-        return run(*arguments)
+    def _first(self, *arguments: Any) -> Any:
+        """The first call."""
+        return self.made()(*arguments)
 
     def made(self) -> Callable[..., Any]:
         """The function that calls the machine code, which is made or loaded if it is not there yet."""
@@ -74,7 +79,7 @@ class Kernel:
                 key = sources.key(self.part, types)
                 host = machine.host()
                 code = codes.code(self.text(host)) if key is None else codes.code(key, lambda: self.text(host))
-                self._run = caller(self.__name__, code, types, Told.read(code.told(_ABOUT)))
+                self._run = self.__call__ = caller(self.__name__, code, types, Told.read(code.told(_ABOUT)))
             return self._run
 
     def kept(self) -> bool:
