@@ -294,5 +294,3 @@ class Setting:
         for crowd in self.crowds:
             found[crowd.species] = found.get(crowd.species, frozenset()) | crowd.place.values.keys()
         return found
-
-

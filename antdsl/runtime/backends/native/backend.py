@@ -44,7 +44,7 @@ class NativeBackend(NumpyBackend):
         self._timed = False  # what is run or wanted is code that is timed by line
         self._aside: tuple[Ready | None, Future[Ready] | None, dict[tuple[str, str], Block]] = (None, None, {})  # the other code
         self._rooms = Rooms()
-        self._versions: dict[str, int] = {}
+        self._versions: list[int] = []
         self._widest: dict[tuple[str, str, int], float] = {}
         self._grids: Grids | None = None
 
@@ -64,7 +64,7 @@ class NativeBackend(NumpyBackend):
         """Values of the step, and nothing sensed yet. Takes machine code in use that has become ready."""
         self._look_for_code(world, world.options.wait_for_code)
         self._begun = True
-        versions = {name: population.version for name, population in world.populations.items()}
+        versions = [population.version for population in world.populations.values()]
         if versions != self._versions:
             self._versions = versions
             self._rooms.forget()
@@ -118,8 +118,8 @@ class NativeBackend(NumpyBackend):
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births are NumPy's."""
         name = population.name
-        code = None if rows is not None else self._code(name, block)
-        metered = self.metered.get((name, block))
+        code = None if rows is not None else self._running.get((name, block)) or self._code(name, block)
+        metered = self.metered.get((name, block)) if self.metered else None
         if code is None or (code.code.lines is None) != (metered is None):
             super().run(world, population, block, rows)
             return
@@ -141,10 +141,10 @@ class NativeBackend(NumpyBackend):
                 each.fill(0)
 
     def _code(self, species: str, block: str) -> Block | None:
-        """A block's machine code, ready to run; None where it has none."""
-        found = self._running.get((species, block))
-        if found is None and self.ready is not None and (species, block) in self.ready.program.blocks:
-            found = self._running[species, block] = Block(self.ready, species, block, self._rooms)
+        """A block's machine code, made ready to run; None where it has none."""
+        if self.ready is None or (species, block) not in self.ready.program.blocks:
+            return None
+        found = self._running[species, block] = Block(self.ready, species, block, self._rooms)
         return found
 
     def _cells(self, world: World, population: Population, block: str, near: Near, number: int) -> Arrays:

@@ -26,7 +26,7 @@ from antdsl.runtime.backends.native.tables import Tables
 from antdsl.runtime.pairs import NearbySets
 from antdsl.runtime.requests import Effects, FaultEntry
 from antdsl.runtime.sensing import IN_PLACE, SENSES
-from antdsl.runtime.world import Population, World
+from antdsl.runtime.world import Options, Population, World
 
 _PART = 1_024  # agents for whom a part of their own pays
 # Calls at the end of a stage, those of one sense with one name together: whether what they give is answered where it is left, and
@@ -43,6 +43,7 @@ class Block:
         self.made = ready.calls
         self.uniform = {slot: node for node, slot in self.compiler.uniforms.items()}
         numbers = {each: number for number, each in enumerate(self.code.needs)}
+        self._shared: tuple[int, Options | None, list[tuple[int, int]]] = (-1, None, [])  # parts of so many rows
         self.stages: list[tuple[Any, Calls]] = []  # function, and what is called after it
         for stage, function in enumerate(self.code.names):
             groups = ready.together[species, name, stage]
@@ -55,10 +56,13 @@ class Block:
         """Take all rows through the block, and put what they ask for into the population's effects, in the order of their rows.
         `values` are those that are the same for all agents, `timed` tells of lines while they are timed. Gives the parts, as
         first row and the one after the last, in which some agent has too many others in a radius."""
-        count, threads = len(population), max(1, world.options.threads)
-        size = _part(count, world.options.chunk, threads)
-        bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
-        lanes = [self.tables.lane(k, world, min(size, count)) for k in range(min(threads, len(bounds)))]
+        count, options = len(population), world.options
+        if count != self._shared[0] or options is not self._shared[1]:
+            size = _part(count, options.chunk, max(1, options.threads))
+            self._shared = (count, options, [(begin, min(begin + size, count)) for begin in range(0, count, size)])
+        bounds = self._shared[2]
+        rows = bounds[0][1] if bounds else 0
+        lanes = [self.tables.lane(k, world, rows) for k in range(min(max(1, options.threads), len(bounds)))]
         if timed is not None:
             return self._timed(world, population, values, timed, bounds, lanes)
         return self._parts(world, population, values, bounds, lanes, [None] * len(lanes))

@@ -34,25 +34,16 @@ Words = NDArray[np.int64]
 
 
 class Held:
-    """Arrays that one thing of the world holds. `get` gives them; once one of them is another array, `put` puts down the
-    addresses of all, and may put arrays with room in their place."""
+    """Arrays that one thing of the world holds, which `of` finds. `get` gives them; once one of them is not that which was `seen`
+    last, `put` puts down the addresses of all, and may put arrays with room in their place."""
 
-    __slots__ = ("_get", "_of", "_put", "_seen")
+    __slots__ = ("get", "of", "put", "seen")
 
     def __init__(
         self, of: Holder, get: Callable[[Any], Iterable[NDArray[Any]]], put: Callable[[World, Population, Any, Words], None]
     ) -> None:
-        self._of, self._get, self._put = of, get, put
-        self._seen: Iterable[Any] = repeat(None)
-
-    def look(self, world: World, population: Population, words: Words) -> bool:
-        """Whether addresses had to be put down again."""
-        holder = self._of(world, population)
-        if not any(map(is_not, self._seen, self._get(holder))):
-            return False
-        self._put(world, population, holder, words)
-        self._seen = self._get(holder)
-        return True
+        self.of, self.get, self.put = of, get, put
+        self.seen: Iterable[Any] = repeat(None)
 
 
 class Tables:
@@ -107,7 +98,10 @@ class Tables:
         self._numbers(world, values, lasting)
         words, changed = self.pointers, False
         for held in self._held:
-            changed |= held.look(world, population, words)
+            holder = held.of(world, population)
+            if any(map(is_not, held.seen, held.get(holder))):
+                held.put(world, population, holder, words)
+                held.seen, changed = held.get(holder), True
         if kept is not self._of[0]:
             self._of[0], changed = kept, True
             for number, part, place in self._kept:
