@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import FeelerHits
+from antdsl.casting.nearby import Ask, FeelerHits
 from antdsl.casting.triangle_grid import Arrays
 
 
@@ -31,12 +32,11 @@ class Obstacle(Protocol):
     ) -> FeelerHits:
         """What lies within `reach` (one or float[n]) of places along unit directions."""
 
-    def felt(
-        self, place: Arrays, asking: NDArray[np.bool_], ways: Arrays, clear: NDArray[np.float32], found: Arrays
-    ) -> NDArray[np.intp]:
-        """What feelers touch of those who are `asking`, bool[n], and have no surface within `clear`, along `ways` (x y z) of any
-        length, as far as the last of these says: whether, the distance and the normal (x y z), into `found`, which says that
-        nothing is touched. Gives back the numbers of those who have still to ask by `feelers`."""
+    def felt(self, places: Arrays, asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
+        """What feelers touch of those of n agents who are asking, several times at once. `places`: x y z, and within how many mm
+        there is no surface; ways (x y z) of any length and how far they reach; into whether, the distance and the normal (x y z),
+        which say until then that nothing is touched. Gives back who has still to ask by `feelers`, with the number of what they
+        ask."""
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1

@@ -153,11 +153,11 @@ class TriangleGrid:
         found = np.empty((4, len(reach)), np.float32)
         return found, _kernels().feelers(self.tables, _plain(*place, *direction, reach), found)
 
-    def felt(self, place: Arrays, asking: NDArray[np.bool_], ways: Arrays, clear: Singles, found: Arrays) -> int:
-        """As `feelers`, for those of n places who are `asking` and of how far these have no face (`clear`), along `ways` of any
+    def felt(self, places: Arrays, asking: NDArray[np.bool_], ways: Arrays, found: Arrays) -> int:
+        """As `feelers`, for those of n places (x y z and how far these have no face) who are `asking`, along `ways` of any
         length, the last of which is how far they reach; into `found` (whether, distance, normal x y z) of those who touch
         something or have to ask elsewhere. Compiled."""
-        count: int = _kernels().felt(self.tables, (*place, clear), asking, ways, found)
+        count: int = _kernels().felt(self.tables, places, asking, ways, found)
         return count
 
     # ---- nearest faces

@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.nearby import Ask
 from antdsl.casting.obstacle import Obstacle
 from antdsl.casting.tolerances import SHORTEST
+from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
@@ -27,8 +29,6 @@ from antdsl.runtime.world import AXES, Population, World
 
 Value = Any
 Rows = slice | NDArray[np.intp]
-Arrays = tuple[NDArray[Any], ...]
-Ask = tuple[NDArray[np.bool_], Arrays, Arrays]  # who of n asks, operands and results of n each
 TINY = np.float32(SHORTEST)
 NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float32(0))  # what a ray gives that touches nothing
 _HAIR = 1e-6  # of the way to the middle of a face
@@ -170,10 +170,9 @@ def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks:
         boxes = np.where(levels == 1, world.detail.clearance(world, population, name), far)
         which = [(world.obstacles[name], np.where(levels == 0, clear, far)[rows]), (world.detail.boxes(name), boxes[rows])]
     for scene, near in which:
-        for asking, ways, found in asks:
-            left = scene.felt(place, asking, ways, near, found)
-            if len(left):
-                _feel(scene, place, left, ways, near, found, world.options.threads)
+        for number, left in scene.felt((*place, near), asks):
+            _, ways, found = asks[number]
+            _feel(scene, place, left, ways, near, found, world.options.threads)
 
 
 def _feel(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.nearby import Ask
 from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, WIDTH
 from antdsl.machine_code.memory import address
 from antdsl.plan import ir
@@ -15,7 +16,6 @@ from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.backends.native.search import MOST
-from antdsl.runtime.sensing import Ask
 
 DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
 _OWN = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys

@@ -3,8 +3,6 @@ between them, and what is asked of the world."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import accumulate
 from time import perf_counter
 from typing import Any
@@ -44,6 +42,7 @@ class Block:
         self.uniform = {slot: node for node, slot in self.compiler.uniforms.items()}
         numbers = {each: number for number, each in enumerate(self.code.needs)}
         self._shared: tuple[int, Options | None, list[tuple[int, int]]] = (-1, None, [])  # parts of so many rows
+        self._chunks: list[Chunk] = []
         self.stages: list[tuple[Any, Calls]] = []  # function, and what is called after it
         for stage, function in enumerate(self.code.names):
             groups = ready.together[species, name, stage]
@@ -61,11 +60,17 @@ class Block:
             size = _part(count, options.chunk, max(1, options.threads))
             self._shared = (count, options, [(begin, min(begin + size, count)) for begin in range(0, count, size)])
         bounds = self._shared[2]
-        rows = bounds[0][1] if bounds else 0
-        lanes = [self.tables.lane(k, world, rows) for k in range(min(max(1, options.threads), len(bounds)))]
+        lanes = [self._lane(k, world, bounds[0][1]) for k in range(min(max(1, options.threads), len(bounds)))]
         if timed is not None:
             return self._timed(world, population, values, timed, bounds, lanes)
-        return self._parts(world, population, values, bounds, lanes, [None] * len(lanes))
+        return self._parts(world, population, values, bounds, lanes)
+
+    def _lane(self, number: int, world: World, rows: int) -> Chunk:
+        """What takes chunks of so many rows through the block in a thread."""
+        lane = self.tables.lane(number, world, rows)
+        if number == len(self._chunks):
+            self._chunks.append(Chunk(self, lane))
+        return self._chunks[number]
 
     def _timed(
         self,
@@ -74,12 +79,13 @@ class Block:
         values: dict[ir.Node, Any],
         timed: Metered,
         bounds: list[tuple[int, int]],
-        lanes: list[Lane],
+        lanes: list[Chunk],
     ) -> list[tuple[int, int]]:
         lines, began = self.code.lines, perf_counter()
-        times = [None if lines is None else Times(lines, lane.ticks, timed.lane()) for lane in lanes]
-        bad = self._parts(world, population, values, bounds, lanes, times)
-        counted = [each for each in times if each is not None]
+        for each in lanes:
+            each.times = None if lines is None else Times(lines, each.lane.ticks, timed.lane())
+        bad = self._parts(world, population, values, bounds, lanes)
+        counted = [each.times for each in lanes if each.times is not None]
         if counted:
             for spent in counted:
                 spent.end()
@@ -92,22 +98,19 @@ class Block:
         population: Population,
         values: dict[ir.Node, Any],
         bounds: list[tuple[int, int]],
-        lanes: list[Lane],
-        times: Sequence[Times | None],
+        lanes: list[Chunk],
     ) -> list[tuple[int, int]]:
         if len(bounds) == 1:
-            chunk = Chunk(self, world, population, values, lanes[0], times[0], *bounds[0], population.effects)
-            return [] if chunk.run() else bounds
+            return [] if lanes[0].run(world, population, values, *bounds[0], population.effects) else bounds
         effects, good, coming = [Effects() for _ in bounds], [False] * len(bounds), iter(range(len(bounds)))
 
-        def work(number: int) -> None:
+        def work(lane: Chunk) -> None:
             for k in coming:  # the next one that nobody has
-                chunk = Chunk(self, world, population, values, lanes[number], times[number], *bounds[k], effects[k])
-                good[k] = chunk.run()
+                good[k] = lane.run(world, population, values, *bounds[k], effects[k])
 
-        others = [compiled.workers(world.options.threads).submit(work, number) for number in range(1, len(lanes))]
+        others = [compiled.workers(world.options.threads).submit(work, lane) for lane in lanes[1:]]
         try:
-            work(0)
+            work(lanes[0])
         finally:
             if others:
                 compiled.settled(others)
@@ -129,44 +132,51 @@ def _part(count: int, chunk: int, threads: int) -> int:
     return WIDTH * max(1, -(-count // most))
 
 
-@dataclass(slots=True, eq=False)
 class Chunk:
-    """Some rows of a block. `run` says whether all went well: False where some agent has too many others in a radius."""
+    """Takes rows of a block through its stages, in a thread. `times` are counted while they are there."""
 
-    block: Block
     world: World
     population: Population
     values: dict[ir.Node, Any]
-    lane: Lane
-    times: Times | None
     begin: int
     end: int
     effects: Effects
-    _picked: dict[int, NDArray[np.intp]] = field(default_factory=dict)
-    _slots: list[Any] | None = None
 
-    def run(self) -> bool:
-        """Take the rows through all stages; what is asked of the world is added to the effects."""
+    def __init__(self, block: Block, lane: Lane) -> None:
+        self.block, self.lane = block, lane
+        self.times: Times | None = None
+        self._picked: dict[int, NDArray[np.intp]] = {}
+        self._slots: list[Any] | None = None
+
+    def run(
+        self, world: World, population: Population, values: dict[ir.Node, Any], begin: int, end: int, effects: Effects
+    ) -> bool:
+        """Take rows through all stages; what is asked of the world is added to the effects. Gives whether all went well: False
+        where some agent has too many others in a radius."""
+        self.world, self.population, self.values = world, population, values
+        self.begin, self.end, self.effects = begin, end, effects
+        self._slots = None
+        self._picked.clear()
         block, lane, times = self.block, self.lane, self.times
         lane.begin()
         for function, calls in block.stages:
             if times is None:
-                function(lane.address, self.begin, self.end)
+                function(lane.address, begin, end)
             else:
                 began = perf_counter()
-                function(lane.address, self.begin, self.end)
+                function(lane.address, begin, end)
                 times.seconds += perf_counter() - began
             if calls:
                 self._calls(calls)
         crowded, *counts = lane.counts.tolist()
-        if crowded:
-            return False
-        for number, count in enumerate(counts):
-            if count:
-                asked(block.code.lists[number], [column[:count].copy() for column in lane.columns[number]], self.effects)
-        if lane.notes[0]:
-            self._faults()
-        return True
+        if not crowded:
+            for number, count in enumerate(counts):
+                if count:
+                    asked(block.code.lists[number], [column[:count].copy() for column in lane.columns[number]], effects)
+            if lane.notes[0]:
+                self._faults()
+        del self.world, self.population, self.values, self.effects  # which are no longer needed, once nobody else has them
+        return not crowded
 
     def _took(self, began: float, some: list[Instruction], rows: list[int]) -> None:
         """Calls have come to their end; each has its share of the time by the rows that it was made for."""
