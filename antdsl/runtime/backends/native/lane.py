@@ -41,25 +41,22 @@ class Lane:
         self._keys = [(key, place) for key, place in code.layout.pointers.items() if key[0] in _OWN or key[2:] == ("widest",)]
         self._own = np.array([place for _, place in self._keys], np.intp)
         self._places = np.zeros(len(self._keys), np.int64)
-        self._filled = -1
         self._asks: dict[Instruction, tuple[Ask, list[tuple[ir.Node, Any]]]] = {}  # and what of it goes by values of the step
 
-    def ready(self, rows: int, others: int, pointers: NDArray[np.int64], version: int) -> None:
+    def ready(self, rows: int, others: int, pointers: NDArray[np.int64]) -> None:
         """Have arrays for so many rows of a chunk and so many agents of the largest species, and the addresses that all lanes
-        have, which are others where `version` is."""
+        have."""
         if rows > self._size or others > self._others:
             self._room(max(rows, self._size), max(others, self._others))
-        elif version == self._filled:
-            return
         self.pointers[:] = pointers
         self.pointers[self._own] = self._places
-        self._filled = version
 
     def begin(self) -> None:
         """Count from nothing again."""
         self.notes[0] = 0
         self.counts.fill(0)
-        self.needs.fill(0)
+        if self.code.needs:
+            self.needs.fill(0)
 
     def ask(self, each: Instruction, rows: int, uniform: Mapping[int, ir.Node], values: Mapping[ir.Node, Any]) -> Ask:
         """Who of so many rows needs a call, what it is made with, and where the next stage looks for its results. `uniform`:

@@ -24,7 +24,7 @@ from antdsl.runtime.backends.native.tables import Tables
 from antdsl.runtime.pairs import NearbySets
 from antdsl.runtime.requests import Effects, FaultEntry
 from antdsl.runtime.sensing import IN_PLACE, SENSES
-from antdsl.runtime.world import Options, Population, World
+from antdsl.runtime.world import Population, World
 
 _PART = 1_024  # agents for whom a part of their own pays
 # Calls at the end of a stage, those of one sense with one name together: whether what they give is answered where it is left, and
@@ -41,8 +41,10 @@ class Block:
         self.made = ready.calls
         self.uniform = {slot: node for node, slot in self.compiler.uniforms.items()}
         numbers = {each: number for number, each in enumerate(self.code.needs)}
-        self._shared: tuple[int, Options | None, list[tuple[int, int]]] = (-1, None, [])  # parts of so many rows
         self._chunks: list[Chunk] = []
+        self._ready_for: tuple[int, ...] = ()
+        self._bounds: list[tuple[int, int]] = []  # parts of the rows, first and the one after the last
+        self._lanes: list[Chunk] = []  # that take them through the block side by side
         self.stages: list[tuple[Any, Calls]] = []  # function, and what is called after it
         for stage, function in enumerate(self.code.names):
             groups = ready.together[species, name, stage]
@@ -55,22 +57,22 @@ class Block:
         """Take all rows through the block, and put what they ask for into the population's effects, in the order of their rows.
         `values` are those that are the same for all agents, `timed` tells of lines while they are timed. Gives the parts, as
         first row and the one after the last, in which some agent has too many others in a radius."""
-        count, options = len(population), world.options
-        if count != self._shared[0] or options is not self._shared[1]:
-            size = _part(count, options.chunk, max(1, options.threads))
-            self._shared = (count, options, [(begin, min(begin + size, count)) for begin in range(0, count, size)])
-        bounds = self._shared[2]
-        lanes = [self._lane(k, world, bounds[0][1]) for k in range(min(max(1, options.threads), len(bounds)))]
+        count, others = len(population), self.tables.others(world)
+        of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
+        if of != self._ready_for:
+            self._ready(*of)
+            self._ready_for = of
         if timed is not None:
-            return self._timed(world, population, values, timed, bounds, lanes)
-        return self._parts(world, population, values, bounds, lanes)
+            return self._timed(world, population, values, timed)
+        return self._parts(world, population, values)
 
-    def _lane(self, number: int, world: World, rows: int) -> Chunk:
-        """What takes chunks of so many rows through the block in a thread."""
-        lane = self.tables.lane(number, world, rows)
-        if number == len(self._chunks):
-            self._chunks.append(Chunk(self, lane))
-        return self._chunks[number]
+    def _ready(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
+        """Share out so many rows, and have lanes ready for them."""
+        size, threads = _part(count, chunk, max(1, threads)), max(1, threads)
+        self._bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
+        lanes = [self.tables.lane(k, min(size, count), others) for k in range(min(threads, len(self._bounds)))]
+        self._chunks += [Chunk(self, lane) for lane in lanes[len(self._chunks) :]]
+        self._lanes = self._chunks[: len(lanes)]
 
     def _timed(
         self,
@@ -78,13 +80,11 @@ class Block:
         population: Population,
         values: dict[ir.Node, Any],
         timed: Metered,
-        bounds: list[tuple[int, int]],
-        lanes: list[Chunk],
     ) -> list[tuple[int, int]]:
-        lines, began = self.code.lines, perf_counter()
+        lines, lanes, began = self.code.lines, self._lanes, perf_counter()
         for each in lanes:
             each.times = None if lines is None else Times(lines, each.lane.ticks, timed.lane())
-        bad = self._parts(world, population, values, bounds, lanes)
+        bad = self._parts(world, population, values)
         counted = [each.times for each in lanes if each.times is not None]
         if counted:
             for spent in counted:
@@ -92,14 +92,8 @@ class Block:
             timed.take([spent.lane for spent in counted], perf_counter() - began if len(lanes) > 1 else np.inf)
         return bad
 
-    def _parts(
-        self,
-        world: World,
-        population: Population,
-        values: dict[ir.Node, Any],
-        bounds: list[tuple[int, int]],
-        lanes: list[Chunk],
-    ) -> list[tuple[int, int]]:
+    def _parts(self, world: World, population: Population, values: dict[ir.Node, Any]) -> list[tuple[int, int]]:
+        bounds, lanes = self._bounds, self._lanes
         if len(bounds) == 1:
             return [] if lanes[0].run(world, population, values, *bounds[0], population.effects) else bounds
         effects, good, coming = [Effects() for _ in bounds], [False] * len(bounds), iter(range(len(bounds)))

@@ -34,8 +34,8 @@ Words = NDArray[np.int64]
 
 
 class Held:
-    """Arrays that one thing of the world holds, which `of` finds. `get` gives them; once one of them is not that which was `seen`
-    last, `put` puts down the addresses of all, and may put arrays with room in their place."""
+    """Arrays that one thing of the world holds, which `of` finds. `get` gives them, or what is another object once they are; once
+    that is not what was `seen` last, `put` puts down the addresses of all, and may put arrays with room in their place."""
 
     __slots__ = ("get", "of", "put", "seen")
 
@@ -55,7 +55,7 @@ class Tables:
         self.pointers = np.zeros(len(code.layout.pointers), np.int64)
         self.pointers[0] = address(self.numbers)
         self.lanes: list[Lane] = []
-        self._version = 0  # of the pointers
+        self.version = 0  # of the pointers
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
         nodes: list[tuple[ir.Node, int]] = []
         self._draws: dict[tuple[str, str, int], dict[str, int]] = {}  # by species, site and block: places of words
@@ -118,15 +118,18 @@ class Tables:
             if at != self._at[number]:
                 self._at[number] = words[place] = at
                 changed = True
-        self._version += changed
+        self.version += changed
 
-    def lane(self, number: int, world: World, rows: int) -> Lane:
-        """That of a thread, ready to run what the tables were filled for, for so many rows at once."""
+    def others(self, world: World) -> int:
+        """Agents of the largest species, where others are searched."""
+        return max([len(other) for other in world.populations.values()]) if self.code.near else 0
+
+    def lane(self, number: int, rows: int, others: int) -> Lane:
+        """That of a thread, ready to run what the tables were filled for, for so many rows at once and agents of a species."""
         while len(self.lanes) <= number:
             self.lanes.append(Lane(self.code, self.pointers))
         lane = self.lanes[number]
-        others = max([len(other) for other in world.populations.values()]) if self.code.near else 0
-        lane.ready(rows, others, self.pointers, self._version)
+        lane.ready(rows, others, self.pointers)
         return lane
 
     def _numbers(self, world: World, values: Mapping[ir.Node, Any], lasting: Any) -> None:
@@ -167,8 +170,6 @@ class Tables:
                 return ("own",)
             case "item" | "field":
                 return key[:2]
-            case "event" if key[1] in self.code.species.handles:
-                return ("event",)
             case "other" if key[2] not in _IN_ORDER:
                 return ("other" if key[2] in _ATTRIBUTES else "start of", key[1])
         return None
@@ -190,8 +191,6 @@ class Tables:
                 return self._mapping(lambda world, population: world.items[of].seen, names)
             case "field":
                 return _field(of, [(key[2:], place) for key, place in keys])
-            case "event":
-                return self._mapping(lambda world, population: population.events, names)
         return self._mapping(lambda world, population: population.cells, names)
 
     def _registers(self, names: Names, *, start: bool) -> Held:
@@ -229,10 +228,18 @@ class Tables:
         copy = self._copy(key)
         return lambda world, population: copy.of(population.footing.mesh, np.int64)
 
-    def _nothing(self, key: Key) -> Find:
-        """An event that nobody of the species handles."""
-        copy = self._copy(key)
-        return lambda world, population: copy.of(np.zeros(len(population), np.bool_), np.bool_, len(population))
+    def _event(self, key: Key) -> Find:
+        """Whom an event has reached, which is another array in each step; nobody of a species that does not handle it."""
+        name = str(key[1])
+        if name not in self.code.species.handles:
+            copy = self._copy(key)
+            return lambda world, population: copy.of(np.zeros(len(population), np.bool_), np.bool_, len(population))
+
+        def find(world: World, population: Population) -> int:
+            population.events[name], place = self._rooms.place(population.events[name])
+            return place
+
+        return find
 
     def _in_order(self, key: Key) -> Find:
         """Ids of another species in order, or their rows."""
@@ -274,12 +281,11 @@ def _several(getter: Callable[..., Callable[[Any], Any]], names: Names) -> Calla
 
 
 def _field(of: str, names: list[tuple[Key, int]]) -> Held:
-    """Of a field: all goes by the number of a cell, so that no room is needed behind the last one."""
-    attributes = sorted({"seen_places" if what in AXES else str(what) for (what, *_), _ in names if what != "block"})
-    counts = sorted({int(str(more[0])) for (what, *more), _ in names if what == "block"})
+    """Of a field, whose arrays are others once its version is: all goes by the number of a cell, so that no room is needed behind
+    the last one."""
 
-    def get(field: PheromoneField) -> list[NDArray[Any]]:
-        return [getattr(field, name) for name in attributes] + [field.cells.nearest(count) for count in counts]
+    def get(field: PheromoneField) -> tuple[Any, ...]:
+        return field, field.version
 
     def put(world: World, population: Population, field: PheromoneField, words: Words) -> None:
         for (what, *more), place in names:
@@ -300,7 +306,7 @@ _IN_ORDER = frozenset(("sorted ids", "rows of sorted ids"))
 _ATTRIBUTES = {"frame of birth": "born", "unsorted ids": "ids"}  # of another species
 _FOUND: dict[str, Callable[[Tables, Key], Find]] = {
     "mesh": Tables._mesh,
-    "event": Tables._nothing,
+    "event": Tables._event,
     "other": Tables._in_order,
     "beside": Tables._beside,
     "clear": Tables._clear,
