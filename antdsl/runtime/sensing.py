@@ -170,33 +170,34 @@ def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks:
         boxes = np.where(levels == 1, world.detail.clearance(world, population, name), far)
         which = [(world.obstacles[name], np.where(levels == 0, clear, far)[rows]), (world.detail.boxes(name), boxes[rows])]
     for scene, near in which:
-        for number, left in scene.felt((*place, near), asks):
-            _, ways, found = asks[number]
-            _feel(scene, place, left, ways, near, found, world.options.threads)
+        left = scene.felt((*place, near), asks)
+        if left:
+            _feel(scene, (*place, near), left, asks, world.options.threads)
 
 
 def _feel(
-    scene: Obstacle,
-    place: Arrays,
-    asked: NDArray[np.intp],
-    ways: Arrays,
-    clear: NDArray[np.float32],
-    found: Arrays,
-    threads: int,
+    scene: Obstacle, places: Arrays, left: Sequence[tuple[int, NDArray[np.intp]]], asks: Sequence[Ask], threads: int
 ) -> None:
-    """The same of a scene and one ray of those with numbers `asked`, by what answers to all rays."""
+    """The same of a scene for those who have still to ask, by what answers to all rays, at once: `left` and `places` are as
+    `Obstacle.felt` gives and takes them."""
+    *place, clear = places
+    row = np.concatenate([rows for _, rows in left])
+    whose = np.repeat([each for each, _ in left], [len(rows) for _, rows in left])
     with np.errstate(all="ignore"):
-        wx, wy, wz, far = (v.take(asked) for v in ways)
+        wx, wy, wz, far = (np.concatenate([asks[each][1][k].take(rows) for each, rows in left]) for k in range(4))
         size = np.sqrt((wx * wx + wy * wy) + wz * wz)
-        near = (far > 0) & (far < np.inf) & may_touch(clear.take(asked), far)
+        near = (far > 0) & (far < np.inf) & may_touch(clear.take(row), far)
         sound = np.flatnonzero(near & (size > TINY) & (size < np.inf))
-        good = asked.take(sound)
-        if len(good):
-            x, y, z = (v.take(good) for v in place)
-            wx, wy, wz, size, far = (v.take(sound) for v in (wx, wy, wz, size, far))
-            met = scene.feelers(x, y, z, wx / size, wy / size, wz / size, far, threads=threads)
-            for into, values in zip(found, (met.hit, met.t, met.nx, met.ny, met.nz), strict=True):
-                into[good] = values
+        if not len(sound):
+            return
+        row, whose, size, far = (v.take(sound) for v in (row, whose, size, far))
+        x, y, z = (v.take(row) for v in place)
+        wx, wy, wz = (v.take(sound) / size for v in (wx, wy, wz))
+        met = scene.feelers(x, y, z, wx, wy, wz, far, threads=threads)
+    for each, _ in left:
+        own = (whose == each).nonzero()[0]
+        for into, values in zip(asks[each][2], (met.hit, met.t, met.nx, met.ny, met.nz), strict=True):
+            into[row[own]] = values[own]
 
 
 def _obstacle_near(world: World, population: Population, node: ir.Node, rows: Rows, reach: Value) -> Value:
