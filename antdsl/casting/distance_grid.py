@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from antdsl.casting.rasterise import triangle_cells
 from antdsl.numerics import compiled
 
 _CELLS = 250_000  # a table that stays in the processor's cache beside all else of a step
+_SINGLE = np.dtype(np.float32)
 _MEASURED = 150_000  # cells: about 2 microseconds each
 
 
@@ -27,6 +28,7 @@ class DistanceGrid:
         self._width = cell_width(extent, cells)
         self._size = np.floor(extent / self._width).astype(np.int64) + 1
         self._high = self._low + extent
+        self._cells = (self._low, self._high, self._size, self._width)
         free = np.ones(tuple(self._size), bool)
         for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
             cell = np.minimum(cell, self._size - 1)
@@ -51,13 +53,10 @@ class DistanceGrid:
 
     def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
-        if compiled.wanted(len(x)) and all(np.asarray(v).dtype == np.float32 for v in (x, y, z)):
-            from antdsl.casting.distance_grid_compiled import at_least
-
+        if compiled.wanted(len(x)) and x.dtype == y.dtype == z.dtype == _SINGLE:
             found = np.empty(len(x), np.float32)
-            cells = (self._low, self._high, self._size, self._width)
-            given = (compiled.plain(x, y, z), cells, self._least, found)
-            compiled.in_parts(partial(at_least, *given), len(x), threads, compiled.LIGHT)
+            work = partial(_kernels().at_least, compiled.plain(x, y, z), self._cells, self._least, found)
+            compiled.in_parts(work, len(x), threads, compiled.LIGHT)
             return found
         flat: NDArray[np.int64] | int = 0
         outside: NDArray[Any] | float = 0.0
@@ -72,6 +71,13 @@ class DistanceGrid:
         # The nearest place of the box is a projection, so the two distances are legs of a right angle at least.
         away: NDArray[np.float32] = np.where(outside > 0, np.sqrt(least * least + outside) * (1 - 1e-5), least).astype(np.float32)
         return away
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.casting import distance_grid_compiled
+
+    return distance_grid_compiled
 
 
 def cell_width(extent: NDArray[np.float64], cells: int) -> float:

@@ -4,6 +4,7 @@ Whoever is too far from everything to touch it is not asked about, by a grid of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,15 +14,16 @@ from numpy.typing import NDArray
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces
 from antdsl.casting.tolerances import TOUCHING
-from antdsl.casting.triangle_grid import Felt, TriangleGrid
+from antdsl.casting.triangle_grid import Arrays, TriangleGrid
 from antdsl.numerics import compiled
 
 Vectors = NDArray[np.float64]
 Index = NDArray[np.int64]
 Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
+Ask = tuple[NDArray[np.bool_], Arrays, Arrays]  # who of n asks, operands and results of n each
+
 END = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
-_NOBODY = np.empty(0, np.intp)
 _CROWD = 2_000  # places asked about at once, from which on finer distances pay
 _BRIEF_CELLS = 1000
 
@@ -35,6 +37,11 @@ class FeelerHits:
     nx: NDArray[np.float32]
     ny: NDArray[np.float32]
     nz: NDArray[np.float32]
+
+
+def everybody(asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
+    """All who ask, with the number of what they ask."""
+    return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(asks)]
 
 
 class Nearby:
@@ -112,20 +119,21 @@ class Nearby:
             t, normal = self._touched((x, y, z, dx, dy, dz), reach, threads)
         return FeelerHits(t < np.inf, t, *normal)
 
-    def felt(
-        self, place: Columns, rows: NDArray[np.intp], way: Columns, reach: NDArray[Any], clear: NDArray[np.float32], found: Felt
-    ) -> NDArray[np.intp]:
-        """As `feelers`, in one call for `rows` of all places [n], who have no face within `clear` [n], along ways [k] of any
-        length, as far as `reach` [k]: into `found` (whether, distance, normal [3,k]), which says until then that nothing is
-        touched. Gives back who of the k has still to ask by `feelers`: all where the grid's kernels do not run."""
-        grid = self._compiled((*place, *way, reach, clear))
+    def felt(self, places: Arrays, asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
+        """As `feelers`, several times at once, for those of n agents who are asking. `places`: x y z and how far they have no
+        face, [n] each; ways (x y z) of any length and how far they reach, [n] each; what is found, whether, distance and normal
+        (x y z), [n] each, which says until then that nothing is touched; all float32 in one piece. Gives back who has still to
+        ask by `feelers`, with the number of what they ask: all where the grid's kernels do not run."""
+        grid = self._triangles() if compiled.wanted(len(places[0])) else None
         if grid is None:
-            return np.arange(len(rows))
-        if not grid.felt(place, rows, way, reach, clear, found):
-            return _NOBODY
-        asked = np.flatnonzero(np.isnan(found[1]))
-        found[1][asked] = np.inf
-        return asked
+            return everybody(asks)
+        left = []
+        for number, (asking, ways, found) in enumerate(asks):
+            if grid.felt(places, asking, ways, found):
+                asked = np.flatnonzero(asking & np.isnan(found[1]))
+                found[1][asked] = np.inf
+                left.append((number, asked))
+        return left
 
     def _compiled(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
         """The grid, where its kernels run and take these columns."""

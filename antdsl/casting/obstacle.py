@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import Columns, FeelerHits
+from antdsl.casting.nearby import Ask, FeelerHits
+from antdsl.casting.triangle_grid import Arrays
 
 
 class Obstacle(Protocol):
@@ -30,18 +32,11 @@ class Obstacle(Protocol):
     ) -> FeelerHits:
         """What lies within `reach` (one or float[n]) of places along unit directions."""
 
-    def felt(
-        self,
-        place: Columns,
-        rows: NDArray[np.intp],
-        way: Columns,
-        reach: NDArray[Any],
-        clear: NDArray[np.float32],
-        found: tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]],
-    ) -> NDArray[np.intp]:
-        """What feelers touch of `rows` of all places [n], who have no surface within `clear` [n], along ways [k] of any length,
-        as far as `reach` [k]: whether, the distance and the normal [3,k], into `found`, which says that nothing is touched.
-        Gives back who of the k has still to ask by `feelers`."""
+    def felt(self, places: Arrays, asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
+        """What feelers touch of those of n agents who are asking, several times at once. `places`: x y z, and within how many mm
+        there is no surface; ways (x y z) of any length and how far they reach; into whether, the distance and the normal (x y z),
+        which say until then that nothing is touched. Gives back who has still to ask by `feelers`, with the number of what they
+        ask."""
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1

@@ -8,7 +8,8 @@ faces, the least distance and then the least number, whatever the cubes are: the
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Singles = NDArray[np.float32]
 Columns = tuple[Singles, Singles, Singles]
-Felt = tuple[NDArray[np.bool_], Singles, Singles]
+Arrays = tuple[NDArray[Any], ...]
 Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Floats, Floats, Floats]
 
 _FACE_EDGES = 1.0  # cube's edge, in mean edges of faces
@@ -86,10 +87,8 @@ class TriangleGrid:
         """The first face that rays from `origin` [n,3] meet within their `way` [n,3], after what part of it, but not within a
         hair of their start. NOTHING where there is none, FURTHER for rays that are too long."""
         if compiled.wanted(len(origin)):
-            from antdsl.casting import triangle_grid_compiled
-
             t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
-            work = partial(triangle_grid_compiled.firsts, self.tables, origin, way, t, face)
+            work = partial(_kernels().firsts, self.tables, origin, way, t, face)
             compiled.in_parts(work, len(origin), threads, _RAYS)
             return t, face
         with np.errstate(all="ignore"):
@@ -151,19 +150,14 @@ class TriangleGrid:
         """What feelers touch that are as long as `reach`, from places along unit directions, float32 columns in the world:
         distance (inf = nothing, NaN for who has to ask elsewhere) and unit normal towards the asker, float32[4,n]; and how many
         have to. Compiled."""
-        from antdsl.casting import triangle_grid_compiled
-
         found = np.empty((4, len(reach)), np.float32)
-        return found, triangle_grid_compiled.feelers(self.tables, _plain(*place, *direction, reach), found)
+        return found, _kernels().feelers(self.tables, _plain(*place, *direction, reach), found)
 
-    def felt(self, place: Columns, rows: Index, way: Columns, reach: Singles, clear: Singles, found: Felt) -> int:
-        """As `feelers`, for some rows of all places [n] and of how far these have no face (`clear`), with ways [k] of any length
-        and reaches [k]; into `found` (whether, distance, normal [3,k]) of those who touch something or have to ask elsewhere.
-        Compiled."""
-        from antdsl.casting import triangle_grid_compiled
-
-        columns, ways = _plain(*place, clear), _plain(*way, reach)
-        count: int = triangle_grid_compiled.felt(self.tables, columns, rows, ways, *found)
+    def felt(self, places: Arrays, asking: NDArray[np.bool_], ways: Arrays, found: Arrays) -> int:
+        """As `feelers`, for those of n places (x y z and how far these have no face) who are `asking`, along `ways` of any
+        length, the last of which is how far they reach; into `found` (whether, distance, normal x y z) of those who touch
+        something or have to ask elsewhere. Compiled."""
+        count: int = _kernels().felt(self.tables, places, asking, ways, found)
         return count
 
     # ---- nearest faces
@@ -171,19 +165,15 @@ class TriangleGrid:
     def apart(self, place: Columns, threads: int = 1) -> tuple[Singles, int]:
         """How far (mm) places are out of the faces, below 0 behind the nearest, NaN for who has to ask elsewhere, and the unit
         way out, float32[4,n]; and how many have to. Compiled."""
-        from antdsl.casting import triangle_grid_compiled
-
         found = np.empty((4, len(place[0])), np.float32)
-        work = partial(triangle_grid_compiled.apart, self.tables, _plain(*place), found)
+        work = partial(_kernels().apart, self.tables, _plain(*place), found)
         return found, sum(compiled.in_parts(work, len(place[0]), threads, _RAYS))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """The place nearest to each point [n,3], its square distance and its face; FURTHER where none is near enough to tell."""
         if compiled.wanted(len(points)):
-            from antdsl.casting import triangle_grid_compiled
-
             place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
-            triangle_grid_compiled.nearests(self.tables, points, place, square, face)
+            _kernels().nearests(self.tables, points, place, square, face)
             return place, square, face
         with np.errstate(all="ignore"):
             return self._nearest(points)
@@ -211,6 +201,13 @@ class TriangleGrid:
             rows = rows[~(square[rows] <= known * known)]
         place[rows], square[rows], face[rows] = points[rows], np.inf, FURTHER
         return place, square, face
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.casting import triangle_grid_compiled
+
+    return triangle_grid_compiled
 
 
 def _ring(middle: Index, ring: int, size: Index) -> tuple[Index, Index]:
@@ -243,7 +240,7 @@ def _crossing(rows: Floats, origin: Floats, way: Floats) -> tuple[Floats, NDArra
 
 def _plain(*columns: Singles) -> tuple[Singles, ...]:
     """The same in one piece."""
-    return tuple(np.ascontiguousarray(each) for each in columns)
+    return tuple([np.ascontiguousarray(each) for each in columns])
 
 
 def _pieces(count: int, most: int = 1 << 16) -> Iterator[slice]:

@@ -29,6 +29,7 @@ from antdsl.numerics.vectors_compiled import minus
 Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+Felt = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 Seven = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 ONE, SLACK, TINY = np.float32(1), np.float32(FAR_OFF), np.float32(SHORTEST)
 AHEAD = 16  # rays or places whose faces are brought near at once
@@ -68,25 +69,28 @@ def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
 
 
 @kernel
-def felt(grid: Grid, places: Four, rows: Array1[I64], ways: Four, hit: Array1[BOOL], t: Array1[F32], normal: Array2[F32]) -> I64:
-    """As `TriangleGrid.felt`, into the last three arrays; the distance is NaN for who has to ask elsewhere; how many have."""
+def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt) -> I64:
+    """As `TriangleGrid.felt`, into the last arrays; the distance is NaN for who has to ask elsewhere; how many have."""
     x, y, z, clear = places
     wx, wy, wz, reach = ways
+    hit, t, nx, ny, nz = found
     count = 0
-    for i in range(rows.size):
-        row, far = rows[i], reach[i]
-        if not (far > 0 and far < np.inf and clear[row] <= far * (ONE + SLACK) + SLACK):
+    for i in range(asking.size):
+        if not asking[i]:
+            continue
+        far = reach[i]
+        if not (far > 0 and far < np.inf and clear[i] <= far * (ONE + SLACK) + SLACK):
             continue
         size = np.sqrt((wx[i] * wx[i] + wy[i] * wy[i]) + wz[i] * wz[i])
         if not (size > TINY and size < np.inf):
             continue
-        n, face = _feel(grid, (x[row], y[row], z[row]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
+        n, face = _feel(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
         if face == FURTHER:
             count += 1
             t[i] = np.float32(n[3])
         elif face >= 0:
             hit[i], t[i] = True, np.float32(n[3])
-            normal[0, i], normal[1, i], normal[2, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+            nx[i], ny[i], nz[i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
     return count
 
 

@@ -44,6 +44,7 @@ class PheromoneField:
         self.stencil, self.deposits_first = stencil, deposits_first
         self._padded = np.zeros(len(cells) + 1)  # one past the end: what a cell that is not there holds
         self._pending = np.zeros(len(cells), np.int64)
+        self.version = 0  # changes whenever some array of it, or of its cells, becomes another one
         self._touched = False
         self._left: list[tuple[NDArray[np.integer[Any]], NDArray[np.float64]]] = []  # cells, and what claims have left in them
         self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
@@ -74,6 +75,7 @@ class PheromoneField:
 
     def grow(self, new: NDArray[np.int64]) -> None:
         """Make room for cells that were added."""
+        self.version += 1
         more = len(self.cells) - len(self.values)
         if more:
             self._padded = np.concatenate([self.values, np.zeros(more + 1)])

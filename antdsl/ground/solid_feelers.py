@@ -6,12 +6,14 @@ The doors are those of `RayScene`, so that a solid is felt like an obstacle. Sph
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import Columns, FeelerHits
+from antdsl.casting.nearby import Ask, FeelerHits, everybody
+from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
 from antdsl.numerics import compiled
@@ -88,17 +90,9 @@ class SolidFeelers:
         normal[:, hit] = self._normals(origin[hit] + t[hit, None] * way[hit])
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 
-    def felt(
-        self,
-        place: Columns,
-        rows: NDArray[np.intp],
-        way: Columns,
-        reach: NDArray[Any],
-        clear: NDArray[np.float32],
-        found: tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]],
-    ) -> NDArray[np.intp]:
+    def felt(self, places: Arrays, asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
         """Everybody asks by `feelers`."""
-        return np.arange(len(rows))
+        return everybody(asks)
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1

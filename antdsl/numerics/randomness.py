@@ -63,7 +63,12 @@ def of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> 
 def counters(seed: int, frame: int, species: str, site: str, block: int) -> Counters:
     """The counter words that all ids share (the third but for the high half of an id), and the key."""
     low, high = site_words(species, site)
-    return (frame & 0xFFFFFFFF, low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
+    return (frame_word(frame), low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
+
+
+def frame_word(frame: int) -> int:
+    """The first counter word of all draws of a frame."""
+    return frame & 0xFFFFFFFF
 
 
 def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:

@@ -3,7 +3,9 @@ machine gives the same bits."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -85,7 +87,12 @@ def columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> Vector:
 
 def named(registers: Mapping[str, Array], name: str) -> Vector:
     """The three registers of a vector, themselves."""
-    return registers[f"{name}.x"], registers[f"{name}.y"], registers[f"{name}.z"]
+    return _parts(name)(registers)
+
+
+@cache
+def _parts(name: str) -> Callable[[Mapping[str, Array]], Vector]:
+    return itemgetter(f"{name}.x", f"{name}.y", f"{name}.z")
 
 
 def rows(a: Vector) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ Others, items and fields are read as they were when the step began (`start`, `se
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import compiled
 from antdsl.numerics.sorting import interleaved, stable_order
-from antdsl.plan.ir import Kind, SpeciesPlan
+from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
 from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.feet import walking
@@ -41,17 +41,10 @@ def sense(world: World) -> None:
     for population in world.populations.values():
         lifecycle.find_cells(world, population)
         tilting.lay(population)
-        for name, zero in _temps(population.plan):
-            population.now[name].fill(zero)
+        population.clear_temps()
     if world.detail is not None:
         world.detail.observe(world)
     world.backend.begin(world)
-
-
-@lru_cache(64)
-def _temps(plan: SpeciesPlan) -> tuple[tuple[str, float], ...]:
-    """Registers of one step alone, and what they begin with."""
-    return tuple((name, register.zero) for name, register in plan.registers.items() if register.role == "temp")
 
 
 def decide(world: World) -> None:

@@ -6,14 +6,16 @@ Arguments are arrays of one length with the rows, or single values; results are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.nearby import Ask
 from antdsl.casting.obstacle import Obstacle
 from antdsl.casting.tolerances import SHORTEST
+from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
@@ -28,6 +30,7 @@ from antdsl.runtime.world import AXES, Population, World
 Value = Any
 Rows = slice | NDArray[np.intp]
 TINY = np.float32(SHORTEST)
+NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float32(0))  # what a ray gives that touches nothing
 _HAIR = 1e-6  # of the way to the middle of a face
 
 
@@ -147,50 +150,54 @@ def _item_alive(world: World, population: Population, node: ir.Node, rows: Rows,
 
 
 def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Value, dy: Value, dz: Value, reach: Value) -> Value:
-    n, name = _size(rows), node.attrs[0]
-    found = np.zeros(n, np.bool_), np.full(n, np.inf, np.float32), np.zeros((3, n), np.float32)
+    n = _size(rows)
+    ways = tuple(np.ascontiguousarray(_spread(v, rows), np.float32) for v in (dx, dy, dz, reach))
+    found = tuple(np.full(n, value) for value in NO_HIT)
+    _rays(world, population, node, rows, [(np.ones(n, np.bool_), ways, found)])
+    return found
+
+
+def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks: Sequence[Ask]) -> None:
+    """What feelers of n `rows` touch. Operands: directions (x y z) of any length and how far they reach, float32[n] each;
+    results, `NO_HIT` until then: whether, the distance (mm) and the normal (x y z)."""
+    name, start = node.attrs[0], population.start
+    place = start["position.x"][rows], start["position.y"][rows], start["position.z"][rows]
     clear = clearance(world, population, name)
     levels = None if world.detail is None else world.detail.felt(world, population, name)
-    which = [(world.obstacles[name], clear)]
+    which = [(world.obstacles[name], clear[rows])]
     if levels is not None and world.detail is not None:
         far = np.float32(np.inf)
         boxes = np.where(levels == 1, world.detail.clearance(world, population, name), far)
-        which = [(world.obstacles[name], np.where(levels == 0, clear, far)), (world.detail.boxes(name), boxes)]
-    ways = tuple(_spread(v, rows) for v in (dx, dy, dz, reach))
-    for scene, clear in which:
-        _feel(world, population, scene, clear, rows, ways, found)
-    hit, distance, normal = found
-    return hit, distance, *normal
+        which = [(world.obstacles[name], np.where(levels == 0, clear, far)[rows]), (world.detail.boxes(name), boxes[rows])]
+    for scene, near in which:
+        left = scene.felt((*place, near), asks)
+        if left:
+            _feel(scene, (*place, near), left, asks, world.options.threads)
 
 
 def _feel(
-    world: World,
-    population: Population,
-    scene: Obstacle,
-    clear: NDArray[np.float32],
-    rows: Rows,
-    ways: tuple[NDArray[Any], ...],
-    found: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
+    scene: Obstacle, places: Arrays, left: Sequence[tuple[int, NDArray[np.intp]]], asks: Sequence[Ask], threads: int
 ) -> None:
-    """What of a scene those `rows` touch, into `found`, who have no face of it within `clear`, float32 of all agents."""
-    dx, dy, dz, reach = ways
-    x, y, z = (population.start[f"position.{axis}"] for axis in AXES)
-    which = _numbered(rows)
-    asked = scene.felt((x, y, z), which, (dx, dy, dz), reach, clear, found)
-    if not len(asked):
-        return
-    wx, wy, wz, far = (v.take(asked) for v in ways)
-    size = np.sqrt((wx * wx + wy * wy) + wz * wz)
-    near = (far > 0) & (far < np.inf) & may_touch(clear.take(which.take(asked)), far)
-    sound = np.flatnonzero(near & (size > TINY) & (size < np.inf))
-    good = asked.take(sound)
-    if len(good):
-        x, y, z = (v.take(which.take(good)) for v in (x, y, z))
-        wx, wy, wz, size, far = (v.take(sound) for v in (wx, wy, wz, size, far))
-        met = scene.feelers(x, y, z, wx / size, wy / size, wz / size, far, threads=world.options.threads)
-        hit, distance, normal = found
-        hit[good], distance[good] = met.hit, met.t
-        normal[:, good] = met.nx, met.ny, met.nz
+    """The same of a scene for those who have still to ask, by what answers to all rays, at once: `left` and `places` are as
+    `Obstacle.felt` gives and takes them."""
+    *place, clear = places
+    row = np.concatenate([rows for _, rows in left])
+    whose = np.repeat([each for each, _ in left], [len(rows) for _, rows in left])
+    with np.errstate(all="ignore"):
+        wx, wy, wz, far = (np.concatenate([asks[each][1][k].take(rows) for each, rows in left]) for k in range(4))
+        size = np.sqrt((wx * wx + wy * wy) + wz * wz)
+        near = (far > 0) & (far < np.inf) & may_touch(clear.take(row), far)
+        sound = np.flatnonzero(near & (size > TINY) & (size < np.inf))
+        if not len(sound):
+            return
+        row, whose, size, far = (v.take(sound) for v in (row, whose, size, far))
+        x, y, z = (v.take(row) for v in place)
+        wx, wy, wz = (v.take(sound) / size for v in (wx, wy, wz))
+        met = scene.feelers(x, y, z, wx, wy, wz, far, threads=threads)
+    for each, _ in left:
+        own = (whose == each).nonzero()[0]
+        for into, values in zip(asks[each][2], (met.hit, met.t, met.nx, met.ny, met.nz), strict=True):
+            into[row[own]] = values[own]
 
 
 def _obstacle_near(world: World, population: Population, node: ir.Node, rows: Rows, reach: Value) -> Value:
@@ -342,4 +349,10 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "gap.widest": _widest_gap,
     "contact": _contact,
     "clip.value": _clip_value,
+}
+
+# Senses that are answered where machine code has left who asks and what: for n rows, of which some are asking, several times at
+# once; and what the results are until then.
+IN_PLACE: Mapping[str, tuple[Callable[[World, Population, ir.Node, Rows, Sequence[Ask]], None], tuple[Any, ...]]] = {
+    "ray": (_rays, NO_HIT)
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from time import perf_counter, process_time
 
 from antdsl.numerics import compiled
-from antdsl.numerics.float_environment import standard
+from antdsl.numerics.float_environment import is_standard, standard
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.phases import PHASES
 from antdsl.runtime.world import World
@@ -14,10 +14,17 @@ _SHORT = 50e-6  # s
 _LAST = PHASES[-1][0]
 
 
-@standard()
 def step(world: World) -> None:
     """Go on by one frame. Raises FaultStop after a whole step in which a value was at fault, if the options say `stop`,
     and LimitStop in the middle of one that would take more than the limits allow."""
+    if is_standard():
+        _step(world)
+        return
+    with standard():
+        _step(world)
+
+
+def _step(world: World) -> None:
     started, worked = perf_counter(), process_time()
     begun = worked
     compiled.begin_step(len(world))

@@ -80,7 +80,7 @@ class Items:
     def show(self) -> None:
         """Let the agents see the amounts as they are now."""
         for name, amount in self.amounts.items():
-            self.seen[name] = amount.astype(np.float32)
+            np.copyto(self.seen[name], amount, casting="same_kind")
 
 
 @dataclass(slots=True, eq=False)
@@ -109,6 +109,15 @@ class Population:
     rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
     _ranks: tuple[int, NDArray[np.int32]] | None = None
+    _temps: tuple[ir.SpeciesPlan, list[tuple[str, Any]]] | None = None  # of a plan, with their zeros
+
+    def clear_temps(self) -> None:
+        """Registers of one step begin at their zeros."""
+        if self._temps is None or self._temps[0] is not self.plan:
+            temps = [(name, register.zero) for name, register in self.plan.registers.items() if register.role == "temp"]
+            self._temps = (self.plan, temps)
+        for name, zero in self._temps[1]:
+            self.now[name].fill(zero)
 
     def room(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
         """So many arrays for what one step works out, kept for the next one, which writes over them."""

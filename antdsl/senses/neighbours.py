@@ -67,14 +67,18 @@ class Shape:
     @classmethod
     def of(cls, low: list[float], high: list[float], cell: float) -> Shape:
         """Of a box between two corners, for queries of a usual radius."""
-        extent = [b - a for a, b in zip(low, high, strict=True)]
-        axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))
-        low, extent = ([values[axis] for axis in axes] for values in (low, extent))
-        cell = cell if np.isfinite(cell) and cell > 0 else max(extent[0], 1.0)
+        x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
+        axes: tuple[int, ...] = (0, 1, 2)
+        extent = [x, y, z]
+        if not x >= y >= z:
+            axes = tuple(sorted(axes, key=lambda axis: -extent[axis]))
+            low, extent = ([values[axis] for axis in axes] for values in (low, extent))
+        cell = cell if 0 < cell < np.inf else max(extent[0], 1.0)
         # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
         least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
-        width = [max(cell / 4, least), max(cell, least), max(cell, least)]
-        return cls(axes, low, extent, width, [int(e / w) + 1 for e, w in zip(extent, width, strict=True)])
+        fine, width = max(cell / 4, least), max(cell, least)
+        size = [int(extent[0] / fine) + 1, int(extent[1] / width) + 1, int(extent[2] / width) + 1]
+        return cls(axes, low, extent, [fine, width, width], size)
 
     @property
     def cells(self) -> int:

@@ -53,6 +53,7 @@ def otherwise(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(calling, "_plain", counted)
     for each in (read, written, last):
         monkeypatch.setattr(each, "_run", None)
+        monkeypatch.setattr(each, "__call__", each._first)
     return calls
 
 
@@ -116,6 +117,7 @@ def test_without_it_python_calls_with_the_same_results(monkeypatch: pytest.Monke
     monkeypatch.setattr(direct, "possible", lambda: False)
     for each in (read, last):
         monkeypatch.setattr(each, "_run", None)
+        monkeypatch.setattr(each, "__call__", each._first)
     assert read(*_GOOD[0]) == (1.5, 2.5, 3, 4, True, 7.5, 8.5, 9)
     assert last(np.arange(5)) == 4
 

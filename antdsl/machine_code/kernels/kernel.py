@@ -57,16 +57,21 @@ class Kernel:
     """A function of arrays and numbers, as machine code that is made when it is first called. Raises ValueError for an array of
     another type, or that does not lie as its annotation says; what it gives back are numbers."""
 
+    # What is called is held by the instance, so that the interpreter goes to a built-in function and makes no frame for a call.
+    __slots__ = ("__call__", "__dict__", "__weakref__")
+    __call__: Callable[..., Any]
+
     def __init__(self, function: FunctionType) -> None:
         self.part = Part(function)
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
         self._lock = Lock()
         self._run: Callable[..., Any] | None = None
         self._apart: Callable[[], Callable[..., list[Any]] | None] | None = None
+        self.__call__ = self._first
 
-    def __call__(self, *arguments: Any) -> Any:
-        run = self._run or self.made()
-        return run(*arguments)
+    def _first(self, *arguments: Any) -> Any:
+        """The first call."""
+        return self.made()(*arguments)
 
     def made(self) -> Callable[..., Any]:
         """The function that calls the machine code, which is made or loaded if it is not there yet."""
@@ -77,7 +82,7 @@ class Kernel:
                 host = machine.host()
                 code = codes.code(self.text(host)) if key is None else codes.code(key, lambda: self.text(host))
                 told = Told.read(code.told(_ABOUT))
-                self._run = run = caller(self.__name__, code, types, told)
+                self._run = self.__call__ = run = caller(self.__name__, code, types, told)
                 self._apart = cache(lambda: parted(self.__name__, code, types, told, run))
             return self._run
 

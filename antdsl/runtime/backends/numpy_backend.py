@@ -65,6 +65,7 @@ class NumpyBackend:
         self._lasting: dict[str, dict[ir.Node, Any]] = {}  # values of the run, and constants
         self._values: dict[str, dict[ir.Node, Any]] = {}
         self._kept: dict[str, Kept] = {}
+        self._has: dict[str, NDArray[np.bool_]] = {}  # of all that is kept, whether it is known
         self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
         self._pool: ThreadPoolExecutor | None = None
@@ -94,14 +95,15 @@ class NumpyBackend:
             self._values[name] = self._of_step(world, name)
             n = len(population) + self.spare
             self._pairs[name] = {}
-            kept = self._kept.get(name)
-            if kept is not None and all(len(has) == n for has, _ in kept.values()):
-                for has, _ in kept.values():
-                    has.fill(False)
+            has = self._has.get(name)
+            if has is not None and has.shape[1] == n:
+                has.fill(False)
                 continue
+            nodes = kept_senses(population.plan)
+            has = self._has[name] = np.zeros((len(nodes), n), np.bool_)
             self._kept[name] = {
-                node: (np.zeros(n, np.bool_), [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
-                for node in kept_senses(population.plan)
+                node: (there, [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
+                for there, node in zip(has, nodes, strict=True)
             }
 
     def told(self) -> list[str]:
@@ -203,9 +205,12 @@ def constant_values(nodes: Iterable[ir.Node]) -> dict[ir.Node, Any]:
     return values
 
 
-def uniform_values(world: World, nodes: list[ir.Node], known: Mapping[ir.Node, Any] | None = None) -> dict[ir.Node, Any]:
-    """Values that are the same for all agents, as NumPy scalars, beside those that are known already; operands stand first."""
-    values: dict[ir.Node, Any] = dict(known or {})
+def uniform_values(world: World, nodes: list[ir.Node], known: dict[ir.Node, Any] | None = None) -> dict[ir.Node, Any]:
+    """Values that are the same for all agents, as NumPy scalars, beside those that are known already, which are given back where
+    there are no others; operands stand first."""
+    if known is not None and not nodes:
+        return known
+    values = dict(known or {})
     with np.errstate(all="ignore"):
         for node in nodes:
             f = ELEMENTWISE.get(node.op)

@@ -192,9 +192,8 @@ def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) ->
         name: np.array([item.attributes.get(name, default) for item in found], np.float64)
         for name, default in plan.attributes.items()
     }
-    items = Items(plan.name, tuple(item.name for item in found), position, amounts, seen)
-    items.show()
-    return items
+    seen |= {name: amount.astype(np.float32) for name, amount in amounts.items()}
+    return Items(plan.name, tuple(item.name for item in found), position, amounts, seen)
 
 
 def _params(world: World) -> None:

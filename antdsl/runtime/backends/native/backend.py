@@ -13,13 +13,12 @@ from antdsl.numerics import compiled
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.native import listing
-from antdsl.runtime.backends.native.block import BlockCode
+from antdsl.runtime.backends.native.block import Near
 from antdsl.runtime.backends.native.grids import Arrays, Grids
-from antdsl.runtime.backends.native.near import PLACE
 from antdsl.runtime.backends.native.programs import Facts, program
 from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, known
+from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.backends.native.runner import Block
-from antdsl.runtime.backends.native.tables import Rooms, Tables
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import Agent
 from antdsl.runtime.requests import Effects
@@ -41,11 +40,11 @@ class NativeBackend(NumpyBackend):
         self._without: str | None = None  # why there is no machine code and will be none
         self._begun = False
         self.ready: Ready | None = None
-        self._tables: dict[tuple[str, str], Tables] = {}
+        self._running: dict[tuple[str, str], Block] = {}
         self._timed = False  # what is run or wanted is code that is timed by line
-        self._aside: tuple[Ready | None, Future[Ready] | None, dict[tuple[str, str], Tables]] = (None, None, {})  # the other code
+        self._aside: tuple[Ready | None, Future[Ready] | None, dict[tuple[str, str], Block]] = (None, None, {})  # the other code
         self._rooms = Rooms()
-        self._versions: dict[str, int] = {}
+        self._versions: list[int] = []
         self._widest: dict[tuple[str, str, int], float] = {}
         self._grids: Grids | None = None
 
@@ -57,15 +56,15 @@ class NativeBackend(NumpyBackend):
         """Time lines from the next step on, or no longer: in code that is made for it. Until that has come NumPy runs."""
         if on != self._timed:
             self._timed = on
-            here = (self.ready, self._coming, self._tables)
-            (self.ready, self._coming, self._tables), self._aside = self._aside, here
+            here = (self.ready, self._coming, self._running)
+            (self.ready, self._coming, self._running), self._aside = self._aside, here
         super().measure(on)
 
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet. Takes machine code in use that has become ready."""
         self._look_for_code(world, world.options.wait_for_code)
         self._begun = True
-        versions = {name: population.version for name, population in world.populations.items()}
+        versions = [population.version for population in world.populations.values()]
         if versions != self._versions:
             self._versions = versions
             self._rooms.forget()
@@ -114,46 +113,48 @@ class NativeBackend(NumpyBackend):
                     f"in antdsl ({type(problem).__name__}: {problem})"
                 )
         if ready is not None:
-            self.ready, self._grids = ready, Grids(ready.function)
+            self.ready, self._grids = ready, Grids(ready.function, self._rooms)
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births are NumPy's."""
-        ready, name = self.ready, population.name
-        code = None if ready is None else ready.program.blocks.get((name, block))
-        metered = self.metered.get((name, block))
-        if ready is None or code is None or rows is not None or (code.lines is None) != (metered is None):
+        name = population.name
+        code = None if rows is not None else self._running.get((name, block)) or self._code(name, block)
+        metered = self.metered.get((name, block)) if self.metered else None
+        if code is None or (code.code.lines is None) != (metered is None):
             super().run(world, population, block, rows)
             return
-        compiler = ready.blocks[name, block]
-        if (name, block) not in self._tables:
-            self._tables[name, block] = Tables(code, self._rooms)
-        tables = self._tables[name, block]
-        grids = [self._cells(world, population, block, code, number) for number in range(len(code.near))]
-        values = self._values[name]
+        near = code.code.near
+        grids = [self._cells(world, population, block, each, number) for number, each in enumerate(near)]
+        values, tables = self._values[name], code.tables
         tables.fill(world, population, values, self._lasting[name], self._kept[name], grids)
-        for begin, end in Block(ready, code, compiler, tables, world, population, values, metered).run():
+        for begin, end in code.run(world, population, values, metered):
             super().run(world, population, block, np.arange(begin, end))  # which stops, and says where
         for lane in tables.lanes:
             for field, laid in lane.laid.items():
                 if laid[0]:
                     world.fields[field].touch()
                     laid[0] = False
-        for number in range(len(code.near)):
+        for number in range(len(near)):
             key, widest = (name, block, number), [lane.widest[number] for lane in tables.lanes]
-            self._widest[key] = max(max(each.tolist()) for each in widest) or self._widest[key]
+            self._widest[key] = max([max(each.tolist()) for each in widest]) or self._widest[key]
             for each in widest:
                 each.fill(0)
 
-    def _cells(self, world: World, population: Population, block: str, code: BlockCode, number: int) -> Arrays:
+    def _code(self, species: str, block: str) -> Block | None:
+        """A block's machine code, made ready to run; None where it has none."""
+        if self.ready is None or (species, block) not in self.ready.program.blocks:
+            return None
+        found = self._running[species, block] = Block(self.ready, species, block, self._rooms)
+        return found
+
+    def _cells(self, world: World, population: Population, block: str, near: Near, number: int) -> Arrays:
         """Cells for a search: they suit the greatest radius of the step before, or at first what `_guessed` gives."""
         assert self._grids is not None
-        near, key = code.near[number], (population.name, block, number)
+        key = (population.name, block, number)
         other = world.populations[near.species]
         if key not in self._widest:
             self._widest[key] = _guessed(world, population, other, [chosen.args[0] for chosen in near.sets])
         widest = self._widest[key]
-        for name in PLACE:
-            self._rooms.moved(other, name, start=True)
         beside = [(names, [self._rooms.moved(other, name, start=True)[1] for name in names.split()]) for names in near.beside]
         return self._grids.of(world, other, widest if widest > 0 else 1.0, beside)
 

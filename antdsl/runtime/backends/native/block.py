@@ -100,6 +100,11 @@ class BlockCode:
     needs: list[Instruction] = field(default_factory=list)  # calls of which is told whether somebody needs them
     guarded: dict[Instruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
 
+    def mask_of(self, each: Instruction) -> int:
+        """The slot that says for whom a call is made."""
+        guarded = self.guarded.get(each)
+        return self.schedule.slot(each.scope.rows) if guarded is None else guarded
+
 
 Lower = Callable[["BlockWriter", ir.Node, tuple[Any, ...]], Any]
 

@@ -7,7 +7,8 @@ place (D. E. Knuth, The Art of Computer Programming 3, 5.2)."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from math import ceil, inf, log2
+from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from antdsl.machine_code.memory import address
 from antdsl.numerics import compiled
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.layout import Layout
+from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.neighbours import Shape
@@ -27,7 +29,9 @@ NAMES = ("grid.bounds", "grid.keys", "grid.sort", "grid.beside")
 _LAST = ("places", "bounds", "whole", "at")
 _KEYS = ("numbers", "x", "y", "z", "keys", "starts", "sorted x", "sorted y", "sorted z", *_LAST)
 _COLUMNS = ("at", "whole", "0", "1", "2", "3", "beside")
-_AGAIN = 64  # searches of a crowd after which it is asked anew whether it lies in one sheet
+_AGAIN = 64  # steps after which a crowd has cells anew, and is asked whether it lies in one sheet
+_SPARE = 1 / 32  # of its extent, that a box goes on for beyond a crowd
+_FILLED = 0.8  # of its extent: a crowd that is less wide gets other cells
 _FEW = 128  # agents; among fewer the cells of an agent are no fewer to go through than all others
 _UNUSED = 16  # steps after which arrays of a size of cells that nobody asks for are let go
 _COARSER = 2  # quarters of an octave: finding others in cells that much wider costs less than sorting them again
@@ -36,7 +40,10 @@ _PARTED = 16_384  # agents for whom several threads pay
 _NO_KEYS = np.zeros(1, np.int64)  # cells are listed
 _WHOLE = 1e300  # mm: the width of a cell that has all places in it
 
+_REALS, _WHOLE_NUMBERS = Struct("=9d"), Struct("=8q")
+
 Arrays = Mapping[str, NDArray[Any] | None]
+Function = Callable[[int, int, int], Any]  # of a table, the first row and the one after the last
 
 
 def write(module: Module) -> None:
@@ -148,11 +155,49 @@ def _beside(w: Writer) -> None:
         put_quadruples(e, w.base("beside"), at, [e.load(w.base(str(k)), row, F32) for k in range(4)])
 
 
-def _with_room(array: NDArray[Any]) -> None:
-    """ValueError where an array is not the beginning of one with eight more."""
-    whole = array.base
-    if not isinstance(whole, np.ndarray) or len(whole) < len(array) + WIDTH or whole.ctypes.data != array.ctypes.data:
-        raise ValueError("machine code reads eight places at once, so that there has to be room behind the last one")
+class _Places:
+    """Where the agents of a species are, and the corners of the box around them, which are looked for once a step."""
+
+    def __init__(self) -> None:
+        self.arrays: list[NDArray[np.float32]] = []  # x, y, z
+        self.lie: list[int] = []
+        self.corners: list[float] = []  # least and greatest of each
+        self.step = -1  # of the corners
+        self._bounds, self._table = np.zeros(7), np.zeros(len(_KEYS), np.int64)
+        self._table[_KEYS.index("bounds")] = address(self._bounds)
+        self._address = address(self._table)
+
+    def look(self, other: Population, step: int, bounds: Function, rooms: Rooms) -> None:
+        """Where they are in a step; without corners if some are nowhere."""
+        if step == self.step:
+            return
+        start, known = other.start, self.arrays
+        x, y, z = start["position.x"], start["position.y"], start["position.z"]
+        if not known or known[0] is not x or known[1] is not y or known[2] is not z:
+            placed = [rooms.moved(other, f"position.{axis}", start=True) for axis in AXES]
+            self.arrays, self.lie = [array for array, _ in placed], [place for _, place in placed]
+            self._table[1:4] = self.lie
+        bounds(self._address, 0, len(other))
+        *corners, good = self._bounds.tolist()
+        self.corners, self.step = corners if good else [], step
+
+
+class _Box:
+    """A box somewhat larger than one around a crowd: its cells serve as long as the crowd stays in it and fills it, and not for
+    ever, since the crowd may spread in height."""
+
+    def __init__(self, corners: list[float], until: int) -> None:
+        extent = [high - low for low, high in zip(corners[:3], corners[3:], strict=True)]
+        self.low = [low - _SPARE * each for low, each in zip(corners[:3], extent, strict=True)]
+        self.high = [high + _SPARE * each for high, each in zip(corners[3:], extent, strict=True)]
+        self._least, self._until = [_FILLED * each for each in extent], until
+
+    def suits(self, corners: list[float], step: int) -> bool:
+        """Whether its cells serve in a step in which these are the corners around the crowd."""
+        ax, ay, az, bx, by, bz = corners
+        (lx, ly, lz), (hx, hy, hz), (x, y, z) = self.low, self.high, self._least
+        inside = lx <= ax and ly <= ay and lz <= az and bx <= hx and by <= hy and bz <= hz
+        return inside and bx - ax >= x and by - ay >= y and bz - az >= z and step < self._until
 
 
 class _Sorted:
@@ -182,29 +227,29 @@ class _Crowd(_Sorted):
     """Arrays that a crowd is sorted with into cells of one size, kept from step to step."""
 
     def __init__(self, count: int) -> None:
-        self.bounds, self._numbers, self._table = np.zeros(7), np.zeros(9), np.zeros(len(_KEYS), np.int64)
+        self._numbers, self._table = np.zeros(9), np.zeros(len(_KEYS), np.int64)
         self._keys = np.zeros(count + WIDTH, np.int32)
         self.floats, self.whole = np.zeros(9), np.zeros(8, np.int64)
         own: dict[str, NDArray[Any]] = {axis: np.zeros(count + WIDTH, np.float32) for axis in AXES}
         own |= {"places": np.zeros((count + WIDTH, 4), np.float32), "floats": self.floats, "whole": self.whole, "keys": _NO_KEYS}
         own["at"] = np.zeros(count + WIDTH, np.int32)
         super().__init__(count, own | {"starts": np.zeros(0, np.int32)})
-        self._places: list[NDArray[np.float32]] = []
-        self._lies: list[int] = []
         self.asked = 0  # the last step in which somebody did
         self._table[0], self._table[4] = address(self._numbers), address(self._keys)
-        last = (*(own[axis] for axis in AXES), own["places"], self.bounds, self.whole, own["at"])
-        self._table[6:] = [address(each) for each in last]
-        self.address = address(self._table)
+        self._table[6:9] = [address(own[axis]) for axis in AXES]
+        self._table[9], self._table[11], self._table[12] = (address(own[name]) for name in ("places", "whole", "at"))
+        self._turned = self._table.copy()  # with places in the order of the cells' axes
+        self._axes: tuple[int, ...] = ()
+        self._lie: list[int] = []
+        self.box: _Box | None = None  # that the cells are of
+        self.address, self.turned = address(self._table), address(self._turned)
 
-    def at(self, places: list[NDArray[np.float32]]) -> None:
-        """Where the crowd is now."""
-        if len(self._places) != 3 or any(one is not two for one, two in zip(places, self._places, strict=True)):
-            for each in places:
-                _with_room(each)
-            self._places = places
-            self._lies = [address(each) for each in places]
-        self._table[1:4] = self._lies
+    def lies(self, lie: list[int]) -> None:
+        """Where places lie in memory."""
+        if lie is not self._lie:
+            self._lie = lie
+            self._table[1:4] = lie
+            self._turned[1:4] = [lie[axis] for axis in self._axes]
 
     def shaped(self, shape: Shape) -> None:
         """Cells for it."""
@@ -213,27 +258,26 @@ class _Crowd(_Sorted):
         if starts is None or len(starts) < many + WIDTH:
             starts = np.zeros(many + (many >> 3) + WIDTH, np.int32)
             self.tables = {**self.tables, "starts": starts}
-            self._table[5] = address(starts)
-        inverse = [1 / width for width in shape.width]
-        self.floats[:] = (*shape.low, *shape.width, *inverse)
-        self._numbers[:] = (*shape.low, *inverse, *shape.size)
-        self.whole[:] = (*shape.axes, *shape.size, self.count, many)
-        self._table[1:4] = [self._lies[axis] for axis in shape.axes]
-
-    def numbered(self) -> None:
-        """Cells are numbered; from here on places are read as they lie."""
-        self._table[1:4] = self._lies
+            self._table[5] = self._turned[5] = address(starts)
+        self._axes, self._lie = shape.axes, []
+        (a, b, c), low, size = shape.width, shape.low, shape.size
+        inverse = (1 / a, 1 / b, 1 / c)
+        _REALS.pack_into(self.floats.data, 0, *low, a, b, c, *inverse)
+        _REALS.pack_into(self._numbers.data, 0, *low, *inverse, *size)
+        _WHOLE_NUMBERS.pack_into(self.whole.data, 0, *shape.axes, *size, self.count, many)
 
 
-@dataclass(slots=True, eq=False)
 class Grids:
-    """Sorts crowds into cells; arrays are kept from step to step."""
+    """Sorts crowds into cells by machine code, whose functions are had by their names; arrays are kept from step to step."""
 
-    functions: Callable[[str], Callable[[int, int, int], None]]
-    _found: dict[tuple[str, float], _Sorted] = field(default_factory=dict)  # of this step
-    _kept: dict[tuple[str, float], _Crowd] = field(default_factory=dict)
-    _step: int = 0
-    _sheets: dict[str, tuple[int, int, bool]] = field(default_factory=dict)  # agents, searches since, whether
+    def __init__(self, functions: Callable[[str], Function], rooms: Rooms) -> None:
+        self._bounds, self._number, self._sort, self._beside = (functions(name) for name in NAMES)
+        self._rooms = rooms
+        self._found: dict[tuple[str, float], _Sorted] = {}  # of this step
+        self._places: dict[str, _Places] = {}
+        self._kept: dict[tuple[str, float], _Crowd] = {}
+        self._step = 0
+        self._sheets: dict[str, tuple[int, int, bool]] = {}  # agents, until which step it is known, whether
 
     def forget(self) -> None:
         """Agents have moved: another step begins."""
@@ -245,7 +289,7 @@ class Grids:
     def of(self, world: World, other: Population, cell: float, beside: Sequence[tuple[str, list[int]]] = ()) -> Arrays:
         """What a search is run with, of cells that suit a radius; `beside`: up to four registers each that are wanted in the
         order of the cells, by their names, and where they lie, with room."""
-        size = float(np.ceil(4 * np.log2(cell))) if len(other) > _FEW else np.inf
+        size = float(ceil(4 * log2(cell))) if len(other) > _FEW and cell < inf else inf
         for wider in range(_COARSER + 1):
             found = self._found.get((other.name, size + wider))
             if found is not None:
@@ -255,12 +299,12 @@ class Grids:
             self._found[other.name, size] = found
         for names, columns in beside:
             if table := found.lay(names, columns, self._step):
-                self._in_parts(world, "grid.beside", table, len(other))
+                self._in_parts(world, self._beside, table, len(other))
         return found.tables
 
-    def _in_parts(self, world: World, name: str, table: int, count: int) -> None:
+    def _in_parts(self, world: World, function: Function, table: int, count: int) -> None:
         """Call a function for so many rows, by several threads where that pays."""
-        function, threads = self.functions(name), world.options.threads if count >= _PARTED else 1
+        threads = world.options.threads if count >= _PARTED else 1
         part = -(-count // (WIDTH * threads)) * WIDTH
         compiled.listed(function, [(table, begin, min(begin + part, count)) for begin in range(0, count, part)], threads)
 
@@ -272,26 +316,30 @@ class Grids:
         if crowd is None or crowd.count != count:
             crowd = self._kept[other.name, size] = _Crowd(count)
         crowd.asked = self._step
-        places = [other.start[f"position.{axis}"] for axis in AXES]
-        crowd.at(places)
-        bounds, sort = self.functions("grid.bounds"), self.functions("grid.sort")
-        bounds(crowd.address, 0, count)
-        *corners, good = crowd.bounds.tolist()
-        shape = self._shape(other, places, corners, size) if good and count else None
-        if shape is None:
+        places = self._places.get(other.name)
+        if places is None:
+            places = self._places[other.name] = _Places()
+        places.look(other, self._step, self._bounds, self._rooms)
+        if not places.corners or not count:
             return None
-        crowd.shaped(shape)
-        self._in_parts(world, "grid.keys", crowd.address, count)
-        crowd.numbered()
-        sort(crowd.address, 0, count)
+        if crowd.box is None or not crowd.box.suits(places.corners, self._step):
+            box = _Box(places.corners, self._step + _AGAIN)
+            shape = self._shape(other, places.arrays, box, size)
+            if shape is None:
+                return None
+            crowd.shaped(shape)
+            crowd.box = box
+        crowd.lies(places.lie)
+        self._in_parts(world, self._number, crowd.turned, count)
+        self._sort(crowd.address, 0, count)
         return crowd
 
-    def _shape(self, other: Population, places: list[NDArray[np.float32]], corners: list[float], size: float) -> Shape | None:
-        """Cells of a crowd in a box between two corners, one for all of very few agents; None where there would be too many."""
-        low, high = corners[:3], corners[3:]
-        if size == np.inf:
+    def _shape(self, other: Population, places: list[NDArray[np.float32]], box: _Box, size: float) -> Shape | None:
+        """Cells of a crowd in a box, one for all of very few agents; None where there would be too many."""
+        low, high = box.low, box.high
+        if size == inf:
             return Shape((0, 1, 2), low, [0.0] * 3, [_WHOLE] * 3, [1] * 3)
-        shape = Shape.of(low, high, float(2.0 ** (size / 4)))
+        shape = Shape.of(low, high, 2.0 ** (size / 4))
         if self._sheet(other, places, shape):
             shape = shape.as_sheet()
         shape = _coarser(shape, _CELLS * len(other))
@@ -301,16 +349,18 @@ class Grids:
         """Whether a crowd lies in one sheet: only speed hangs on it, so it is not asked each time."""
         if not shape.extent[2] > 0:
             return False  # one layer of cells already
-        count, since, known = self._sheets.get(other.name, (-1, 0, False))
-        if count != len(other) or since >= _AGAIN:
-            known, since = shape.is_sheet(places), 0
-        self._sheets[other.name] = (len(other), since + 1, known)
+        count, until, known = self._sheets.get(other.name, (-1, 0, False))
+        if count != len(other) or self._step >= until:
+            known, until = shape.is_sheet(places), self._step + _AGAIN
+        self._sheets[other.name] = (len(other), until, known)
         return known
 
 
 def _coarser(shape: Shape, most: int) -> Shape:
     """Wider cells of a crowd so sparse that there are more than so many, which would have to be counted for nobody: up to four
     times along the fast axis, then up to twice along each."""
+    if shape.cells <= most:
+        return shape
     width, size = list(shape.width), list(shape.size)
     for axis in (0, 0, 1, 2, 0):
         if size[0] * size[1] * size[2] <= most:

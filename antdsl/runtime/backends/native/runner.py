@@ -3,7 +3,6 @@ between them, and what is asked of the world."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import accumulate
 from time import perf_counter
 from typing import Any
@@ -15,59 +14,104 @@ from antdsl.machine_code.lanes import WIDTH
 from antdsl.numerics import compiled
 from antdsl.numerics.cores import cores
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Scope
+from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, Does, Instruction, Scope
 from antdsl.runtime.backends.metering import Metered
 from antdsl.runtime.backends.native.asking import asked
-from antdsl.runtime.backends.native.block import BlockCode
+from antdsl.runtime.backends.native.lane import Lane
 from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.ready import Ready
-from antdsl.runtime.backends.native.tables import Lane, Tables
+from antdsl.runtime.backends.native.rooms import Rooms
+from antdsl.runtime.backends.native.tables import Tables
 from antdsl.runtime.pairs import NearbySets
 from antdsl.runtime.requests import Effects, FaultEntry
-from antdsl.runtime.sensing import SENSES
+from antdsl.runtime.sensing import IN_PLACE, SENSES
 from antdsl.runtime.world import Population, World
 
 _PART = 1_024  # agents for whom a part of their own pays
+# Calls at the end of a stage, those of one sense with one name together: whether what they give is answered where it is left, and
+# each with its number among `needs`.
+Calls = list[tuple[bool, list[tuple[Instruction, int]]]]
 
 
-@dataclass(slots=True, eq=False)
 class Block:
-    """A block of one species in one step; `values` are those that are the same for all agents, `timed` tells of its lines while
-    they are timed."""
+    """A block of one species, ready to be run step after step."""
 
-    ready: Ready
-    code: BlockCode
-    compiler: BlockCompiler
-    tables: Tables
-    world: World
-    population: Population
-    values: dict[ir.Node, Any]
-    timed: Metered | None = None
+    def __init__(self, ready: Ready, species: str, name: str, rooms: Rooms) -> None:
+        self.code, self.compiler = ready.program.blocks[species, name], ready.blocks[species, name]
+        self.tables = Tables(self.code, rooms)
+        self.made = ready.calls
+        self.uniform = {slot: node for node, slot in self.compiler.uniforms.items()}
+        numbers = {each: number for number, each in enumerate(self.code.needs)}
+        self._chunks: list[Chunk] = []
+        self._ready_for: tuple[int, ...] = ()
+        self._bounds: list[tuple[int, int]] = []  # parts of the rows, first and the one after the last
+        self._lanes: list[Chunk] = []  # that take them through the block side by side
+        self.stages: list[tuple[Any, Calls]] = []  # function, and what is called after it
+        for stage, function in enumerate(self.code.names):
+            groups = ready.together[species, name, stage]
+            calls = [(_in_place(some[0]), [(each, numbers.get(each, -1)) for each in some]) for some in groups]
+            self.stages.append((ready.function(function), calls))
 
-    def run(self) -> list[tuple[int, int]]:
+    def run(
+        self, world: World, population: Population, values: dict[ir.Node, Any], timed: Metered | None
+    ) -> list[tuple[int, int]]:
         """Take all rows through the block, and put what they ask for into the population's effects, in the order of their rows.
-        Gives the parts, as first row and the one after the last, in which some agent has too many others in a radius."""
-        count, threads = len(self.population), max(1, min(self.world.options.threads, cores()))
-        size = _part(count, self.world.options.chunk, threads)
-        bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
-        lanes = [self.tables.lane(k, self.world, min(size, count)) for k in range(min(threads, len(bounds)))]
-        lines, timed, began = self.code.lines, self.timed, perf_counter()
-        times = [None if timed is None or lines is None else Times(lines, lane.ticks, timed.lane()) for lane in lanes]
+        `values` are those that are the same for all agents, `timed` tells of lines while they are timed. Gives the parts, as
+        first row and the one after the last, in which some agent has too many others in a radius."""
+        count, others = len(population), self.tables.others(world)
+        of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
+        if of != self._ready_for:
+            self._ready(*of)
+            self._ready_for = of
+        if timed is not None:
+            return self._timed(world, population, values, timed)
+        return self._parts(world, population, values)
+
+    def _ready(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
+        """Share out so many rows, and have lanes ready for them."""
+        threads = max(1, min(threads, cores()))
+        size = _part(count, chunk, threads)
+        self._bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
+        lanes = [self.tables.lane(k, min(size, count), others) for k in range(min(threads, len(self._bounds)))]
+        self._chunks += [Chunk(self, lane) for lane in lanes[len(self._chunks) :]]
+        self._lanes = self._chunks[: len(lanes)]
+
+    def _timed(
+        self,
+        world: World,
+        population: Population,
+        values: dict[ir.Node, Any],
+        timed: Metered,
+    ) -> list[tuple[int, int]]:
+        lines, lanes, began = self.code.lines, self._lanes, perf_counter()
+        for each in lanes:
+            each.times = None if lines is None else Times(lines, each.lane.ticks, timed.lane())
+        bad = self._parts(world, population, values)
+        counted = [each.times for each in lanes if each.times is not None]
+        if counted:
+            for spent in counted:
+                spent.end()
+            timed.take([spent.lane for spent in counted], perf_counter() - began if len(lanes) > 1 else np.inf)
+        return bad
+
+    def _parts(self, world: World, population: Population, values: dict[ir.Node, Any]) -> list[tuple[int, int]]:
+        bounds, lanes = self._bounds, self._lanes
+        if len(bounds) == 1:
+            return [] if lanes[0].run(world, population, values, *bounds[0], population.effects) else bounds
         effects, good, coming = [Effects() for _ in bounds], [False] * len(bounds), iter(range(len(bounds)))
 
         def work(number: int) -> None:
             for k in coming:  # the next one that nobody has
-                good[k] = Chunk(self, lanes[number], times[number], *bounds[k], effects[k]).run()
+                good[k] = lanes[number].run(world, population, values, *bounds[k], effects[k])
 
         compiled.side_by_side(work, len(lanes))
         for each in effects:
-            self.population.effects.take(each)
-        counted = [each for each in times if each is not None]
-        if timed is not None and counted:
-            for spent in counted:
-                spent.end()
-            timed.take([spent.lane for spent in counted], perf_counter() - began if len(lanes) > 1 else np.inf)
+            population.effects.take(each)
         return [part for part, well in zip(bounds, good, strict=True) if not well]
+
+
+def _in_place(each: Instruction) -> bool:
+    return each.does is Does.VALUE and isinstance(each.what, ir.Node) and each.what.op in IN_PLACE
 
 
 def _part(count: int, chunk: int, threads: int) -> int:
@@ -77,50 +121,56 @@ def _part(count: int, chunk: int, threads: int) -> int:
     return WIDTH * max(1, -(-count // most))
 
 
-@dataclass(slots=True, eq=False)
 class Chunk:
-    """Some rows of a block. `run` says whether all went well: False where some agent has too many others in a radius."""
+    """Takes rows of a block through its stages, in a thread. `times` are counted while they are there."""
 
-    block: Block
-    lane: Lane
-    times: Times | None
+    world: World
+    population: Population
+    values: dict[ir.Node, Any]
     begin: int
     end: int
     effects: Effects
-    _picked: dict[int, NDArray[np.intp]] = field(default_factory=dict)
-    _slots: list[Any] | None = None
 
-    def run(self) -> bool:
-        """Take the rows through all stages; what is asked of the world is added to the effects."""
-        block, lane = self.block, self.lane
-        lane.notes[0] = 0
-        lane.counts.fill(0)
-        lane.needs.fill(0)
-        for stage, name in enumerate(block.code.names):
-            function, began = block.ready.function(name), perf_counter()
-            function(lane.address, self.begin, self.end)
-            if self.times is not None:
-                self.times.seconds += perf_counter() - began
-            some = block.ready.together[block.population.name, block.compiler.name, stage]
-            if some:
-                with np.errstate(all="ignore"):
-                    self._calls(some)
+    def __init__(self, block: Block, lane: Lane) -> None:
+        self.block, self.lane = block, lane
+        self.times: Times | None = None
+        self._picked: dict[int, NDArray[np.intp]] = {}
+        self._slots: list[Any] | None = None
+
+    def run(
+        self, world: World, population: Population, values: dict[ir.Node, Any], begin: int, end: int, effects: Effects
+    ) -> bool:
+        """Take rows through all stages; what is asked of the world is added to the effects. Gives whether all went well: False
+        where some agent has too many others in a radius."""
+        self.world, self.population, self.values = world, population, values
+        self.begin, self.end, self.effects = begin, end, effects
+        self._slots = None
+        self._picked.clear()
+        block, lane, times = self.block, self.lane, self.times
+        lane.begin()
+        for function, calls in block.stages:
+            if times is None:
+                function(lane.address, begin, end)
+            else:
+                began = perf_counter()
+                function(lane.address, begin, end)
+                times.seconds += perf_counter() - began
+            if calls:
+                self._calls(calls)
         crowded, *counts = lane.counts.tolist()
-        if crowded:
-            return False
-        if any(counts):
-            with np.errstate(all="ignore"):
-                for number, count in enumerate(counts):
-                    if count:
-                        each = block.code.lists[number]
-                        asked(each, [column[:count].copy() for column in lane.columns[number]], self.effects)
-        self._faults()
-        return True
+        if not crowded:
+            for number, count in enumerate(counts):
+                if count:
+                    asked(block.code.lists[number], [column[:count].copy() for column in lane.columns[number]], effects)
+            if lane.notes[0]:
+                self._faults()
+        del self.world, self.population, self.values, self.effects  # which are no longer needed, once nobody else has them
+        return not crowded
 
     def _took(self, began: float, some: list[Instruction], rows: list[int]) -> None:
         """Calls have come to their end; each has its share of the time by the rows that it was made for."""
         if self.times is not None:
-            each_row = (perf_counter() - began) / sum(rows)
+            each_row = (perf_counter() - began) / max(sum(rows), 1)
             for each, count in zip(some, rows, strict=True):
                 self.times.called(each, count * each_row)
 
@@ -138,13 +188,13 @@ class Chunk:
     def _known(self) -> list[Any]:
         """Slots as NumPy's calls have them."""
         if self._slots is None:
-            block = self.block
-            v = self._slots = [None] * block.compiler.slots
-            v[WORLD], v[POPULATION], v[EFFECTS] = block.world, block.population, self.effects
+            compiler = self.block.compiler
+            v = self._slots = [None] * compiler.slots
+            v[WORLD], v[POPULATION], v[EFFECTS] = self.world, self.population, self.effects
             v[PAIRS], v[NEARBY] = {}, NearbySets(1)
-            v[block.compiler.root.rows] = slice(self.begin, self.end)
-            for node, slot in block.compiler.uniforms.items():
-                v[slot] = block.values[node]
+            v[compiler.root.rows] = slice(self.begin, self.end)
+            for node, slot in compiler.uniforms.items():
+                v[slot] = self.values[node]
         return self._slots
 
     def _rows_of(self, slot: int) -> NDArray[np.intp]:
@@ -172,16 +222,34 @@ class Chunk:
         v = self._known()
         for slot in each.inputs:
             v[slot] = self._operand(slot, rows)
-        self.block.ready.calls[each](v)
+        self.block.made[each](v)
         return v[each.out]
 
-    def _calls(self, every: list[list[Instruction]]) -> None:
+    def _calls(self, every: Calls) -> None:
         """Make the calls at the end of a stage that somebody needs."""
-        nobody = {each for each, need in zip(self.block.code.needs, self.lane.needs.tolist(), strict=False) if not need}
-        for some in every:
-            needed = [each for each in some if each not in nobody]
-            if needed:
-                self._call(needed)
+        needs = self.lane.needs.tolist()
+        for in_place, some in every:
+            needed = [each for each, number in some if number < 0 or needs[number]]
+            if needed and in_place:
+                self._answer(needed)
+            elif needed:
+                with np.errstate(all="ignore"):
+                    self._call(needed)
+
+    def _answer(self, some: list[Instruction]) -> None:
+        """Have one or several of one sense with one name answered where a stage has left who asks and what, and where the next
+        one looks for the results."""
+        began, node = perf_counter(), some[0].what
+        assert isinstance(node, ir.Node)
+        answer, nothing = IN_PLACE[node.op]
+        count, uniform = self.end - self.begin, self.block.uniform
+        asks = [self.lane.ask(each, count, uniform, self.values) for each in some]
+        for each, (_, _, found) in zip(some, asks, strict=True):
+            if each not in self.block.code.guarded:
+                for array, value in zip(found, nothing, strict=True):
+                    array.fill(value)
+        answer(self.world, self.population, node, slice(self.begin, self.end), asks)
+        self._took(began, some, [int(np.count_nonzero(asking)) for asking, _, _ in asks] if self.times is not None else [])
 
     def _call(self, some: list[Instruction]) -> None:
         """Make a call, or several of one sense with one name at once: who asks is named as often as it asks."""
@@ -192,7 +260,7 @@ class Chunk:
                 self._leave(some[0], rows, self._made(some[0], rows))
                 self._took(began, some, [len(rows)])
             return
-        chosen = [self._rows_of(code.guarded.get(each, code.schedule.slot(each.scope.rows))) for each in some]
+        chosen = [self._rows_of(code.mask_of(each)) for each in some]
         ends = list(accumulate(len(rows) for rows in chosen))
         if not ends[-1]:
             return
@@ -205,7 +273,7 @@ class Chunk:
         node = some[0].what
         assert isinstance(node, ir.Node)
         asking = np.concatenate(chosen) + self.begin
-        found = SENSES[node.op](self.block.world, self.block.population, node, asking, *columns)
+        found = SENSES[node.op](self.world, self.population, node, asking, *columns)
         parts_of = found if isinstance(found, tuple) else (found,)
         for each, rows, end in zip(some, chosen, ends, strict=True):
             if len(rows):

@@ -17,6 +17,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Lower, Writer
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.moving.obstacle_clearance import may_touch
+from antdsl.runtime.sensing import NO_HIT
 from antdsl.runtime.world import AXES
 
 _APART = 4  # of cells around one, which come in the order of their numbers, so many lie about within a line of memory
@@ -329,6 +330,6 @@ def _may_hit(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 
 
 # Of what is called: who needs the call at all, and what the others get.
-GUARDS: Mapping[str, tuple[Lower, tuple[Any, ...]]] = {"ray": (_may_hit, (False, np.inf, 0.0, 0.0, 0.0))}
+GUARDS: Mapping[str, tuple[Lower, tuple[Any, ...]]] = {"ray": (_may_hit, NO_HIT)}
 ON_MOVING_GROUND = frozenset(("field.strongest",))  # there its places turn with the ground: it is called
 OF_PAIRS = frozenset(("agent.get", "agent.age", "agent.alive", "item.get", "item.alive"))  # may hang on the other one of a pair

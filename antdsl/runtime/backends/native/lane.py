@@ -1,0 +1,110 @@
+"""What a thread has of its own while it runs a block of machine code: what stages leave to each other, lists, notes, counts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.nearby import Ask
+from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, WIDTH
+from antdsl.machine_code.memory import address
+from antdsl.plan import ir
+from antdsl.runtime.backends.compile import Instruction
+from antdsl.runtime.backends.native.block import BlockCode
+from antdsl.runtime.backends.native.layout import Key
+from antdsl.runtime.backends.native.search import MOST
+
+DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
+_OWN = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys
+
+
+class Lane:
+    """`counts`: above 0 first where somebody has too many others around, then how many each list has; `needs`: above 0 for a call
+    that somebody needs; `columns` of each list: rows, and what is written down beside them; `ticks` by line, of code that is
+    timed; `laid`: by field, whether anything was; `widest`: the greatest radius of each search."""
+
+    def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
+        self.code, self.pointers = code, np.zeros_like(pointers)
+        self.address = address(self.pointers)
+        self.arrays: dict[tuple[int, int], NDArray[Any]] = {}
+        self.columns: list[list[NDArray[Any]]] = []
+        self.notes = np.zeros(1, np.int64)
+        self.counts, self.needs = np.zeros(1 + len(code.lists), np.int64), np.zeros(max(len(code.needs), 1), np.uint8)
+        self.ticks = np.zeros(0 if code.lines is None else len(code.lines.told), np.int64)
+        self.laid: dict[str, NDArray[np.bool_]] = {}
+        self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
+        self._candidates = np.zeros(0, np.int32)
+        self._size = self._others = -1
+        self._keys = [(key, place) for key, place in code.layout.pointers.items() if key[0] in _OWN or key[2:] == ("widest",)]
+        self._own = np.array([place for _, place in self._keys], np.intp)
+        self._places = np.zeros(len(self._keys), np.int64)
+        self._asks: dict[Instruction, tuple[Ask, list[tuple[ir.Node, Any]]]] = {}  # and what of it goes by values of the step
+
+    def ready(self, rows: int, others: int, pointers: NDArray[np.int64]) -> None:
+        """Have arrays for so many rows of a chunk and so many agents of the largest species, and the addresses that all lanes
+        have."""
+        if rows > self._size or others > self._others:
+            self._room(max(rows, self._size), max(others, self._others))
+        self.pointers[:] = pointers
+        self.pointers[self._own] = self._places
+
+    def begin(self) -> None:
+        """Count from nothing again."""
+        self.notes[0] = 0
+        self.counts.fill(0)
+        if self.code.needs:
+            self.needs.fill(0)
+
+    def ask(self, each: Instruction, rows: int, uniform: Mapping[int, ir.Node], values: Mapping[ir.Node, Any]) -> Ask:
+        """Who of so many rows needs a call, what it is made with, and where the next stage looks for its results. `uniform`:
+        nodes whose values are the same for all agents, by slot."""
+        known = self._asks.get(each)
+        if known is not None:
+            found, same = known
+            if len(found[0]) == rows and all([values[node] is value for node, value in same]):
+                return found
+        slots = [self.code.schedule.slot(slot) for slot in each.inputs]
+        same = [(uniform[slot], values[uniform[slot]]) for slot in slots if (slot, 0) not in self.arrays]
+        operands = [
+            self.arrays[slot, 0][:rows] if (slot, 0) in self.arrays else np.full(rows, values[uniform[slot]]) for slot in slots
+        ]
+        assert isinstance(each.what, ir.Node)
+        results = [self.arrays[each.out, part][:rows] for part in range(len(ir.TUPLES[each.what.op]))]
+        found = (self.arrays[self.code.mask_of(each), 0][:rows], tuple(operands), tuple(results))
+        self._asks[each] = (found, same)
+        return found
+
+    def _room(self, rows: int, others: int) -> None:
+        self._size, self._others = rows, others
+        self._asks.clear()
+        for (slot, part), kind in self.code.layout.arrays.items():
+            self.arrays[slot, part] = np.zeros(rows + WIDTH, DTYPES[kind])
+        self.columns.clear()
+        for number in range(len(self.code.lists)):
+            parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
+            self.columns.append([self.arrays[-1 - number, part] for part in parts])
+        self.notes = np.zeros(1 + 2 * (len(self.code.faults) * (rows // WIDTH + 1)), np.int64)
+        self._candidates = np.zeros(2 * others + (WIDTH + 1) * MOST, np.int32)  # of one agent with distances beside
+        for number, (key, _) in enumerate(self._keys):
+            self._places[number] = address(self._array(key))
+
+    def _array(self, key: Key) -> NDArray[Any]:
+        match key[0]:
+            case "array":
+                return self.arrays[int(str(key[1])), int(str(key[2]))]
+            case "grid":
+                return self.widest[int(str(key[1]))]
+            case "laid":
+                return self.laid.setdefault(str(key[1]), np.zeros(1, np.bool_))
+            case "notes":
+                return self.notes
+            case "counts":
+                return self.counts
+            case "needs":
+                return self.needs
+            case "ticks":
+                return self.ticks
+        return self._candidates

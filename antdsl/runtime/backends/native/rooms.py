@@ -1,0 +1,98 @@
+"""Arrays with room for eight rows behind the last one, which machine code reads at once: registers and what else the world keeps
+by a name are moved into such arrays where they lie, what others own is copied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.lanes import WIDTH
+from antdsl.machine_code.memory import address, has_room, roomy
+from antdsl.runtime.backends.native.layout import Key
+from antdsl.runtime.world import Population
+
+_FEW = 64  # arrays that nobody looks for whether they are still in use
+
+
+class Rooms:
+    """Arrays with room, by what they hold: the same one for all blocks that name it."""
+
+    def __init__(self) -> None:
+        self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
+        self._most = _FEW  # arrays, above which it is looked who still has them
+        self._copies: dict[Key, Copy] = {}
+        self.step = 0  # goes up with each: what stays while one lasts is copied once
+
+    def place(self, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
+        """An array with room and what another one holds, which is the same one if it has room; and its address. Whoever has the
+        other goes on with this one."""
+        known = self._moved.get(id(array))
+        if known is None:
+            new = array if has_room(array) else roomy(array)
+            known = self._moved[id(array)] = (array, new, address(new))
+            self._moved[id(new)] = (new, *known[1:])
+        elif known[1] is not array:  # somebody goes on with the one without room, as who asks specs does: it may have changed
+            np.copyto(known[1], array)
+        return known[1:]
+
+    def moved(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
+        """A register's array with its address, moved into one with room unless it is in one. Start and now share the new one
+        where they shared the old one: else it would be copied at the end of each step."""
+        holders = population.start, population.now
+        array = holders[not start][name]
+        found = self.place(array)
+        for holder in holders:
+            if holder.get(name) is array:
+                holder[name] = found[0]
+        return found
+
+    def settle(self, populations: Iterable[Population]) -> None:
+        """A step begins. Let go of arrays that nobody has any more, once they may be more than those in use."""
+        self.step += 1
+        if len(self._moved) > self._most:
+            held = {id(array) for each in populations for holder in (each.start, each.now) for array in holder.values()}
+            self._moved = {key: known for key, known in self._moved.items() if id(known[1]) in held}
+            self._most = max(_FEW, 2 * len(self._moved))
+
+    def forget(self) -> None:
+        """Rows are others now: let go of arrays that are no longer in use."""
+        self._moved.clear()
+
+    def copy(self, *key: Hashable) -> Copy:
+        """What stands for a key: the same one for all blocks that name it."""
+        return self._copies.setdefault(key, Copy(self))
+
+
+class Copy:
+    """A copy with room of an array that another part of the program owns, or of something made of the world."""
+
+    __slots__ = ("_address", "_of", "_rooms", "_whole")
+
+    def __init__(self, rooms: Rooms) -> None:
+        self._rooms, self._address = rooms, 0
+        self._of: Any = None
+        self._whole: NDArray[Any] = np.zeros(0)
+
+    def of(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
+        """The address of a copy. `stamp`: as long as it stays, so does what was copied; without one that is a step."""
+        stamp = self._rooms.step if stamp is None else stamp
+        if stamp != self._of or len(self._whole) != len(array) + WIDTH:
+            self._size(len(array), dtype)
+            self._whole[: len(array)] = array
+            self._of = stamp
+        return self._address
+
+    def lasting(self, of: Any, make: Callable[[], NDArray[Any]]) -> int:
+        """The address of what is made of something, as long as that is the same one."""
+        if of is not self._of:
+            self._of, self._whole = of, make()
+            self._address = address(self._whole)
+        return self._address
+
+    def _size(self, rows: int, dtype: Any) -> None:
+        if len(self._whole) != rows + WIDTH:
+            self._whole = np.zeros(rows + WIDTH, dtype)
+            self._address = address(self._whole)
