@@ -157,7 +157,7 @@ def faced(
     ahead: Array2[F64],
     middle: Array2[F64],
 ) -> None:
-    """As `contacts._face_as_before`, for some rows of a species, which are `stopped` among those in pairs and `whole` among all."""
+    """As `contacts._face_as_before`, for rows of a species, which are `stopped` among those in pairs and `whole` among all."""
     for n in independent(0, rows.size):
         row, k = rows[n], stopped[n]
         above = (up[0][row], up[1][row], up[2][row])
