@@ -262,10 +262,9 @@ class MeshGround:
         gone, blocked = np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
         results = (*to, place, above, ahead, direction, gone, blocked)
-        done = self._fast.step(parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads, straight)
+        left = self._fast.step(parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads, straight)
         result = Move(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
-        if not done.all():
-            left = np.flatnonzero(~done)
+        if left is not None:
             wish, heading, up = (v.take(left, axis=1) for v in (wish, heading, up))
             result.put(left, self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads, straight))
         return result

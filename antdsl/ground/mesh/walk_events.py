@@ -16,6 +16,8 @@ from antdsl.ground.mesh.topology import Topology
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
+# Of a part of the agents: floats and whole numbers of those who wait, and how many are left.
+Waiting = tuple[Floats, NDArray[np.int64], int]
 _WAITING = 64  # agents who look out for other surfaces, for whom a thread pays
 
 
@@ -31,6 +33,10 @@ class Walk:
         """Some faces have another shape in the table."""
         pack(self.packed, self._table, self._mesh, faces)
 
+    def surface(self) -> tuple[Any, ...]:
+        """What kernels read of the faces: see `walk_compiled.Surface`."""
+        return self.packed, self._table.link, self._table.forked, self._first
+
     def step(
         self,
         parts: Parts,
@@ -42,32 +48,60 @@ class Walk:
         to: tuple[Any, ...],
         threads: int,
         straight: bool,
-    ) -> NDArray[np.bool_]:
-        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; says who was moved.
-        Others are nowhere, or their numbers are not finite. `straight`: ways end at open borders."""
+    ) -> NDArray[np.intp] | None:
+        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; gives the rows of those
+        who are left as they are, if there are any: they are nowhere, or their numbers are not finite. `straight`: ways end at open
+        borders."""
         n = body.size
-        done = np.empty(n, np.bool_)
-        table = (self.packed, self._table.link, self._table.forked, self._first)
-        near = (parts.first, parts.count, parts.least, parts.reach, scale.noise)
+        how = np.empty(n, np.uint8)
         placed, moved, blocked = to[:5], to[5:10], to[10]
+        surface, near = self.surface(), nearness(parts, scale)
 
-        def part(begin: int, end: int) -> tuple[Floats, NDArray[np.int64]]:
+        def part(begin: int, end: int) -> Waiting:
             reals, wholes = np.empty((loop.REALS, end - begin)), np.empty((loop.WHOLES, end - begin), np.int64)
-            waiting = loop.walk_all(table, near, *at, body, vectors, reals, wholes, done, placed, moved, begin, end)
-            return reals[:, :waiting], wholes[:, :waiting]
+            waiting, left = loop.walk_all(surface, near, at, body, vectors, reals, wholes, how, placed, moved, begin, end)
+            return reals[:, :waiting], wholes[:, :waiting], left
 
-        parted = compiled.in_parts(part, n, threads)
-        if not any(some.size for _, some in parted):
-            return done
-        reals, wholes = (np.concatenate(half, axis=1) for half in zip(*parted, strict=True))
+        _, left = self.on(compiled.in_parts(part, n, threads), near, boxes, scale, how, placed, moved, blocked, threads, straight)
+        return np.flatnonzero(how != loop.DONE) if left else None
+
+    def on(
+        self,
+        parted: list[Waiting],
+        near: tuple[Any, ...],
+        boxes: Boxes,
+        scale: Scale,
+        how: NDArray[np.uint8],
+        placed: tuple[Any, ...],
+        moved: tuple[Any, ...],
+        blocked: NDArray[np.bool_],
+        threads: int,
+        straight: bool = False,
+    ) -> tuple[NDArray[np.int64], int]:
+        """Move those who wait, part by part, to footings `placed`, to what `Moved` says in `moved`, and to who is `blocked`: their
+        rows, and of how many of all agents `how` does not say that they have moved."""
+        left = sum(each[2] for each in parted)
+        if not any(each[1].size for each in parted):
+            return parted[0][1][loop.AGENT], left
+        reals, wholes = parted[0][:2]
+        if len(parted) > 1:
+            reals, wholes = (np.concatenate([each[half] for each in parted], axis=1) for half in (0, 1))
+        if not wholes.flags.c_contiguous:
+            reals, wholes = np.ascontiguousarray(reals), np.ascontiguousarray(wholes)
         topology = self._table
         sides, tree = (topology.piece, topology.way), (boxes.order, boxes.first, boxes.bounds)
         cuts = (topology.cuts.first, topology.cuts.other)
         known = (sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch)
 
-        def further(begin: int, end: int) -> None:
+        def further(begin: int, end: int) -> int:
             found = np.empty(boxes.order.size, np.int64)
-            loop.walk_on(table, near, *known, straight, found, body, reals, wholes, done, placed, moved, blocked, begin, end)
+            given = (straight, found, reals, wholes, how, placed, moved, blocked, begin, end)
+            waiting: int = loop.walk_on(self.surface(), near, *known, *given)
+            return waiting
 
-        compiled.in_parts(further, wholes.shape[1], threads, _WAITING)
-        return done
+        return wholes[loop.AGENT], left + sum(compiled.in_parts(further, wholes.shape[1], threads, _WAITING))
+
+
+def nearness(parts: Parts, scale: Scale) -> tuple[Any, ...]:
+    """What kernels read of how far other surfaces are: see `walk_compiled.Clearances`."""
+    return parts.first, parts.count, parts.least, parts.reach, scale.noise
