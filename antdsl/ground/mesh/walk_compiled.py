@@ -162,7 +162,8 @@ def walk_all(
             to_mesh[i], to_face[i] = on, f - first[on]
             to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
             _put(i, finish(surface[0], row, b1, b2, side, c, s, heading_c, heading_s, over), place, above, ahead, direction)
-    return counted(how, reals, wholes, begin, end)
+    waiting, left = counted(how, reals, wholes, begin, end)
+    return waiting, left
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,26 +23,35 @@ _WAITING = 64  # agents who look out for other surfaces, for whom a thread pays
 
 
 class Walk:
-    """Steps of a crowd by the compiled loop: `table` with the mesh int32[m] of each face and the first face of each mesh, which
-    are `packed` for it."""
+    """What the compiled loop reads: the `table` of faces with the mesh int32[m] of each and the first face of each mesh, `packed`
+    for it."""
 
     def __init__(self, table: Topology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
-        self._table, self._mesh, self._first = table, mesh, first
+        self.table, self.first, self._mesh = table, first, mesh
         self.packed = packed(table, mesh)
 
     def changed(self, faces: slice) -> None:
         """Some faces have another shape in the table."""
-        pack(self.packed, self._table, self._mesh, faces)
+        pack(self.packed, self.table, self._mesh, faces)
 
-    def surface(self) -> tuple[Any, ...]:
-        """What kernels read of the faces: see `walk_compiled.Surface`."""
-        return self.packed, self._table.link, self._table.forked, self._first
+
+@dataclass(frozen=True, slots=True)
+class CrowdWalk:
+    """A `walk` over surfaces of which `parts` say how far others are, `boxes` where, and a `scale` how near counts."""
+
+    walk: Walk
+    parts: Parts
+    boxes: Boxes
+    scale: Scale
+
+    def tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """What kernels read of the faces, and of how far other surfaces are: see `walk_compiled`, `Surface` and `Clearances`."""
+        walk, parts = self.walk, self.parts
+        surface = (walk.packed, walk.table.link, walk.table.forked, walk.first)
+        return surface, (parts.first, parts.count, parts.least, parts.reach, self.scale.noise)
 
     def step(
         self,
-        parts: Parts,
-        boxes: Boxes,
-        scale: Scale,
         body: Floats,
         at: tuple[Any, ...],
         vectors: tuple[Floats, Floats, Floats],
@@ -55,22 +65,19 @@ class Walk:
         n = body.size
         how = np.empty(n, np.uint8)
         placed, moved, blocked = to[:5], to[5:10], to[10]
-        surface, near = self.surface(), nearness(parts, scale)
+        tables = self.tables()
 
         def part(begin: int, end: int) -> Waiting:
             reals, wholes = np.empty((loop.REALS, end - begin)), np.empty((loop.WHOLES, end - begin), np.int64)
-            waiting, left = loop.walk_all(surface, near, at, body, vectors, reals, wholes, how, placed, moved, begin, end)
+            waiting, left = loop.walk_all(*tables, at, body, vectors, reals, wholes, how, placed, moved, begin, end)
             return reals[:, :waiting], wholes[:, :waiting], left
 
-        _, left = self.on(compiled.in_parts(part, n, threads), near, boxes, scale, how, placed, moved, blocked, threads, straight)
+        _, left = self.on(compiled.in_parts(part, n, threads), how, placed, moved, blocked, threads, straight)
         return np.flatnonzero(how != loop.DONE) if left else None
 
     def on(
         self,
         parted: list[Waiting],
-        near: tuple[Any, ...],
-        boxes: Boxes,
-        scale: Scale,
         how: NDArray[np.uint8],
         placed: tuple[Any, ...],
         moved: tuple[Any, ...],
@@ -83,25 +90,15 @@ class Walk:
         left = sum(each[2] for each in parted)
         if not any(each[1].size for each in parted):
             return parted[0][1][loop.AGENT], left
-        reals, wholes = parted[0][:2]
-        if len(parted) > 1:
-            reals, wholes = (np.concatenate([each[half] for each in parted], axis=1) for half in (0, 1))
-        if not wholes.flags.c_contiguous:
-            reals, wholes = np.ascontiguousarray(reals), np.ascontiguousarray(wholes)
-        topology = self._table
-        sides, tree = (topology.piece, topology.way), (boxes.order, boxes.first, boxes.bounds)
-        cuts = (topology.cuts.first, topology.cuts.other)
-        known = (sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch)
+        reals, wholes = (np.concatenate([each[half] for each in parted], axis=1) for half in (0, 1))
+        table, boxes, scale = self.walk.table, self.boxes, self.scale
+        sides, tree = (table.piece, table.way), (boxes.order, boxes.first, boxes.bounds)
+        cuts = (table.cuts.first, table.cuts.other)
+        known = (*self.tables(), sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch, straight)
 
         def further(begin: int, end: int) -> int:
             found = np.empty(boxes.order.size, np.int64)
-            given = (straight, found, reals, wholes, how, placed, moved, blocked, begin, end)
-            waiting: int = loop.walk_on(self.surface(), near, *known, *given)
+            waiting: int = loop.walk_on(*known, found, reals, wholes, how, placed, moved, blocked, begin, end)
             return waiting
 
         return wholes[loop.AGENT], left + sum(compiled.in_parts(further, wholes.shape[1], threads, _WAITING))
-
-
-def nearness(parts: Parts, scale: Scale) -> tuple[Any, ...]:
-    """What kernels read of how far other surfaces are: see `walk_compiled.Clearances`."""
-    return parts.first, parts.count, parts.least, parts.reach, scale.noise

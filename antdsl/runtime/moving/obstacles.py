@@ -93,15 +93,16 @@ def _along_fast(
     """As `_along`, to the same bits, by kernels."""
     from antdsl.runtime.moving.obstacles_compiled import kept_off, touching
 
-    rows, found = np.empty(len(radius), np.int64), np.empty((12, len(radius)), np.float32)
-    count = touching(place, step, up, radius, clear, rows, found)
+    rows, found = np.empty(len(radius), np.int64), np.empty((9, len(radius)), np.float32)
+    count = touching(place, step, radius, clear, rows, found)
     if not count:
         return step
-    found = found[:, :count] if count == len(radius) else np.ascontiguousarray(found[:, :count])
-    size, margin, _, x, y, z, _, _, _, *above = found
+    rows, found = rows[:count], np.ascontiguousarray(found[:, :count])
+    above = vec.take(up, rows)
+    size, margin, _, x, y, z, _, _, _ = found
     gap, out = scene.apart(x, y, z, size + margin, threads)
     bent, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
-    asking = kept_off(found, gap, out, bent, going, rays)
+    asking = kept_off(found, above, gap, out, bent, going, rays)
     a, b, c = bent
     if asking:
         px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
@@ -109,9 +110,8 @@ def _along_fast(
         met = np.flatnonzero(hits.hit)
         if len(met):
             free, normal = np.clip(hits.t[met] - margin[met], _F(0), size[met]), (hits.nx[met], hits.ny[met], hits.nz[met])
-            u = (above[0], above[1], above[2])
-            _turn_aside(scene, (x, y, z), (a, b, c), u, found[1], going[met], free, normal, threads)
-    return _put(step, rows[:count], (a, b, c))
+            _turn_aside(scene, (x, y, z), (a, b, c), above, found[1], going[met], free, normal, threads)
+    return _put(step, rows, (a, b, c))
 
 
 def _bent(
