@@ -169,7 +169,7 @@ class _Arrival:
         def part(begin: int, end: int) -> Waiting:
             floats = reals[begin * loop.REALS : end * loop.REALS].reshape(loop.REALS, -1)
             numbers = wholes[begin * loop.WHOLES : end * loop.WHOLES].reshape(loop.WHOLES, -1)
-            waiting, left = stride(*tables, *given, floats, numbers, how, placed, place.T, normals, begin, end)
+            waiting, left = stride(*tables, *given, floats, numbers, how, placed, place, p.position, normals, begin, end)
             return floats[:, :waiting], numbers[:, :waiting], left
 
         parted = compiled.in_parts(part, n, self.world.options.threads)

@@ -116,12 +116,13 @@ def stride(
     wholes: Array2[I64],
     how: Array1[U8],
     placed: Placed,
-    place: Strided2[F64],
+    place: Array2[F64],
+    old: Strided2[F64],
     normals: Array2[F32],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """`walk_all` over triangles by steps and headings in float32, from footings `at` to `placed` and `place` (n, 3); those
+    """`walk_all` over triangles by steps and headings in float32, from footings `at` to `placed` and `place` (3, n); those
     who are there arrive as by `arrive`."""
     mesh, face, b1s, b2s, overs = at
     first = surface[3]
@@ -158,8 +159,8 @@ def stride(
             to_b1[i], to_b2[i], to_over[i] = b1, b2, over * side + 0.0
             found = finish(surface[0], row, b1, b2, side, c, s, heading_c, heading_s, over)
             for k in range(3):
-                place[i, k] = found[0][k]
-            arrived(i, found, False, place, step, velocity, limits, bodies, times_of, facing, registers, normals)
+                place[k, i] = found[0][k]
+            arrived(i, found, False, old, step, velocity, limits, bodies, times_of, facing, registers, normals)
     waiting, left = counted(how, reals, wholes, begin, end)
     return waiting, left
 
