@@ -47,6 +47,7 @@ Moved = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array1[F64]]
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, BODY, REALS = range(13)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, EVENT, EDGE, WHOLES = range(9)
 LEFT_OUT, DONE, WAITS = range(3)  # how it is with an agent after the first loop
+ROWS_AHEAD = 1
 FETCHED = 64  # agents whose rows are brought near at once: as many as a processor's nearest memory holds
 
 

@@ -9,8 +9,8 @@ from antdsl.ground.mesh.face_table import MESH, WIDTH
 from antdsl.ground.mesh.stretches_compiled import finish
 from antdsl.ground.mesh.walk_compiled import (
     DONE,
-    FETCHED,
     LEFT_OUT,
+    ROWS_AHEAD,
     WAITS,
     Clearances,
     Placed,
@@ -31,6 +31,7 @@ from antdsl.machine_code.kernels import (
     Array1,
     Array2,
     Strided2,
+    fetch_ahead,
     independent,
     inlined,
     kernel,
@@ -128,10 +129,33 @@ def stride(
     first = surface[3]
     heading, state = registers[2], bodies[1]
     to_mesh, to_face, to_b1, to_b2, to_over = placed
-    for some in range(begin, end, FETCHED):
-        last = min(some + FETCHED, end)
-        bring_near(surface, mesh, face, some, last)
-        for i in independent(some, last):
+    for group in range(begin - 8 * ROWS_AHEAD, end, 8):
+        k = group + 8 * ROWS_AHEAD
+        for three in (velocity, step, registers[0], registers[1], registers[2], registers[3]):
+            for each in three:
+                fetch_ahead(each, k)
+        for each in (limits[0], limits[1], limits[2], bodies[0], size):
+            fetch_ahead(each, k)
+        fetch_ahead(mesh, k + 64)
+        fetch_ahead(face, k + 64)
+        fetch_ahead(state, k)
+        fetch_ahead(b1s, k)
+        fetch_ahead(b2s, k)
+        fetch_ahead(overs, k)
+        fetch_ahead(to_mesh, k)
+        fetch_ahead(to_face, k)
+        fetch_ahead(to_b1, k)
+        fetch_ahead(to_b2, k)
+        fetch_ahead(to_over, k)
+        fetch_ahead(place, k)
+        fetch_ahead(place, k + to_b1.size)
+        fetch_ahead(place, k + 2 * to_b1.size)
+        fetch_ahead(normal, 3 * k)
+        fetch_ahead(normal, 3 * k + 16)
+        fetch_ahead(normals, 3 * k)
+        fetch_ahead(normals, 3 * k + 16)
+        bring_near(surface, mesh, face, max(group + 8 * ROWS_AHEAD, begin), min(group + 8 * ROWS_AHEAD + 8, end))
+        for i in independent(max(group, begin), min(group + 8, end)):
             how[i] = LEFT_OUT
             if mesh[i] < 0 or face[i] < 0:
                 continue
@@ -148,7 +172,7 @@ def stride(
             if event:
                 how[i] = WAITS
                 keep(
-                    reals, wholes, i - begin, i, high > 0, long, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, over,
+                    reals, wholes, i - begin, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s, left, gone, over,
                     turn, event, edge, length,
                 )  # fmt: skip
                 continue
