@@ -88,9 +88,11 @@ class CrowdWalk:
         """Move those who wait, part by part, to footings `placed`, to what `Moved` says in `moved`, and to who is `blocked`: their
         rows, and of how many of all agents `how` does not say that they have moved."""
         left = sum(each[2] for each in parted)
-        if not any(each[1].size for each in parted):
-            return parted[0][1][loop.AGENT], left
-        reals, wholes = (np.concatenate([each[half] for each in parted], axis=1) for half in (0, 1))
+        reals, wholes, _ = parted[0]
+        if len(parted) > 1:
+            reals, wholes = (np.concatenate([each[half] for each in parted], axis=1) for half in (0, 1))
+        if not wholes.size:
+            return wholes[loop.AGENT], left
         table, boxes, scale = self.walk.table, self.boxes, self.scale
         sides, tree = (table.piece, table.way), (boxes.order, boxes.first, boxes.bounds)
         cuts = (table.cuts.first, table.cuts.other)

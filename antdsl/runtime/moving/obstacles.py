@@ -10,11 +10,10 @@ from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.runtime.world import Population, World
 
 _F = np.float32
 _BIT = _F(1e-6)  # more than rounding makes a way shorter
-_PLACE = tuple(f"position.{axis}" for axis in AXES)
 _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
 
 
@@ -50,8 +49,13 @@ def mesh_of(world: World, name: str) -> RayScene:
 
 def _where_they_were(population: Population) -> bool:
     """Whether everybody is still where the step began; not so after a first substep."""
-    now, start = population.now, population.start
-    return all((now[name] == start[name]).all() for name in _PLACE)
+    now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
+    if compiled.wanted(len(population)):
+        from antdsl.runtime.moving.obstacles_compiled import same
+
+        found: bool = same(now, start)
+        return found
+    return all((one == other).all() for one, other in zip(now, start, strict=True))
 
 
 def _along(

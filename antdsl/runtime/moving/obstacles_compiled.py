@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, I64, Array1, Array2, independent, kernel
+from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, independent, kernel
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -14,6 +14,15 @@ _LEAST, _MARGIN = _F(1e-9), _F(0.5)  # as `obstacles`
 _TINY = _F(1e-12)  # as `vectors.unit`
 _SLACK = _F(1e-4)  # as `obstacle_clearance`
 _WIDER = _F(1) + _SLACK
+
+
+@kernel
+def same(one: Three, other: Three) -> BOOL:
+    """Whether vectors are all equal, none of them NaN."""
+    for i in range(one[0].size):
+        if not (one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]):
+            return False
+    return True
 
 
 @kernel

@@ -33,129 +33,130 @@ from antdsl.runtime.world import Population, World
 _F = np.float32
 
 
-@dataclass(slots=True)
-class _Bodies:
-    """What is worked out of a crowd on its way, arrays of the kernels: see `strides_compiled.set_out`."""
+def move(world: World, population: Population, dt: np.float32, substep: int) -> None:
+    """As `advance.move`, of a crowd of one at least, in `dt` seconds."""
+    from antdsl.runtime.moving.tilting_compiled import follow, pace
 
+    others = world.setting.orient != "normal"
+    crowd = _Crowd.of(world, population, dt, others)
+    before = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
+    crowd.set_out(substep)
+    crowd.pass_obstacles()
+    _, _, heading, up = crowd.registers
+    found = rises_by_kernels(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
+    walls = (found.wall, found.ahead, found.angle, found.far, found.over)
+    pace(crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, walls, WAITING)
+    came_from = population.position
+    crowd.walk(world.ground)
+    if before is not None:
+        orient(world, population, *before)
+    ways = (*crowd.kept, came_from, population.position)
+    follow(crowd.state, *ways, crowd.most, population.now["max_turn"], dt, walls, found.half, RAISED, up, heading)
+
+
+@dataclass(slots=True)
+class _Crowd:
+    """A crowd on its way for `dt` of `whole` seconds: its registers position, velocity, heading and up, and what kernels work out,
+    see `strides_compiled`. `kept` is room for the up and heading from before of those whose bodies have to follow their feet
+    afterwards, as those of `everyone` may have."""
+
+    world: World
+    population: Population
+    dt: np.float32
+    whole: np.float32
+    everyone: bool
+    registers: tuple[Vector, Vector, Vector, Vector]
     velocity: Vector
     step: Vector
     looking: Vector
+    kept: tuple[Vector, Vector]
     long: NDArray[np.float32]
     most: NDArray[np.float32]
     reach: NDArray[np.float64]
     state: NDArray[np.int32]
 
+    @staticmethod
+    def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _Crowd:
+        """A crowd before it sets out."""
+        now, n = population.now, len(population)
+        room = population.room("on the way", 17, (n,), np.float32)
+        (reach,), (state,) = population.room("reach", 1, (n,), np.float64), population.room("state", 1, (n,), np.int32)
+        registers = (
+            vec.named(now, "position"), vec.named(now, "velocity"), vec.named(now, "heading"), vec.named(now, "up")
+        )  # fmt: skip
+        vectors = room[:3], room[3:6], room[6:9], (room[9:12], room[12:15])
+        return _Crowd(world, population, dt, _F(world.dt), everyone, registers, *vectors, *room[15:], reach, state)  # type: ignore[arg-type]
 
-def move(world: World, population: Population, dt: np.float32, substep: int) -> None:
-    """As `advance.move`, of a crowd of one at least, in `dt` seconds."""
-    from antdsl.runtime.moving.tilting_compiled import follow, pace
+    @property
+    def threads(self) -> int:
+        return self.world.options.threads
 
-    now = population.now
-    others = world.setting.orient != "normal"
-    before = (vec.copy(vec.named(now, "velocity")), vec.copy(vec.named(now, "up")), population.normal) if others else None
-    bodies = _set_out(world, population, dt, substep)
-    _past_obstacles(world, population, bodies, dt)
-    up, heading = vec.named(now, "up"), vec.named(now, "heading")
-    found = rises_by_kernels(world, population, bodies.looking, bodies.step, bodies.reach, bodies.state)
-    walls = (found.wall, found.ahead, found.angle, found.far, found.over)
-    pace(bodies.state, bodies.step, bodies.velocity, up, population.normal, bodies.most, walls, WAITING)
-    came_from = population.position
-    kept = population.room("kept", 6, (len(population),), np.float32)
-    _Arrival(world, population, bodies, (kept[:3], kept[3:]), dt, others).walk(world.ground)
-    if before is not None:
-        orient(world, population, *before)
-    ways = (kept[:3], kept[3:], came_from, population.position)
-    follow(bodies.state, *ways, bodies.most, now["max_turn"], dt, walls, found.half, RAISED, up, heading)
+    def set_out(self, substep: int) -> None:
+        """What all are about to do, whatever is in their way."""
+        from antdsl.runtime.moving.strides_compiled import set_out
 
+        p, now, whole = self.population, self.population.now, self.whole
+        _, *given = self.registers
+        limits = (now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
+        keeps = LEAST in now
+        least = now[LEAST] if keeps else now["max_speed"]
+        times = (whole * AT_ONCE, whole if substep == 0 else _F(0), self.dt)
+        to = (self.velocity, self.step, self.looking, (self.long, self.most, self.reach), self.state)
+        work = partial(
+            set_out, vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times, WIDEST, *to
+        )  # fmt: skip
+        compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+        if walks_of(self.world, p):
+            velocity = led(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
+            zero = np.zeros(len(p), np.float32)
+            self.velocity = vec.choose(p.quarantined, (zero, zero, zero), velocity)
+            self.step = vec.scale(self.velocity, self.dt)
+            self.long = vec.length(self.step)
 
-def _set_out(world: World, population: Population, dt: np.float32, substep: int) -> _Bodies:
-    """What all are about to do, whatever is in their way."""
-    from antdsl.runtime.moving.strides_compiled import set_out
+    def pass_obstacles(self) -> None:
+        """Steps along the obstacles in their way, and velocities of those who would have gone otherwise."""
+        world, p = self.world, self.population
+        if not world.plan.of_kind("obstacle"):
+            return
+        from antdsl.runtime.moving.obstacles_compiled import slowed
 
-    now, n, whole = population.now, len(population), _F(world.dt)
-    x, y, z, a, b, c, *looking, long, most = population.room("set out", 11, (n,), np.float32)
-    (reach,), (state,) = population.room("reach", 1, (n,), np.float64), population.room("state", 1, (n,), np.int32)
-    found = _Bodies((x, y, z), (a, b, c), (looking[0], looking[1], looking[2]), long, most, reach, state)
-    given = (vec.named(now, name) for name in ("push", "velocity", "heading", "up"))
-    limits = (now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
-    keeps = LEAST in now
-    least = now[LEAST] if keeps else now["max_speed"]
-    times = (whole * AT_ONCE, whole if substep == 0 else _F(0), dt)
-    work = partial(
-        set_out,
-        *given, population.normal, limits, keeps, least, now["size"], population.quarantined, times, WIDEST, found.velocity,
-        found.step, found.looking, (long, most, reach), state,
-    )  # fmt: skip
-    compiled.in_parts(work, n, world.options.threads, compiled.LIGHT)
-    if walks_of(world, population):
-        velocity = led(world, population, found.velocity, vec.columns(population.normal, np.float32))
-        zero = np.zeros(n, np.float32)
-        found.velocity = vec.choose(population.quarantined, (zero, zero, zero), velocity)
-        found.step = vec.scale(found.velocity, dt)
-        found.long = vec.length(found.step)
-    return found
-
-
-def _past_obstacles(world: World, population: Population, bodies: _Bodies, dt: np.float32) -> None:
-    """Steps along the obstacles in their way, and velocities of those who would have gone otherwise."""
-    if not world.plan.of_kind("obstacle"):
-        return
-    from antdsl.runtime.moving.obstacles_compiled import slowed
-
-    wanted, normal = bodies.step, population.normal
-    up = normal[:, 0], normal[:, 1], normal[:, 2]
-    step = no_slower(world, population, slide(world, population, wanted, up, population.now["radius"]), up, dt)
-    if step is not wanted:
-        work = partial(slowed, wanted, step, bodies.velocity, _F(1) / dt)
-        compiled.in_parts(work, len(population), world.options.threads, compiled.LIGHT)
-        bodies.step = step
-
-
-@dataclass(slots=True)
-class _Arrival:
-    """A crowd whose `bodies` are about to walk, with room for the up and heading that those had who have to `follow` afterwards,
-    as `everyone` may have."""
-
-    world: World
-    population: Population
-    bodies: _Bodies
-    kept: tuple[tuple[NDArray[Any], ...], ...]
-    dt: np.float32
-    everyone: bool
+        wanted, normal = self.step, p.normal
+        up = normal[:, 0], normal[:, 1], normal[:, 2]
+        step = no_slower(world, p, slide(world, p, wanted, up, p.now["radius"]), up, self.dt)
+        if step is not wanted:
+            work = partial(slowed, wanted, step, self.velocity, _F(1) / self.dt)
+            compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+            self.step = step
 
     def walk(self, ground: Ground) -> None:
         """Walk over a ground to new places, and arrive there."""
-        if isinstance(ground, Plane):
-            self._over_plane(ground)
-        elif not isinstance(ground, MeshGround) or not self._over_meshes(ground):
-            self._over_any(ground)
-
-    def _given(self) -> tuple[Any, ...]:
-        """What kernels need to know where somebody arrives: see `strides_compiled`."""
-        now, bodies = self.population.now, self.bodies
+        now = self.population.now
         limits = (now["max_speed"], now["max_turn"], now["response"])
-        times = (_F(self.world.dt) * AT_ONCE, self.dt, share(self.dt))
-        facing = (FACE in now, vec.named(now, "~face" if FACE in now else "velocity"), self.everyone)
-        registers = tuple(vec.named(now, name) for name in ("position", "velocity", "heading", "up"))
-        return limits, (bodies.most, bodies.state, *self.kept), times, facing, registers
+        times = (self.whole * AT_ONCE, self.dt, share(self.dt))
+        facing = (FACE in now, vec.named(now, "~face") if FACE in now else self.registers[1], self.everyone)
+        there = (limits, (self.most, self.state, *self.kept), times, facing, self.registers)
+        if isinstance(ground, Plane):
+            self._over_plane(ground, there)
+        elif not isinstance(ground, MeshGround) or not self._over_meshes(ground, there):
+            self._over_any(ground, there)
 
-    def _over_plane(self, plane: Plane) -> None:
+    def _over_plane(self, plane: Plane, there: tuple[Any, ...]) -> None:
         from antdsl.runtime.moving.strides_compiled import glide
 
         p, n = self.population, len(self.population)
         place, normals = np.empty((n, 3)), np.empty((n, 3), np.float32)
-        going = (self.bodies.velocity, self.bodies.step, self.bodies.looking)
-        work = partial(glide, plane.up, p.footing.point, *going, *self._given(), place, normals)
-        compiled.in_parts(work, n, self.world.options.threads)
+        going = (self.velocity, self.step, self.looking)
+        work = partial(glide, plane.up, p.footing.point, *going, *there, place, normals)
+        compiled.in_parts(work, n, self.threads)
         p.footing, p.position, p.normal = Footing.on_plane(place), place, normals
 
-    def _over_meshes(self, ground: MeshGround) -> bool:
+    def _over_meshes(self, ground: MeshGround, there: tuple[Any, ...]) -> bool:
         """False where triangles are not what is walked over."""
         from antdsl.ground.mesh import walk_compiled as loop
         from antdsl.runtime.moving.strides_compiled import stride
 
-        p, n, bodies = self.population, len(self.population), self.bodies
-        walk = ground.crowd_walk(bodies.long, p.now["size"])
+        p, n = self.population, len(self.population)
+        walk = ground.crowd_walk(self.long, p.now["size"])
         if walk is None:
             return False
         tables = walk.tables()
@@ -164,7 +165,7 @@ class _Arrival:
         place, normals = np.empty((3, n)), np.empty((n, 3), np.float32)
         (how,) = p.room("how", 1, (n,), np.uint8)
         (reals,), (wholes,) = p.room("reals", 1, (loop.REALS * n,), np.float64), p.room("wholes", 1, (loop.WHOLES * n,), np.int64)
-        given = (at, p.now["size"], p.normal, bodies.velocity, bodies.step, bodies.looking, *self._given())
+        given = (at, p.now["size"], p.normal, self.velocity, self.step, self.looking, *there)
 
         def part(begin: int, end: int) -> Waiting:
             floats = reals[begin * loop.REALS : end * loop.REALS].reshape(loop.REALS, -1)
@@ -172,14 +173,15 @@ class _Arrival:
             waiting, left = stride(*tables, *given, floats, numbers, how, placed, place, p.position, normals, begin, end)
             return floats[:, :waiting], numbers[:, :waiting], left
 
-        parted = compiled.in_parts(part, n, self.world.options.threads)
-        self._later(ground, walk, parted, to, place, normals, how)
+        parted = compiled.in_parts(part, n, self.threads)
+        self._later(ground, there, walk, parted, to, place, normals, how)
         p.footing, p.position, p.normal = to, place.T, normals
         return True
 
     def _later(
         self,
         ground: MeshGround,
+        there: tuple[Any, ...],
         walk: CrowdWalk,
         parted: list[Waiting],
         to: Footing,
@@ -195,39 +197,40 @@ class _Arrival:
         above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
         (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
         placed, moved = (to.mesh, to.face, to.b1, to.b2, to.over), (place, above, ahead, direction, gone)
-        rows, left = walk.on(parted, how, placed, moved, blocked, self.world.options.threads)
+        rows, left = walk.on(parted, how, placed, moved, blocked, self.threads)
         if left:
             others = np.flatnonzero(how != DONE)
             result = Move(to, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
             result.put(others, self._moved(ground, others))
             rows = np.union1d(rows, others)
         if len(rows):
-            self._arrive(rows, (*moved[:4], blocked), normals)
+            self._arrive(rows, (*moved[:4], blocked), there, normals)
 
-    def _over_any(self, ground: Ground) -> None:
+    def _over_any(self, ground: Ground, there: tuple[Any, ...]) -> None:
         p, rows = self.population, np.arange(len(self.population))
         moved = self._moved(ground, slice(None))
         if self.world.solids:
             moved = in_the_air(self.world, p, moved, self.dt)
         normals = np.empty((len(rows), 3), np.float32)
         walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
-        self._arrive(rows, walked, normals)
+        self._arrive(rows, walked, there, normals)
         p.footing, p.position, p.normal = moved.footing, moved.position, normals
 
     def _moved(self, ground: Ground, rows: NDArray[np.intp] | slice) -> Move:
         """Where a ground moves some agents."""
         from antdsl.runtime.moving.tilting_compiled import STANDS
 
-        p, bodies = self.population, self.bodies
-        stands = bodies.state[rows] == STANDS
-        heading = vec.choose(stands, vec.take(vec.named(p.now, "heading"), rows), vec.take(bodies.looking, rows))
-        vectors = vec.rows(vec.take(bodies.step, rows)), vec.rows(heading), p.normal[rows].astype(np.float64)
+        p = self.population
+        stands = self.state[rows] == STANDS
+        heading = vec.choose(stands, vec.take(self.registers[2], rows), vec.take(self.looking, rows))
+        vectors = vec.rows(vec.take(self.step, rows)), vec.rows(heading), p.normal[rows].astype(np.float64)
         size = p.now["size"][rows].astype(np.float64)
-        return ground.move(p.footing.take(rows), *vectors, size, self.world.options.threads)
+        return ground.move(p.footing.take(rows), *vectors, size, self.threads)
 
-    def _arrive(self, rows: NDArray[np.intp], walked: tuple[Any, ...], normals: NDArray[np.float32]) -> None:
+    def _arrive(
+        self, rows: NDArray[np.intp], walked: tuple[Any, ...], there: tuple[Any, ...], normals: NDArray[np.float32]
+    ) -> None:
         from antdsl.runtime.moving.advance_compiled import arrive
 
-        given = (self.bodies.velocity, self.bodies.step, self.population.position, walked, *self._given(), normals)
-        work = partial(arrive, rows, *given)
-        compiled.in_parts(work, len(rows), self.world.options.threads, compiled.LIGHT)
+        work = partial(arrive, rows, self.velocity, self.step, self.population.position, walked, *there, normals)
+        compiled.in_parts(work, len(rows), self.threads, compiled.LIGHT)
