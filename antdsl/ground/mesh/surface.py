@@ -233,7 +233,7 @@ class MeshGround:
             return self._moved(footing, wish, heading_t, up_t, body, parts, threads, straight)
 
     def crowd_walk(self, ways: NDArray[np.float32], body: NDArray[np.float32]) -> CrowdWalk | None:
-        """The compiled walk over triangles, for kernels that go on from it, of agents with ways and bodies (mm) of so many lengths;
+        """The compiled walk over triangles, for kernels that go on from it, of agents with ways and bodies so long (mm, [n]);
         None where they are put where rays hit, or where there is nothing to walk on."""
         if self._by_rays or not self._faces.size:
             return None

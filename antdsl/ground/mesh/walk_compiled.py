@@ -48,7 +48,7 @@ Moved = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array1[F64]]
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, BODY, REALS = range(13)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, EVENT, EDGE, WHOLES = range(9)
 LEFT_OUT, DONE, WAITS = range(3)  # how it is with an agent after the first loop
-ROWS_AHEAD = 1
+ROWS_AHEAD = 1  # eights of agents whose rows are brought near before theirs are read
 FETCHED = 64  # agents whose rows are brought near at once: as many as a processor's nearest memory holds
 
 
@@ -125,8 +125,8 @@ def walk_all(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """One step of the agents from `begin` to before `end`: says in `how` whether it has moved one (DONE), or one WAITS, in `reals`
-    and `wholes` (.., end - begin), or is left as it is (LEFT_OUT), and returns how many wait and how many are left.
+    """One step of the agents from `begin` to before `end`: says in `how` whether one was moved (DONE), or WAITS, in `reals` and
+    `wholes` (.., end - begin), or is left as it is (LEFT_OUT), and returns how many wait and how many are left.
 
     `at`: where agents stand; then their body, wish, heading and up (3, n), and where the results go.
     """

@@ -59,8 +59,8 @@ class CrowdWalk:
         threads: int,
         straight: bool,
     ) -> NDArray[np.intp] | None:
-        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; gives the rows of those
-        who are left as they are, if there are any: they are nowhere, or their numbers are not finite. `straight`: ways end at open
+        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; gives the rows of who
+        is left as they are, None if nobody is: they are nowhere, or their numbers are not finite. `straight`: ways end at open
         borders."""
         n = body.size
         how = np.empty(n, np.uint8)
@@ -85,8 +85,8 @@ class CrowdWalk:
         threads: int,
         straight: bool = False,
     ) -> tuple[NDArray[np.int64], int]:
-        """Move those who wait, part by part, to footings `placed`, to what `Moved` says in `moved`, and to who is `blocked`: their
-        rows, and of how many of all agents `how` does not say that they have moved."""
+        """Move those who wait, part by part, to footings `placed`, to `moved` as `walk_compiled.Moved` has it, and say who is
+        `blocked`: their rows, and of how many of all agents `how` does not say that they have moved."""
         left = sum(each[2] for each in parted)
         reals, wholes, _ = parted[0]
         if len(parted) > 1:

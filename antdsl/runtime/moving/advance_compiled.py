@@ -157,8 +157,8 @@ def arrive(
 ) -> None:
     """Velocity and heading of `rows` from `begin` to before `end` where the walk has led, with place and up, into `registers`:
     position, velocity, heading, up; and the up also into `normals` (n, 3). `bodies` whose up turns by more than `most` (radians),
-    or that turn by more than `max_turn` allows and `BEYOND` that, get a `state` that says so, and who does not stand as its feet do
-    has the up and heading from before kept there.
+    or that turn by more than `max_turn` allows and `BEYOND` that, get a `state` that says so, and of who does not stand as its
+    feet do the up and heading from before are kept there.
 
     `velocity`, `step`: before the walk, float32; `old` the place before it, (n, 3); `walked`: place, up, heading and direction of
     the walk, (3, n), and who is blocked.

@@ -19,10 +19,10 @@ _WIDER = _F(1) + _SLACK
 @kernel
 def same(one: Three, other: Three) -> BOOL:
     """Whether vectors are all equal, none of them NaN."""
+    found = True
     for i in range(one[0].size):
-        if not (one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]):
-            return False
-    return True
+        found = found and one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]
+    return found
 
 
 @kernel
@@ -52,9 +52,9 @@ def kept_off(
     going: Array1[I64],
     rays: Array2[F32],
 ) -> I64:
-    """Steps of those whom `touching` has found, on ground whose up is `above`, `bent` [3, n] such that they keep the margin from the nearest face, which lies so
-    far (`gaps`) along `out` [3, n]; and how many may meet a face on them: which ones they are, and their `rays` [9, n]: place,
-    direction, how far they look, the length of the step and the margin."""
+    """Steps of those whom `touching` has found, on ground whose up is `above`, `bent` [3, n] such that they keep the margin from
+    the nearest face, which lies so far (`gaps`) along `out` [3, n]; and how many may meet a face on them: which ones they are,
+    and their `rays` [9, n]: place, direction, how far they look, the length of the step and the margin."""
     count = 0
     for i in range(gaps.size):
         size, margin, clear, gap = near[0, i], near[1, i], near[2, i], gaps[i]

@@ -56,8 +56,8 @@ def move(world: World, population: Population, dt: np.float32, substep: int) -> 
 
 @dataclass(slots=True)
 class _Crowd:
-    """A crowd on its way for `dt` of `whole` seconds: its registers position, velocity, heading and up, and what kernels work out,
-    see `strides_compiled`. `kept` is room for the up and heading from before of those whose bodies have to follow their feet
+    """A crowd on its way for `dt` of `whole` seconds: its registers position, velocity, heading and up, and what kernels work
+    out, see `strides_compiled`. `kept` is room for the up and heading from before of those whose bodies have to follow their feet
     afterwards, as those of `everyone` may have."""
 
     world: World
@@ -81,11 +81,10 @@ class _Crowd:
         now, n = population.now, len(population)
         room = population.room("on the way", 17, (n,), np.float32)
         (reach,), (state,) = population.room("reach", 1, (n,), np.float64), population.room("state", 1, (n,), np.int32)
-        registers = (
-            vec.named(now, "position"), vec.named(now, "velocity"), vec.named(now, "heading"), vec.named(now, "up")
-        )  # fmt: skip
-        vectors = room[:3], room[3:6], room[6:9], (room[9:12], room[12:15])
-        return _Crowd(world, population, dt, _F(world.dt), everyone, registers, *vectors, *room[15:], reach, state)  # type: ignore[arg-type]
+        registers = tuple(vec.named(now, name) for name in ("position", "velocity", "heading", "up"))
+        velocity, step, looking, up, heading = (room[k : k + 3] for k in range(0, 15, 3))
+        given = (registers, velocity, step, looking, (up, heading), *room[15:], reach, state)
+        return _Crowd(world, population, dt, _F(world.dt), everyone, *given)  # type: ignore[arg-type]
 
     @property
     def threads(self) -> int:
@@ -102,9 +101,8 @@ class _Crowd:
         least = now[LEAST] if keeps else now["max_speed"]
         times = (whole * AT_ONCE, whole if substep == 0 else _F(0), self.dt)
         to = (self.velocity, self.step, self.looking, (self.long, self.most, self.reach), self.state)
-        work = partial(
-            set_out, vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times, WIDEST, *to
-        )  # fmt: skip
+        does = (vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times, WIDEST)
+        work = partial(set_out, *does, *to)
         compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
         if walks_of(self.world, p):
             velocity = led(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
@@ -189,8 +187,8 @@ class _Crowd:
         normals: NDArray[np.float32],
         how: NDArray[np.uint8],
     ) -> None:
-        """Move and let arrive those who have come to something else than the next face of their surface, and those who are nowhere
-        or whose numbers are none."""
+        """Move those who have come to something else than the next face of their surface, and those who are nowhere or whose
+        numbers are none, and let them arrive."""
         from antdsl.ground.mesh.walk_compiled import DONE
 
         p, n = self.population, len(self.population)

@@ -1,5 +1,5 @@
-"""A substep of a crowd in two loops over all agents: `set_out` up to what stands in anybody's way, and from there one for each kind
-of ground that walks agents and lets them arrive. Each gives the bits of the passes of `advance`."""
+"""A substep of a crowd in two loops over all agents: `set_out` up to what stands in anybody's way, and from there one for each
+kind of ground that walks agents and lets them arrive. Each gives the bits of the passes of `advance`."""
 
 from __future__ import annotations
 
@@ -127,34 +127,24 @@ def stride(
     who are there arrive as by `arrive`."""
     mesh, face, b1s, b2s, overs = at
     first = surface[3]
-    heading, state = registers[2], bodies[1]
+    most, state, _, _ = bodies
+    position, went, heading, stood_up = registers
     to_mesh, to_face, to_b1, to_b2, to_over = placed
     for group in range(begin - 8 * ROWS_AHEAD, end, 8):
-        k = group + 8 * ROWS_AHEAD
-        for three in (velocity, step, registers[0], registers[1], registers[2], registers[3]):
-            for each in three:
-                fetch_ahead(each, k)
-        for each in (limits[0], limits[1], limits[2], bodies[0], size):
-            fetch_ahead(each, k)
-        fetch_ahead(mesh, k + 64)
-        fetch_ahead(face, k + 64)
-        fetch_ahead(state, k)
-        fetch_ahead(b1s, k)
-        fetch_ahead(b2s, k)
-        fetch_ahead(overs, k)
-        fetch_ahead(to_mesh, k)
-        fetch_ahead(to_face, k)
-        fetch_ahead(to_b1, k)
-        fetch_ahead(to_b2, k)
-        fetch_ahead(to_over, k)
-        fetch_ahead(place, k)
-        fetch_ahead(place, k + to_b1.size)
-        fetch_ahead(place, k + 2 * to_b1.size)
-        fetch_ahead(normal, 3 * k)
-        fetch_ahead(normal, 3 * k + 16)
-        fetch_ahead(normals, 3 * k)
-        fetch_ahead(normals, 3 * k + 16)
-        bring_near(surface, mesh, face, max(group + 8 * ROWS_AHEAD, begin), min(group + 8 * ROWS_AHEAD + 8, end))
+        soon = group + 8 * ROWS_AHEAD
+        bring_near(surface, mesh, face, max(soon, begin), min(soon + 8, end))
+        # Columns too, which are more than a processor by itself sees coming.
+        several = (size, most, state)
+        for columns in (at, placed, several, step, velocity, limits, position, went, heading, stood_up):
+            for column in columns:
+                fetch_ahead(column, soon)
+        for column in (mesh, face):
+            fetch_ahead(column, soon + 64)
+        for k in range(3):
+            fetch_ahead(place, soon + k * state.size)
+        for rows in (normal, normals):
+            fetch_ahead(rows, 3 * soon)
+            fetch_ahead(rows, 3 * soon + 16)
         for i in independent(max(group, begin), min(group + 8, end)):
             how[i] = LEFT_OUT
             if mesh[i] < 0 or face[i] < 0:
@@ -172,7 +162,7 @@ def stride(
             if event:
                 how[i] = WAITS
                 keep(
-                    reals, wholes, i - begin, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s, left, gone, over,
+                    reals, wholes, i - begin, i, high > 0, long, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, over,
                     turn, event, edge, length,
                 )  # fmt: skip
                 continue
