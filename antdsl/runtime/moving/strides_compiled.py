@@ -127,24 +127,24 @@ def stride(
     who are there arrive as by `arrive`."""
     mesh, face, b1s, b2s, overs = at
     first = surface[3]
-    most, state, _, _ = bodies
-    position, went, heading, stood_up = registers
+    heading, state = registers[2], bodies[1]
     to_mesh, to_face, to_b1, to_b2, to_over = placed
     for group in range(begin - 8 * ROWS_AHEAD, end, 8):
-        soon = group + 8 * ROWS_AHEAD
-        bring_near(surface, mesh, face, max(soon, begin), min(soon + 8, end))
-        # Columns too, which are more than a processor by itself sees coming.
-        several = (size, most, state)
-        for columns in (at, placed, several, step, velocity, limits, position, went, heading, stood_up):
-            for column in columns:
-                fetch_ahead(column, soon)
-        for column in (mesh, face):
-            fetch_ahead(column, soon + 64)
-        for k in range(3):
-            fetch_ahead(place, soon + k * state.size)
-        for rows in (normal, normals):
-            fetch_ahead(rows, 3 * soon)
-            fetch_ahead(rows, 3 * soon + 16)
+        # Columns are brought near, too: they are more than a processor by itself sees coming.
+        k = group + 8 * ROWS_AHEAD
+        for three in (velocity, step, registers[0], registers[1], registers[2], registers[3], limits):
+            for each in three:
+                fetch_ahead(each, k)
+        for each in (bodies[0], size, state, b1s, b2s, overs, to_mesh, to_face, to_b1, to_b2, to_over):
+            fetch_ahead(each, k)
+        for axis in range(3):
+            fetch_ahead(place, k + axis * to_b1.size)
+        for each in (normal, normals):
+            fetch_ahead(each, 3 * k)
+            fetch_ahead(each, 3 * k + 16)
+        for each in (mesh, face):
+            fetch_ahead(each, k + 64)
+        bring_near(surface, mesh, face, max(group + 8 * ROWS_AHEAD, begin), min(group + 8 * ROWS_AHEAD + 8, end))
         for i in independent(max(group, begin), min(group + 8, end)):
             how[i] = LEFT_OUT
             if mesh[i] < 0 or face[i] < 0:
@@ -162,8 +162,8 @@ def stride(
             if event:
                 how[i] = WAITS
                 keep(
-                    reals, wholes, i - begin, i, high > 0, long, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, over,
-                    turn, event, edge, length,
+                    reals, wholes, i - begin, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s,
+                    left, gone, over, turn, event, edge, length,
                 )  # fmt: skip
                 continue
             how[i] = DONE
