@@ -11,7 +11,8 @@ from antdsl.fields.pheromone_step_compiled import stepped
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.numerics.elementary_compiled import cosines
-from antdsl.runtime.moving.advance_compiled import arrive, velocities
+from antdsl.runtime.moving.advance_compiled import arrive
+from antdsl.runtime.moving.strides_compiled import set_out
 
 TARGET = machine.Target("nvptx64-nvidia-cuda", "sm_90", "")
 
@@ -25,7 +26,7 @@ def ptx_of(kernel: Kernel) -> str:
         pytest.skip(f"llvmlite is made without PTX: {problem}")
 
 
-@pytest.mark.parametrize("kernel", [cosines, velocities, arrive], ids=lambda kernel: kernel.__name__)
+@pytest.mark.parametrize("kernel", [cosines, set_out, arrive], ids=lambda kernel: kernel.__name__)
 def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
     found = set(re.findall(r"\b((?:fma|mad|add|sub|mul|div|sqrt)\.[a-z.]*f(?:32|64))\b", ptx_of(kernel)))
     assert found, "it calculates"
