@@ -364,6 +364,12 @@ def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str
     rows, last = near.rows.take(stopped), 0
     for population, own in crowd.parts(rows):
         first, last = last, last + len(own)
+        if compiled.wanted(len(own)):
+            from antdsl.runtime.moving.contacts_compiled import faced
+
+            vectors = (facing[population.name], *(vec.named(population.now, name) for name in ("up", "heading")))
+            faced(own, stopped[first:last], rows[first:last], *vectors, crowd.ahead, near.ahead, near.middle)
+            continue
         up, now = vec.take(vec.named(population.now, "up"), own), vec.take(vec.named(population.now, "heading"), own)
         heading = vec.unit(vec.flat(vec.take(facing[population.name], own), up), now)
         for axis, component in zip(AXES, heading, strict=True):

@@ -7,15 +7,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, called, independent, inlined, kernel
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I64,
+    Array1,
+    Array2,
+    Array3,
+    Strided2,
+    called,
+    independent,
+    inlined,
+    kernel,
+)
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 from antdsl.runtime.moving.capsules_compiled import measured
 
 _FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts` and `cutting`
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
 _YIELD, _HEAP, _RESTS = 0.3, 0.4, 0.01
+_ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Bodies = tuple[Strided2[F64], Strided2[F64], Strided2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
 Pairs = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]  # i, j, gap, way, and which count
 # Masses, yields, reaches, depths and who is held; normals of the ground, walked and cut, as `contacts` has them
@@ -128,6 +143,35 @@ def bent(
             ways = _negative(ways)
     for k in range(count):
         _put(step, k, times(_of(step, k), part[k]))
+
+
+@kernel
+def faced(
+    rows: Array1[I64],
+    stopped: Array1[I64],
+    whole: Array1[I64],
+    before: Three,
+    up: Three,
+    heading: Three,
+    shift: Array1[F64],
+    ahead: Array2[F64],
+    middle: Array2[F64],
+) -> None:
+    """As `contacts._face_as_before`, for rows of a species, which are `stopped` among those in pairs and `whole` among all."""
+    for n in independent(0, rows.size):
+        row, k = rows[n], stopped[n]
+        above = (up[0][row], up[1][row], up[2][row])
+        way = (before[0][row], before[1][row], before[2][row])
+        way = minus(way, times(above, dot(way, above)))
+        size = np.sqrt(dot(way, way))
+        if size > _TINY and np.isfinite(size):
+            way = times(way, _ONE / size)
+        else:
+            way = (heading[0][row], heading[1][row], heading[2][row])
+        for axis in range(3):
+            facing = np.float64(way[axis])
+            middle[axis, k] += (facing - ahead[axis, k]) * shift[whole[n]]
+            ahead[axis, k], heading[axis][row] = facing, way[axis]
 
 
 @inlined
