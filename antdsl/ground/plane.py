@@ -21,6 +21,11 @@ class Plane:
         self._up = np.asarray(up, np.float64)
 
     @property
+    def up(self) -> Floats:
+        """Its unit normal float64[3]."""
+        return self._up
+
+    @property
     def meshes(self) -> None:
         """The part of the ground that is made of meshes: none."""
         return None

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, kernel
+from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, inlined, kernel
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
+
+
+@inlined
+def straight(up, point, way, ahead):  # type: ignore[no-untyped-def]
+    """As `Plane.move`, for one: place, heading, direction and the way gone."""
+    step, look = minus(way, times(up, dot(way, up))), minus(ahead, times(up, dot(ahead, up)))
+    far = np.sqrt(dot(step, step))
+    direction = look
+    if far > 0:
+        direction = (step[0] / far, step[1] / far, step[2] / far)
+    return plus(point, step), look, direction, far
 
 
 @kernel
@@ -23,11 +34,7 @@ def straight_on(
     normal = (up[0], up[1], up[2])
     for i in range(travelled.size):
         step, look = (way[i, 0], way[i, 1], way[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])
-        step, look = minus(step, times(normal, dot(step, normal))), minus(look, times(normal, dot(look, normal)))
-        far = np.sqrt(dot(step, step))
-        there = plus((point[i, 0], point[i, 1], point[i, 2]), step)
-        going = far > 0
+        there, look, go, far = straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
         for k in range(3):
-            to[i, k], heading[i, k] = there[k], look[k]
-            direction[i, k] = step[k] / far if going else look[k]
+            to[i, k], heading[i, k], direction[i, k] = there[k], look[k], go[k]
         travelled[i] = far

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from compilers import need_kernels
@@ -17,7 +15,6 @@ from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
 from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import compiled
-from antdsl.runtime.moving import advance
 from tests.meshes import ball, box, grid, terrain
 
 UP = np.array([0.0, 1.0, 0.0])
@@ -169,84 +166,6 @@ def test_looking_out_everywhere_finds_nothing_more(monkeypatch: pytest.MonkeyPat
                 patch.setattr(surface_clearance.Parts, "of", lambda self, face, b1, b2: np.zeros(face.size))
                 assert_same(ground.move(at.footing, at.heading * 1.7, at.heading, at.up, 4.0), expected)
             at = expected
-
-
-class People(SimpleNamespace):
-    """What the passes of moving read of a population."""
-
-    def __len__(self) -> int:
-        return N
-
-
-def some(rng: np.random.Generator, *odd: float) -> np.ndarray:
-    values = np.concatenate([rng.uniform(0, 3, 40), np.array(odd)])
-    return rng.choice(values, N).astype(np.float32)
-
-
-def people(rng: np.random.Generator) -> People:
-    unit = rng.normal(size=(N, 3))
-    unit[: N // 4] = [[0, 1, 0]]
-    unit[N // 4 : N // 3] = [[1, 0, 0]]
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    now = {
-        "max_speed": some(rng, 0, -1, -0.0, np.inf, np.nan),
-        "max_force": some(rng, 0, np.inf, np.nan, 1e30),
-        "mass": some(rng, 0, -1, np.inf, np.nan),
-        "response": some(rng, 0, 1 / 24, np.nan),
-        "max_turn": some(rng, 0, -1, 50, np.inf, np.inf, np.nan),
-    }
-    for name in ("push", "velocity", "heading", "position"):
-        vector = rng.normal(size=(N, 3)) * rng.choice([0, 1e-20, 1e-3, 1, 40], (N, 1))
-        vector[rng.random(N) < 0.03] = rng.choice([0, -0.0, np.nan, np.inf, 1e30], 3)
-        now |= {f"{name}.{axis}": vector[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
-    now |= {f"up.{axis}": unit[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
-    return People(now=now, position=rng.normal(size=(N, 3)))
-
-
-def assert_same_arrays(one: dict, two: dict) -> None:
-    for name, array in one.items():
-        nan = np.isnan(array) if array.dtype.kind == "f" else np.zeros(array.shape, bool)  # a NaN's own bits carry no meaning
-        assert np.array_equal(nan, np.isnan(two[name])) and array[~nan].tobytes() == two[name][~nan].tobytes(), name
-
-
-@pytest.mark.parametrize("substep", [0, 1])
-def test_velocities_after_a_push_have_the_same_bits(substep: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
-    found = []
-    for fast in (False, True):
-        crowd_ = people(np.random.default_rng(9))
-        use(monkeypatch, fast)
-        up = advance._read(crowd_, "up")
-        with np.errstate(all="ignore"):
-            velocity = advance._velocity(
-                SimpleNamespace(dt=1 / 24, options=SimpleNamespace(threads=1)), crowd_, up, np.float32(1 / 48), substep
-            )
-        found.append(dict(zip("xyz", velocity, strict=True)))
-    assert_same_arrays(*found)
-
-
-def test_arriving_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
-    found = []
-    for fast in (False, True):
-        rng = np.random.default_rng(10)
-        crowd_ = people(rng)
-        columns = [np.ascontiguousarray(rng.normal(size=(N, 3)).T).T for _ in range(4)]
-        for array in columns[1:]:
-            array /= np.linalg.norm(array, axis=1, keepdims=True)
-        columns[2][: N // 3] = columns[1][: N // 3]  # headings straight up
-        columns[3][: N // 5] = -columns[2][: N // 5]
-        blocked = rng.random(N) < 0.2
-        moved = Move(Footing.nowhere(N), *columns, np.zeros(N), blocked, ~blocked)
-        use(monkeypatch, fast)
-        velocity, step = advance._read(crowd_, "velocity"), advance._read(crowd_, "push")
-        velocity = tuple(v.copy() for v in velocity)
-        with np.errstate(all="ignore"):
-            most, dt = rng.random(N).astype(np.float32), np.float32(1 / 24)
-            hasty = advance._arrive(crowd_, velocity, step, moved, most, dt, dt, 1)
-        assert 0 < hasty.sum() < N
-        found.append({**crowd_.now, "hasty": hasty, "normal": crowd_.normal})
-    assert_same_arrays(*found)
 
 
 def test_finer_distances_of_an_obstacle_are_still_below_the_true_ones() -> None:

@@ -10,12 +10,13 @@ from compilers import need_llvmlite
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.numerics.elementary_compiled import cosines
-from antdsl.runtime.moving.advance_compiled import arrive, velocities
+from antdsl.runtime.moving.advance_compiled import arrive
+from antdsl.runtime.moving.strides_compiled import set_out
 
 TARGET = machine.Target("nvptx64-nvidia-cuda", "sm_90", "")
 
 
-@pytest.mark.parametrize("kernel", [cosines, velocities, arrive], ids=lambda kernel: kernel.__name__)
+@pytest.mark.parametrize("kernel", [cosines, set_out, arrive], ids=lambda kernel: kernel.__name__)
 def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
     need_llvmlite()
     try:

@@ -1,4 +1,4 @@
-"""Bodies before, during and after a walk, and what rises before them: the same bits by kernels and with NumPy."""
+"""Substeps of odd crowds, bodies that are laid, walks over planes, steps along obstacles: the same bits by kernels and NumPy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Move
 from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
-from antdsl.runtime.moving import advance, obstacles, tilting
+from antdsl.runtime.moving import advance, obstacles, rises, tilting
 from antdsl.runtime.world import Population
 from tests.meshes import box, terrain
 
@@ -26,7 +26,7 @@ DT = np.float32(1 / 24)
 class People(SimpleNamespace):
     """What bodies read of a population."""
 
-    room = Population.room
+    room, vector = Population.room, Population.vector
 
     def __len__(self) -> int:
         return N
@@ -52,14 +52,23 @@ def people(ground: MeshGround, seed: int, facing: bool) -> People:
     up[:20] = -normal[:20]
     now = {"size": odd(rng, 0, -1, np.nan, np.inf), "max_speed": odd(rng, 0, -1, np.inf, np.nan)}
     now |= {"max_turn": odd(rng, 0, -1, np.inf, np.nan)}
-    for name, vectors in (("up", up), ("heading", heading), ("push", unit(rng))):
+    now |= {
+        "max_force": odd(rng, 1e30, np.inf, np.nan, 200),
+        "mass": odd(rng, 0, -1, np.nan),
+        "response": odd(rng, 0, DT),
+        "radius": odd(rng),
+    }
+    velocity = (unit(rng) * rng.choice([0, 1e-20, 1, 40], (N, 1))).astype(np.float32)
+    velocity[rng.random(N) < 0.02] = rng.choice([-0.0, np.inf, np.nan], 3)
+    for name, vectors in (("up", up), ("heading", heading), ("push", unit(rng)), ("velocity", velocity), ("position", 0 * up)):
         now |= {f"{name}.{axis}": np.ascontiguousarray(vectors[:, k]) for k, axis in enumerate("xyz")}
     if facing:
         wish = unit(rng) * rng.choice([0, 1], (N, 1)).astype(np.float32)
         now |= {f"~face.{axis}": np.ascontiguousarray(wish[:, k]) for k, axis in enumerate("xyz")}
     start = {name: array.copy() for name, array in now.items()}
-    place = ground.position(footing)
-    return People(now=now, start=start, normal=normal, footing=footing, position=place, laid=None, rooms={})
+    place, alone = ground.position(footing), rng.random(N) < 0.05
+    stands = {"normal": normal, "footing": footing, "position": place}
+    return People(now=now, start=start, laid=None, rooms={}, quarantined=alone, **stands)
 
 
 def assert_same(one: dict[str, Any], two: dict[str, Any]) -> None:
@@ -76,31 +85,46 @@ def ground() -> MeshGround:
     return MeshGround({"hills": (hills, faces), "a": box((-7, -3, -8), (-2, 4, 3)), "b": box((3, -3, 2), (7, 4, 8))})
 
 
-@pytest.mark.parametrize("facing", [False, True])
-def test_bodies_have_the_same_bits(ground: MeshGround, facing: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def by_rays() -> MeshGround:
+    return MeshGround({"a": box((-7, -3, -8), (7, 4, 3))}, by_rays=True)
+
+
+@pytest.mark.parametrize(
+    "facing, keeps, orient, substep", [(False, False, "normal", 0), (True, True, "normal", 1), (False, True, "turns", 0)]
+)
+@pytest.mark.parametrize("of", ["meshes", "plane", "rays"])
+def test_substeps_have_the_same_bits(
+    ground: MeshGround, of: str, facing: bool, keeps: bool, orient: str, substep: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     need_kernels()
-    found = []
+    found: list[dict[str, Any]] = []
+    here = {"meshes": ground, "rays": by_rays(), "plane": Plane(np.array([0.36, 0.48, 0.8]))}[of]
+    walls = []
+    taken = rises.Rises.take
+    monkeypatch.setattr(rises.Rises, "take", lambda self, which: walls.append(len(which)) or taken(self, which))
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
-        crowd, rng = people(ground, 3, facing), np.random.default_rng(4)
-        world = SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1))
-        step = vec.scale(vec.named(crowd.now, "push"), np.where(rng.random(N) < 0.1, 0, 0.8).astype(np.float32))
+        crowd = people(ground, 3, facing)
+        if of != "meshes":
+            crowd.footing = here.nearest(crowd.position)[0]
+            crowd.position = here.position(crowd.footing)
+        else:
+            crowd.footing.mesh[:7] = -1
+        if keeps:
+            crowd.now["min_speed"] = odd(np.random.default_rng(4), 0, -1, np.nan, np.inf)
+            crowd.now["max_speed"][np.isnan(crowd.now["max_speed"])] = 5
+        setting = SimpleNamespace(substeps=2, orient=orient, crowds=())
+        plan = SimpleNamespace(of_kind=lambda kind: ())
+        world = SimpleNamespace(
+            ground=here, options=SimpleNamespace(threads=2), dt=float(DT), setting=setting, plan=plan, solids={}
+        )
         with np.errstate(all="ignore"):
-            body = tilting.bodies(world, crowd, step, DT)
-            going = body.paced(step, vec.named(crowd.now, "push"))
-            before = crowd.position
-            crowd.position = before + going.wish
-            for name, vectors in (("up", crowd.normal), ("heading", unit(rng))):
-                for k, axis in enumerate("xyz"):
-                    crowd.now[f"{name}.{axis}"][:] = vectors[:, k]
-            body.follow(rng.random(N) < 0.2, before, DT)
-        r = body.rises
-        walls = {"rows": r.rows, "wall": r.wall, "ahead": r.ahead, "angle": r.angle, "far": r.far, "over": r.over, "half": r.half}
-        told = {name: getattr(going, name) for name in ("at_once", "wish", "looking", "up", "size")}
-        ways = {f"{name}{k}": v for name in ("step", "velocity") for k, v in enumerate(getattr(going, name))}
-        found.append({**crowd.now, **told, **ways, **{f"a wall's {name}": v.copy() for name, v in walls.items()}})
+            for _ in range(3):
+                advance.move(world, crowd, substep)  # type: ignore[arg-type]
+        found.append({**crowd.now, **crowd.footing.columns, "place": crowd.position, "normal": crowd.normal})
     assert_same(*found)
-    assert 20 < len(found[0]["a wall's rows"]) < N and (found[0]["step0"] != vec.named(crowd.start, "push")[0]).any()
+    leans = sum(crowd.now[f"up.{axis}"] != crowd.normal[:, k] for k, axis in enumerate("xyz")) > 0
+    assert 20 < leans.sum() < N and (of != "meshes" or max(walls) > 20)
 
 
 def test_bodies_are_laid_and_stand_up_with_the_same_bits(ground: MeshGround, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,8 +169,7 @@ def test_steps_along_an_obstacle_are_the_same(monkeypatch: pytest.MonkeyPatch) -
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
         along = obstacles._along(scene, place, step, up, radius, clear, 1)  # type: ignore[arg-type]
-        slowed = advance._slowed(People(rooms={}), step, along, place, np.float32(24), 1)  # type: ignore[arg-type]
-        found.append({str(k): v for k, v in enumerate((*along, *slowed))})
+        found.append({str(k): v for k, v in enumerate(along)})
     assert_same(*found)
     bent = sum(found[0][str(k)] != step[k] for k in range(3)) > 0
     assert 0.1 < bent.mean() < 0.9

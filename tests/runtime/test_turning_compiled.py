@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from antdsl.numerics import compiled
-from antdsl.runtime.moving import advance
+from antdsl.runtime.moving import advance, strides
+from antdsl.runtime.world import Population
 
 N = 4000
 DT = np.float32(1 / 24)
@@ -40,23 +41,25 @@ def crowd(seed: int) -> tuple[SimpleNamespace, tuple[np.ndarray, ...]]:
     now |= {"max_turn": turn, "max_speed": rng.choice([0.0, 20.0, 50.0], N), "max_force": rng.choice([0.0, 400.0, 1e5], N)}
     now |= {"mass": rng.choice([0.0, 1.0, 5.0], N), "response": rng.choice([0.0, 0.5], N)}
     now = {name: np.ascontiguousarray(value, np.float32) for name, value in now.items()}
-    population = type("Crowd", (SimpleNamespace,), {"__len__": lambda self: N})(now=now)
-    return population, tuple(np.ascontiguousarray(u) for u in up)
+    now |= {f"{name}.{axis}": up[k].copy() for name in ("up", "heading", "position") for k, axis in enumerate("xyz")}
+    now["size"] = np.ones(N, np.float32)
+    stands = {"normal": np.ascontiguousarray(up.T), "quarantined": np.zeros(N, np.bool_)}
+    crowd = type("Crowd", (SimpleNamespace,), {"__len__": lambda self: N, "room": Population.room})
+    return crowd(now=now, rooms={}, **stands), tuple(np.ascontiguousarray(u) for u in up)
 
 
 @pytest.mark.parametrize("substep", [0, 1])
 def test_turns_are_limited_the_same_compiled(monkeypatch: pytest.MonkeyPatch, substep: int) -> None:
     population, up = crowd(substep)
     world = SimpleNamespace(dt=float(2 * DT), options=SimpleNamespace(threads=1))
-    found = []
-    for on in (False, True):
-        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
-        with np.errstate(all="ignore"):
-            found.append(advance._velocity(world, population, up, DT, substep))
-    for slow, fast in zip(*found, strict=True):
+    world.setting = SimpleNamespace(crowds=())
+    with np.errstate(all="ignore"):
+        wanted = advance._velocity(world, population, up, DT, substep)
+    on = strides._Crowd.of(world, population, DT, False)
+    on.set_out(substep)
+    for slow, fast in zip(wanted, on.velocity, strict=True):
         assert np.array_equal(slow, fast, equal_nan=True)
     monkeypatch.setattr(advance, "_limit_turn", lambda *_: None)
-    monkeypatch.setattr(compiled, "wanted", lambda count: False)
     with np.errstate(all="ignore"):
         free = advance._velocity(world, population, up, DT, substep)
-    assert np.count_nonzero(free[0] != found[1][0]) > N / 20  # many were turned back
+    assert np.count_nonzero(free[0] != on.velocity[0]) > N / 20  # many were turned back

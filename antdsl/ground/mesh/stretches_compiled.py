@@ -8,7 +8,7 @@ from antdsl.ground.mesh.face_table import AXIS1, CORNER, EDGE2, EDGE_C, EDGE_S, 
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walk import CROSSINGS, GRAIN, INWARD, STUCK
 from antdsl.machine_code.kernels import four, inlined, whole
-from antdsl.numerics.vectors_compiled import inside
+from antdsl.numerics.vectors_compiled import inside, plus, times
 
 AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the border; over one already
 
@@ -141,7 +141,7 @@ def _cross(table, beyond, edge, c1, s1, b1, b2, side, c, s, heading_c, heading_s
 
 @inlined
 def finish(  # type: ignore[no-untyped-def]
-    table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction
+    table, row, b1, b2, side, c, s, heading_c, heading_s, over
 ):
     """Place, smooth normal, transported heading and direction of travel in space."""
     b0 = 1.0 - b1 - b2
@@ -162,14 +162,13 @@ def finish(  # type: ignore[no-untyped-def]
     off = hx * sx + hy * sy + hz * sz
     hx, hy, hz = hx - off * sx, hy - off * sy, hz - off * sz
     size = np.sqrt(hx * hx + hy * hy + hz * hz)
-    ahead[0, i], ahead[1, i], ahead[2, i] = hx / size, hy / size, hz / size
-    above[0, i], above[1, i], above[2, i] = sx, sy, sz
-    place[0, i] = corner_x + b1 * one_x + b2 * two_x + over * nx
-    place[1, i] = corner_y + b1 * one_y + b2 * two_y + over * ny
-    place[2, i] = corner_z + b1 * one_z + b2 * two_z + over * nz
-    direction[0, i] = axis1[0] * c + axis2[0] * s
-    direction[1, i] = axis1[1] * c + axis2[1] * s
-    direction[2, i] = axis1[2] * c + axis2[2] * s
+    place = (
+        corner_x + b1 * one_x + b2 * two_x + over * nx,
+        corner_y + b1 * one_y + b2 * two_y + over * ny,
+        corner_z + b1 * one_z + b2 * two_z + over * nz,
+    )
+    direction = plus(times(axis1, c), times(axis2, s))
+    return place, (sx, sy, sz), (hx / size, hy / size, hz / size), direction
 
 
 @inlined

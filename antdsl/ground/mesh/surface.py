@@ -24,7 +24,7 @@ from antdsl.numerics import compiled
 from antdsl.numerics.vectors import dot
 
 if TYPE_CHECKING:
-    from antdsl.ground.mesh.walk_events import Walk
+    from antdsl.ground.mesh.walk_events import CrowdWalk, Walk
 
 
 class MeshGround:
@@ -232,6 +232,23 @@ class MeshGround:
                 return self._moved_fast(footing, wish, heading_t, up_t, body, parts, threads, straight)
             return self._moved(footing, wish, heading_t, up_t, body, parts, threads, straight)
 
+    def crowd_walk(self, ways: NDArray[np.float32], body: NDArray[np.float32]) -> CrowdWalk | None:
+        """The compiled walk over triangles, for kernels that go on from it, of agents with ways and bodies so long (mm, [n]);
+        None where they are put where rays hit, or where there is nothing to walk on."""
+        if self._by_rays or not self._faces.size:
+            return None
+        from antdsl.ground.mesh.walk_events import CrowdWalk
+
+        longest = float(ways.max(initial=0.0, where=np.isfinite(ways)))
+        parts = self._clearances.within(longest + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise)
+        return CrowdWalk(self._compiled(), parts, self._boxes, self._scale)
+
+    def _compiled(self) -> Walk:
+        from antdsl.ground.mesh.walk_events import Walk
+
+        self._fast = self._fast or Walk(self._table, self._mesh, self._first)
+        return self._fast
+
     def _reach(self, wish: Floats, body: Floats) -> float:
         """How far (mm) anybody looks out for other surfaces on a way."""
         square = dot(wish, wish)
@@ -252,20 +269,18 @@ class MeshGround:
         straight: bool,
     ) -> Move:
         """As `_moved`, to the same bits: most by the compiled walk, and those that it leaves by `_moved`."""
-        from antdsl.ground.mesh.walk_events import Walk
+        from antdsl.ground.mesh.walk_events import CrowdWalk
 
-        if self._fast is None:
-            self._fast = Walk(self._table, self._mesh, self._first)
         n = len(footing)
         moved = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
         place, above, ahead, direction = np.empty((4, 3, n))
         gone, blocked = np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
         results = (*to, place, above, ahead, direction, gone, blocked)
-        done = self._fast.step(parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads, straight)
+        walk = CrowdWalk(self._compiled(), parts, self._boxes, self._scale)
+        left = walk.step(body, at, (wish, heading, up), results, threads, straight)
         result = Move(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
-        if not done.all():
-            left = np.flatnonzero(~done)
+        if left is not None:
             wish, heading, up = (v.take(left, axis=1) for v in (wish, heading, up))
             result.put(left, self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads, straight))
         return result

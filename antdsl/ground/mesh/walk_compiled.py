@@ -23,8 +23,10 @@ from antdsl.machine_code.kernels import (
     F64,
     I32,
     I64,
+    U8,
     Array1,
     Array2,
+    Strided2,
     called,
     fetch_ahead,
     independent,
@@ -43,103 +45,127 @@ Placed = tuple[Array1[I32], Array1[I32], Array1[F64], Array1[F64], Array1[F64]] 
 # Place, up, heading and direction (3, n), and the way gone.
 Moved = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array1[F64]]
 # What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
-B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, REALS = range(12)
+B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, BODY, REALS = range(13)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, EVENT, EDGE, WHOLES = range(9)
-_FETCHED = 64  # agents whose rows are brought near at once: as many as a processor's nearest memory holds
+LEFT_OUT, DONE, WAITS = range(3)  # how it is with an agent after the first loop
+ROWS_AHEAD = 1  # eights of agents whose rows are brought near before theirs are read
+FETCHED = 64  # agents whose rows are brought near at once: as many as a processor's nearest memory holds
+
+
+@inlined
+def bring_near(surface, mesh, face, begin, end):  # type: ignore[no-untyped-def]
+    """Have the rows of the faces brought near that agents from `begin` to before `end` stand on."""
+    table, _, _, first = surface
+    for i in independent(begin, end):
+        if mesh[i] >= 0:
+            row = WIDTH * (first[mesh[i]] + face[i])
+            fetch_ahead(table, row)
+            fetch_ahead(table, row + 8)
+            fetch_ahead(table, row + 16)
+            fetch_ahead(table, row + 24)
+            fetch_ahead(table, row + 32)
+
+
+@inlined
+def walked(surface, near, f, b1, b2, over, size, wish, heading, up):  # type: ignore[no-untyped-def]
+    """An agent's way over face `f` and those beyond its edges, from weights and so far `over` it, with its `size`, wish, heading
+    and up: where `go` leads to, and before that how near it looks out for other surfaces, and how far over its face it is, both
+    on its side."""
+    table, link, forked, _ = surface
+    sub_first, sub_count, clear, reach, noise = near
+    axis1, axis2, normal, _ = frame(table, WIDTH * f)
+    along_up = up[0] * normal[0] + up[1] * normal[1] + up[2] * normal[2]
+    side = -1.0 if along_up < 0 else 1.0
+    over = over * side
+    b1, b2 = _inside(b1 + 0.0, b2 + 0.0)
+    c, s, left = laid_down(axis1, axis2, wish[0], wish[1], wish[2], 1.0, 0.0)
+    heading_c, heading_s, _ = laid_down(axis1, axis2, heading[0], heading[1], heading[2], c, s)
+    high = _margin(noise, size)
+    if not free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
+        high = -np.inf  # has nothing to look out for on the whole way
+    if over != 0 and left > 0:
+        way, turn, event, edge, length = 0.0, 0, HANG, 0, 0.0
+    else:
+        f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = go(
+            table, link, forked, sub_first, sub_count, clear, reach, high, False,
+            f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
+        )  # fmt: skip
+    return high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length
+
+
+@inlined
+def counted(how, reals, wholes, begin, end):  # type: ignore[no-untyped-def]
+    """How many of the agents from `begin` to before `end` wait, whose columns of `reals` and `wholes` are brought together, and
+    how many are left."""
+    waiting, left = 0, 0
+    for k in range(0, end - begin):
+        if how[begin + k] == WAITS:
+            for row in range(0, REALS):
+                reals[row, waiting] = reals[row, k]
+            for row in range(0, WHOLES):
+                wholes[row, waiting] = wholes[row, k]
+            waiting += 1
+        elif how[begin + k] == LEFT_OUT:
+            left += 1
+    return waiting, left
 
 
 @kernel
 def walk_all(
     surface: Surface,
     near: Clearances,
-    mesh: Array1[I32],
-    face: Array1[I32],
-    b1s: Array1[F64],
-    b2s: Array1[F64],
-    overs: Array1[F64],
+    at: Placed,
     body: Array1[F64],
     vectors: tuple[Array2[F64], Array2[F64], Array2[F64]],
     reals: Array2[F64],
     wholes: Array2[I64],
-    done: Array1[BOOL],
+    how: Array1[U8],
     placed: Placed,
     moved: Moved,
     begin: I64,
     end: I64,
-) -> I64:
-    """One step of the agents from `begin` to before `end`; sets `done` for those that it moved and returns how many wait, in
-    `reals` and `wholes` (.., end - begin).
+) -> tuple[I64, I64]:
+    """One step of the agents from `begin` to before `end`: says in `how` whether one was moved (DONE), or WAITS, in `reals` and
+    `wholes` (.., end - begin), or is left as it is (LEFT_OUT), and returns how many wait and how many are left.
 
-    Then where agents stand, their body, wish, heading and up (3, n), and where the results go. Agents neither done nor waiting
-    are left as they are.
+    `at`: where agents stand; then their body, wish, heading and up (3, n), and where the results go.
     """
-    table, link, forked, first = surface
-    sub_first, sub_count, clear, reach, noise = near
+    mesh, face, b1s, b2s, overs = at
+    first = surface[3]
     wish, heading, up = vectors
     to_mesh, to_face, to_b1, to_b2, to_over = placed
     place, above, ahead, direction, gone = moved
-    for at in range(begin, end, _FETCHED):
-        last = min(at + _FETCHED, end)
-        for i in independent(at, last):
-            if mesh[i] >= 0:
-                row = WIDTH * (first[mesh[i]] + face[i])
-                fetch_ahead(table, row)
-                fetch_ahead(table, row + 8)
-                fetch_ahead(table, row + 16)
-                fetch_ahead(table, row + 24)
-                fetch_ahead(table, row + 32)
-        for i in independent(at, last):
-            slot = i - begin
-            done[i] = False
-            wholes[EVENT, slot] = 0
+    for some in range(begin, end, FETCHED):
+        last = min(some + FETCHED, end)
+        bring_near(surface, mesh, face, some, last)
+        for i in independent(some, last):
+            how[i] = LEFT_OUT
             if mesh[i] < 0 or face[i] < 0:
                 continue
-            f = first[mesh[i]] + face[i]
-            wish_x, wish_y, wish_z = wish[0, i], wish[1, i], wish[2, i]
-            if not np.isfinite(wish_x + wish_y + wish_z):
+            step = (wish[0, i], wish[1, i], wish[2, i])
+            if not np.isfinite(step[0] + step[1] + step[2]):
                 continue
-            row = WIDTH * f
-            axis1, axis2, normal, _ = frame(table, row)
-            along_up = up[0, i] * normal[0] + up[1, i] * normal[1] + up[2, i] * normal[2]
-            side = -1.0 if along_up < 0 else 1.0
-            over = overs[i] * side
-            b1, b2 = _inside(b1s[i] + 0.0, b2s[i] + 0.0)
-            c, s, left = laid_down(axis1, axis2, wish_x, wish_y, wish_z, 1.0, 0.0)
-            heading_c, heading_s, _ = laid_down(axis1, axis2, heading[0, i], heading[1, i], heading[2, i], c, s)
-            high = _margin(noise, body[i])
-            if not free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
-                high = -np.inf  # has nothing to look out for on the whole way
-            if over != 0 and left > 0:
-                way, turn, event, edge, length = 0.0, 0, HANG, 0, 0.0
-            else:
-                f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = go(
-                    table, link, forked, sub_first, sub_count, clear, reach, high, False,
-                    f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
-                )  # fmt: skip
+            look, above_it = (heading[0, i], heading[1, i], heading[2, i]), (up[0, i], up[1, i], up[2, i])
+            high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = walked(
+                surface, near, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], body[i], step, look, above_it
+            )
             if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
                 continue
             if event:
-                wholes[AGENT, slot], wholes[SPENT, slot], wholes[BLOCKED, slot] = i, 0, 0
-                wholes[NEAR, slot] = high > 0
-                _keep(
-                    reals, wholes, slot, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length
-                )
+                how[i] = WAITS
+                keep(
+                    reals, wholes, i - begin, i, high > 0, body[i], f, b1, b2, side, c, s, heading_c, heading_s, left, way, over,
+                    turn, event, edge, length,
+                )  # fmt: skip
                 continue
-            done[i] = True
+            how[i] = DONE
             row = WIDTH * f
-            on = whole(table[row + MESH])
+            on = whole(surface[0][row + MESH])
             to_mesh[i], to_face[i] = on, f - first[on]
             to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
-            finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
-    waiting = 0
-    for k in range(0, end - begin):
-        if wholes[EVENT, k] != 0:
-            for row in range(0, REALS):
-                reals[row, waiting] = reals[row, k]
-            for row in range(0, WHOLES):
-                wholes[row, waiting] = wholes[row, k]
-            waiting += 1
-    return waiting
+            _put(i, finish(surface[0], row, b1, b2, side, c, s, heading_c, heading_s, over), place, above, ahead, direction)
+    waiting, left = counted(how, reals, wholes, begin, end)
+    return waiting, left
 
 
 @kernel
@@ -153,17 +179,16 @@ def walk_on(
     touch: F64,
     straight: BOOL,
     found: Array1[I64],
-    body: Array1[F64],
-    reals: Array2[F64],
-    wholes: Array2[I64],
-    done: Array1[BOOL],
+    reals: Strided2[F64],
+    wholes: Strided2[I64],
+    how: Array1[U8],
     placed: Placed,
     moved: Moved,
     blocked: Array1[BOOL],
     begin: I64,
     end: I64,
-) -> None:
-    """The same for agents that wait, from `begin` to before `end`.
+) -> I64:
+    """The same for agents that wait, from `begin` to before `end`; returns how many still do, as their numbers are none.
 
     `sides` are `piece` and `way` of the topology and `cuts` the arrays of its cuts, `boxes` those of `Boxes`, `scale` least, fine
     and under of `Scale`, and its `touch`; ways end at open borders if they are to be `straight`; `found` has room for all faces.
@@ -173,10 +198,11 @@ def walk_on(
     first_cut, _ = cuts
     to_mesh, to_face, to_b1, to_b2, to_over = placed
     place, above, ahead, direction, gone = moved
+    waiting = 0
     for k in range(begin, end):
         event = wholes[EVENT, k]
         i = wholes[AGENT, k]
-        size = body[i]
+        size = reals[BODY, k]
         high = _margin(noise, size) if wholes[NEAR, k] != 0 else -np.inf
         f, b1, b2, side, c, s, heading_c, heading_s = (
             wholes[FACE, k],
@@ -258,13 +284,21 @@ def walk_on(
             )  # fmt: skip
             looked = False
         if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
+            waiting += 1
             continue
-        done[i] = True
+        how[i] = DONE
         row = WIDTH * f
         on = int(table[row + MESH])
         to_mesh[i], to_face[i] = on, f - first[on]
         to_b1[i], to_b2[i], to_over[i], gone[i], blocked[i] = b1, b2, over * side + 0.0, way, wholes[BLOCKED, k] != 0
-        finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
+        _put(i, finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over), place, above, ahead, direction)
+    return waiting
+
+
+@inlined
+def _put(i, found, place, above, ahead, direction):  # type: ignore[no-untyped-def]
+    for k in range(3):
+        place[k, i], above[k, i], ahead[k, i], direction[k, i] = found[0][k], found[1][k], found[2][k], found[3][k]
 
 
 @inlined
@@ -277,9 +311,11 @@ def _margin(noise, body):  # type: ignore[no-untyped-def]
 
 
 @called
-def _keep(  # type: ignore[no-untyped-def]
-    reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length
+def keep(  # type: ignore[no-untyped-def]
+    reals, wholes, k, i, near, body, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length
 ):
+    """Write down an agent that waits, of whom nothing has been `SPENT` and who is not `BLOCKED` yet."""
+    wholes[AGENT, k], wholes[SPENT, k], wholes[BLOCKED, k], wholes[NEAR, k], reals[BODY, k] = i, 0, 0, near, body
     reals[B1, k], reals[B2, k], reals[SIDE, k], reals[C, k], reals[S, k], reals[HEADING_C, k], reals[HEADING_S, k] = (
         b1,
         b2,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,58 +17,90 @@ from antdsl.ground.mesh.topology import Topology
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
+# Of a part of the agents: floats and whole numbers of those who wait, and how many are left.
+Waiting = tuple[Floats, NDArray[np.int64], int]
 _WAITING = 64  # agents who look out for other surfaces, for whom a thread pays
 
 
 class Walk:
-    """Steps of a crowd by the compiled loop: `table` with the mesh int32[m] of each face and the first face of each mesh, which
-    are `packed` for it."""
+    """What the compiled loop reads: the `table` of faces with the mesh int32[m] of each and the first face of each mesh, `packed`
+    for it."""
 
     def __init__(self, table: Topology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
-        self._table, self._mesh, self._first = table, mesh, first
+        self.table, self.first, self._mesh = table, first, mesh
         self.packed = packed(table, mesh)
 
     def changed(self, faces: slice) -> None:
         """Some faces have another shape in the table."""
-        pack(self.packed, self._table, self._mesh, faces)
+        pack(self.packed, self.table, self._mesh, faces)
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdWalk:
+    """A `walk` over surfaces of which `parts` say how far others are, `boxes` where, and a `scale` how near counts."""
+
+    walk: Walk
+    parts: Parts
+    boxes: Boxes
+    scale: Scale
+
+    def tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """What kernels read of the faces, and of how far other surfaces are: see `walk_compiled`, `Surface` and `Clearances`."""
+        walk, parts = self.walk, self.parts
+        surface = (walk.packed, walk.table.link, walk.table.forked, walk.first)
+        return surface, (parts.first, parts.count, parts.least, parts.reach, self.scale.noise)
 
     def step(
         self,
-        parts: Parts,
-        boxes: Boxes,
-        scale: Scale,
         body: Floats,
         at: tuple[Any, ...],
         vectors: tuple[Floats, Floats, Floats],
         to: tuple[Any, ...],
         threads: int,
         straight: bool,
-    ) -> NDArray[np.bool_]:
-        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; says who was moved.
-        Others are nowhere, or their numbers are not finite. `straight`: ways end at open borders."""
+    ) -> NDArray[np.intp] | None:
+        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; gives the rows of who
+        is left as they are, None if nobody is: they are nowhere, or their numbers are not finite. `straight`: ways end at open
+        borders."""
         n = body.size
-        done = np.empty(n, np.bool_)
-        table = (self.packed, self._table.link, self._table.forked, self._first)
-        near = (parts.first, parts.count, parts.least, parts.reach, scale.noise)
+        how = np.empty(n, np.uint8)
         placed, moved, blocked = to[:5], to[5:10], to[10]
+        tables = self.tables()
 
-        def part(begin: int, end: int) -> tuple[Floats, NDArray[np.int64]]:
+        def part(begin: int, end: int) -> Waiting:
             reals, wholes = np.empty((loop.REALS, end - begin)), np.empty((loop.WHOLES, end - begin), np.int64)
-            waiting = loop.walk_all(table, near, *at, body, vectors, reals, wholes, done, placed, moved, begin, end)
-            return reals[:, :waiting], wholes[:, :waiting]
+            waiting, left = loop.walk_all(*tables, at, body, vectors, reals, wholes, how, placed, moved, begin, end)
+            return reals[:, :waiting], wholes[:, :waiting], left
 
-        parted = compiled.in_parts(part, n, threads)
-        if not any(some.size for _, some in parted):
-            return done
-        reals, wholes = (np.concatenate(half, axis=1) for half in zip(*parted, strict=True))
-        topology = self._table
-        sides, tree = (topology.piece, topology.way), (boxes.order, boxes.first, boxes.bounds)
-        cuts = (topology.cuts.first, topology.cuts.other)
-        known = (sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch)
+        _, left = self.on(compiled.in_parts(part, n, threads), how, placed, moved, blocked, threads, straight)
+        return np.flatnonzero(how != loop.DONE) if left else None
 
-        def further(begin: int, end: int) -> None:
+    def on(
+        self,
+        parted: list[Waiting],
+        how: NDArray[np.uint8],
+        placed: tuple[Any, ...],
+        moved: tuple[Any, ...],
+        blocked: NDArray[np.bool_],
+        threads: int,
+        straight: bool = False,
+    ) -> tuple[NDArray[np.int64], int]:
+        """Move those who wait, part by part, to footings `placed`, to `moved` as `walk_compiled.Moved` has it, and say who is
+        `blocked`: their rows, and of how many of all agents `how` does not say that they have moved."""
+        left = sum(each[2] for each in parted)
+        reals, wholes, _ = parted[0]
+        if len(parted) > 1:
+            reals, wholes = (np.concatenate([each[half] for each in parted], axis=1) for half in (0, 1))
+        if not wholes.size:
+            return wholes[loop.AGENT], left
+        table, boxes, scale = self.walk.table, self.boxes, self.scale
+        sides, tree = (table.piece, table.way), (boxes.order, boxes.first, boxes.bounds)
+        cuts = (table.cuts.first, table.cuts.other)
+        known = (*self.tables(), sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch, straight)
+
+        def further(begin: int, end: int) -> int:
             found = np.empty(boxes.order.size, np.int64)
-            loop.walk_on(table, near, *known, straight, found, body, reals, wholes, done, placed, moved, blocked, begin, end)
+            waiting: int = loop.walk_on(*known, found, reals, wholes, how, placed, moved, blocked, begin, end)
+            return waiting
 
-        compiled.in_parts(further, wholes.shape[1], threads, _WAITING)
-        return done
+        return wholes[loop.AGENT], left + sum(compiled.in_parts(further, wholes.shape[1], threads, _WAITING))

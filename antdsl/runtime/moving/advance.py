@@ -7,7 +7,6 @@ a second. Who has a way to face turns there instead, and walks backward and side
 
 from __future__ import annotations
 
-from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -17,30 +16,27 @@ from antdsl.ground.protocol import Move
 from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
+from antdsl.runtime.moving import strides
 from antdsl.runtime.moving.falling import in_the_air
+from antdsl.runtime.moving.headings import AT_ONCE, BEYOND, BOUNCE, FACE, LEAST_TURN, LEVEL, NINETIETH, SLOW, TWELFTH, share
+from antdsl.runtime.moving.least_speed import LEAST, least, no_slower, quickened
 from antdsl.runtime.moving.obstacles import slide
 from antdsl.runtime.moving.orienting import orient
-from antdsl.runtime.moving.rises import FACE
 from antdsl.runtime.moving.tilting import bodies
-from antdsl.runtime.moving.walks import is_led, led
+from antdsl.runtime.moving.walks import led
 from antdsl.runtime.world import AXES, Population, World
 
-_HEADING_TIME = 0.1  # s, of the heading on its way to the direction of movement (T22)
-_SLOW = np.float32(0.1)  # of max_speed: below it the heading follows more and more slowly
-_BOUNCE = np.float32(0.3)  # of the speed into the border of an open surface that is turned back
 _F = np.float32
-_BEYOND = _F(1.005)  # times the greatest turn, up to which rounding may bring one
-_LEVEL = _F(1e-3)  # sine of the angle to the body's up below which a way to face says nothing
-LEAST = "min_speed"  # a register of those species alone that ask for it
-_TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)
 
 
 def move(world: World, population: Population, substep: int) -> None:
     """Move all agents of a species by one substep; changes position, velocity, heading, up and footing."""
     if not len(population):
         return
-    now = population.now
     dt = _F(world.dt / world.setting.substeps)
+    if compiled.wanted(len(population)):
+        strides.move(world, population, dt, substep)
+        return
     up = vec.columns(population.normal, np.float32)
     others = world.setting.orient != "normal"
     before = (vec.copy(_read(population, "velocity")), vec.copy(_read(population, "up")), population.normal) if others else None
@@ -49,34 +45,22 @@ def move(world: World, population: Population, substep: int) -> None:
     if population.quarantined.any():
         velocity = vec.choose(population.quarantined, (_F(0),) * 3, velocity)  # type: ignore[arg-type]
     wanted = vec.scale(velocity, dt)
-    step = _no_slower(world, population, slide(world, population, wanted, up, now["radius"]), up, dt)
+    step = no_slower(world, population, slide(world, population, wanted, up, population.now["radius"]), up, dt)
     if step is not wanted:
-        velocity = _slowed(population, wanted, step, velocity, _F(1) / dt, world.options.threads)
+        stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
+        velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
     body = bodies(world, population, step, dt)
     going = body.paced(step, velocity)
     moved = world.ground.move(population.footing, going.wish, going.looking, going.up, going.size, world.options.threads)
     if world.solids:
         moved = in_the_air(world, population, moved, dt)
-    hasty = _arrive(population, going.velocity, going.step, moved, going.at_once, dt, _F(world.dt), world.options.threads)
+    hasty = _arrive(population, going.velocity, going.step, moved, going.at_once, dt, _F(world.dt))
     came_from = population.position
     population.footing, population.position = moved.footing, moved.position
     if before is not None:
         orient(world, population, *before)
         hasty[:] = True
     body.follow(hasty, came_from, dt)
-
-
-def _slowed(population: Population, wanted: Vector, step: Vector, velocity: Vector, rate: np.float32, threads: int) -> Vector:
-    """Velocities, of those whose steps are not as wanted any more as these steps are."""
-    if compiled.wanted(len(population)):
-        from antdsl.runtime.moving.obstacles_compiled import slowed
-
-        x, y, z = population.room("slowed", 3, (len(population),), np.float32)
-        work = partial(slowed, wanted, step, velocity, rate, (x, y, z))
-        compiled.in_parts(work, len(population), threads, compiled.LIGHT)
-        return x, y, z
-    stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
-    return vec.choose(stopped, vec.scale(step, rate), velocity)
 
 
 def _arrive(
@@ -87,36 +71,19 @@ def _arrive(
     most: NDArray[np.float32],
     dt: np.float32,
     whole: np.float32,
-    threads: int,
 ) -> NDArray[np.bool_]:
     """Velocity and heading where the walk of a substep has led, with place, and up as that of the ground there; says whose body
     would tilt by more than `most` (radians) by that, or turn by more than `max_turn` allows. What it tilts by, up to `most`,
     its heading turns less. `whole`: the time of all substeps."""
     now = population.now
     old_up = _read(population, "up")
-    if compiled.wanted(len(population)):
-        from antdsl.runtime.moving.advance_compiled import arrive
-
-        walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
-        hasty = np.empty(len(population), np.bool_)
-        work = partial(
-            arrive,
-            velocity, step, population.position, walked, now["max_speed"], now["max_turn"], now["response"], whole * _F(1.0001),
-            most, dt, _share(dt), _SLOW, _BOUNCE, _BEYOND, FACE in now, _read(population, "~face" if FACE in now else "velocity"),
-            *(_read(population, name) for name in ("position", "velocity", "heading", "up")), hasty,
-        )  # fmt: skip
-        compiled.in_parts(work, len(population), threads, compiled.LIGHT)
-        normal = np.empty((len(population), 3), np.float32)
-        normal[:, 0], normal[:, 1], normal[:, 2] = old_up
-        population.normal = normal
-        return hasty
     new_up = vec.columns(moved.up, np.float32)
     speed = vec.length(velocity)
     velocity = vec.scale(vec.columns(moved.direction, np.float32), speed)
     if moved.blocked.any():
         gone = vec.scale(vec.columns(moved.position - population.position, np.float32), _F(1) / dt)
         lost = vec.sub(vec.scale(step, _F(1) / dt), gone)
-        velocity = vec.choose(moved.blocked, vec.sub(gone, vec.scale(lost, _BOUNCE)), velocity)
+        velocity = vec.choose(moved.blocked, vec.sub(gone, vec.scale(lost, BOUNCE)), velocity)
     velocity = vec.flat(velocity, new_up)
     chord = vec.sub(new_up, old_up)
     tilt = _squared_angle(vec.dot(chord, chord))
@@ -127,8 +94,8 @@ def _arrive(
     before = _read(population, "heading")
     chords = (vec.sub(heading, before), vec.sub(new_up, old_up), vec.sub(vec.cross(new_up, heading), vec.cross(old_up, before)))
     square = (vec.dot(chords[0], chords[0]) + vec.dot(chords[1], chords[1]) + vec.dot(chords[2], chords[2])) * _F(0.5)
-    limit = np.maximum(now["max_turn"], _F(0)) * dt * _BEYOND
-    hasty |= _squared_angle(square) > limit * limit + _F(1e-12)
+    limit = np.maximum(now["max_turn"], _F(0)) * dt * BEYOND
+    hasty |= _squared_angle(square) > limit * limit + LEAST_TURN
     for name, value in (
         ("velocity", velocity),
         ("heading", heading),
@@ -143,7 +110,7 @@ def _arrive(
 
 def _squared_angle(square: NDArray[np.float32]) -> NDArray[np.float32]:
     """The square of an angle, by the first terms of its series in the squared chord of unit vectors: less beyond 1 rad."""
-    inner: NDArray[np.float32] = square * _NINETIETH + _TWELFTH
+    inner: NDArray[np.float32] = square * NINETIETH + TWELFTH
     angle: NDArray[np.float32] = square * (square * inner + _F(1))
     return angle
 
@@ -156,17 +123,6 @@ def _velocity(world: World, population: Population, up: Vector, dt: np.float32, 
     """Velocity after the push, along the ground, within the limits of speed and turn."""
     now = population.now
     before, push = _read(population, "velocity"), _read(population, "push")
-    if compiled.wanted(len(population)):
-        from antdsl.runtime.moving.advance_compiled import velocities
-
-        found = np.empty((3, len(population)), np.float32)
-        limits = (now[name] for name in ("max_speed", "max_force", "mass", "response", "max_turn"))
-        step = _F(world.dt)
-        least, heading = (now["min_speed"], _read(population, "heading")) if LEAST in now else (now["max_speed"], before)
-        times = (step * _F(1.0001), step if substep == 0 else _F(0), dt)
-        work = partial(velocities, push, before, up, *limits, LEAST in now, least, heading, *times, found)
-        compiled.in_parts(work, len(population), world.options.threads, compiled.LIGHT)
-        return found[0], found[1], found[2]
     velocity = _pushed(now, push, vec.flat(before, up), up, _time(now, _F(world.dt), dt, substep))
     turning = np.flatnonzero(np.isfinite(now["max_turn"]))
     if len(turning):
@@ -188,36 +144,7 @@ def _pushed(now: dict[str, NDArray[Any]], push: Vector, before: Vector, up: Vect
     x, y, z = (np.where(np.isfinite(v), v, _F(0)) for v in velocity)
     if LEAST not in now:
         return x, y, z
-    return _quickened((x, y, z), before, vec.flat(vec.named(now, "heading"), up), _least(now))
-
-
-def _least(now: dict[str, NDArray[Any]]) -> NDArray[np.float32]:
-    """How fast who has to keep moving goes at least (mm/s)."""
-    least: NDArray[np.float32] = np.minimum(np.maximum(now["min_speed"], _F(0)), np.maximum(now["max_speed"], _F(0)))
-    return least
-
-
-def _quickened(velocity: Vector, before: Vector, heading: Vector, least: NDArray[np.float32]) -> Vector:
-    """Velocities of at least a speed each: who would be slower goes on along the way that it went `before`, from a stand along
-    its heading, by as much as makes up for it. What pushes it aside turns it, and braking never turns it round."""
-    ahead = vec.unit(before, vec.unit(heading, (_F(0) * least,) * 3))
-    along, square = vec.dot(velocity, ahead), vec.dot(velocity, velocity)
-    more = np.sqrt(np.maximum((least * least - square) + along * along, _F(0))) - along
-    return vec.choose(square < least * least, vec.add(velocity, vec.scale(ahead, more)), velocity)
-
-
-def _no_slower(world: World, population: Population, step: Vector, up: Vector, dt: np.float32) -> Vector:
-    """Steps (mm) that obstacles have bent: of those who have to keep moving as long as the least speed asks for along the same
-    way, if that is free."""
-    now = population.now
-    if LEAST not in now or not world.plan.of_kind("obstacle"):
-        return step
-    size, wanted = vec.length(step), _least(now) * dt
-    short = (size > _F(1e-9)) & (size < wanted * _F(0.999)) & ~population.quarantined & ~is_led(world, population)
-    if not short.any():
-        return step
-    longer = vec.scale(step, np.where(short, wanted / np.where(size > 0, size, _F(1)), _F(0)))
-    return vec.choose(short, slide(world, population, longer, up, now["radius"]), step)
+    return quickened((x, y, z), before, vec.flat(vec.named(now, "heading"), up), least(now))
 
 
 def _time(now: dict[str, NDArray[Any]], step: np.float32, dt: np.float32, substep: int) -> NDArray[np.float32]:
@@ -227,7 +154,7 @@ def _time(now: dict[str, NDArray[Any]], step: np.float32, dt: np.float32, subste
 
 def _at_once(now: dict[str, NDArray[Any]], step: np.float32) -> NDArray[np.bool_]:
     """Who is kinematic: whose response is no longer than a step."""
-    at_once: NDArray[np.bool_] = now["response"] <= step * _F(1.0001)
+    at_once: NDArray[np.bool_] = now["response"] <= step * AT_ONCE
     return at_once
 
 
@@ -264,12 +191,6 @@ def _may_turn_more(velocity: Vector, before: Vector, most: NDArray[np.float32]) 
     return np.logical_not(clearly)
 
 
-@cache
-def _share(dt: np.float32) -> np.float32:
-    """Of the turn towards the movement: how much is done within a substep."""
-    return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_TIME))))
-
-
 def _face(
     population: Population,
     heading: Vector,
@@ -279,7 +200,7 @@ def _face(
     dt: np.float32,
     at_once: NDArray[np.bool_],
 ) -> Vector:
-    """Turn the heading towards the movement: exponentially within _HEADING_TIME or at once, and with the body's tilt, whose
+    """Turn the heading towards the movement: exponentially within a tenth of a second or at once, and with the body's tilt, whose
     squared angle is given, no faster than max_turn."""
     now = population.now
     heading = vec.unit(vec.flat(heading, up), vec.across(up))
@@ -289,7 +210,7 @@ def _face(
     if FACE in now:
         wish = vec.named(now, "~face")
         along = vec.flat(vec.unit(wish, up), up)  # a way straight off the ground is none
-        faced = vec.length(along) > _LEVEL
+        faced = vec.length(along) > LEVEL
         direction = vec.choose(faced, vec.unit(along, direction), direction)
     turn = now["max_turn"]
     behind = (vec.dot(heading, direction) < 0) & ~(at_once & ~np.isfinite(turn))
@@ -297,11 +218,11 @@ def _face(
         left = vec.cross(up, heading)
         side = vec.unit(vec.flat(direction, heading), left)
         direction = vec.choose(behind, vec.unit(vec.flat(side, up), left), direction)
-    share = _share(dt)
-    eager = np.minimum(speed / np.maximum(now["max_speed"] * _SLOW, _F(1e-6)), _F(1))
+    part = share(dt)
+    eager = np.minimum(speed / np.maximum(now["max_speed"] * SLOW, _F(1e-6)), _F(1))
     if faced is not None:
         eager = np.where(faced, _F(1), eager)
-    change = vec.scale(vec.sub(direction, heading), np.where(at_once, _F(1), share * eager))
+    change = vec.scale(vec.sub(direction, heading), np.where(at_once, _F(1), part * eager))
     if np.isfinite(turn).any():
         size = vec.length(change)
         most = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, np.inf).astype(np.float32)

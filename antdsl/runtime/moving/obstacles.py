@@ -10,11 +10,10 @@ from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.runtime.world import Population, World
 
 _F = np.float32
 _BIT = _F(1e-6)  # more than rounding makes a way shorter
-_PLACE = tuple(f"position.{axis}" for axis in AXES)
 _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
 
 
@@ -50,8 +49,13 @@ def mesh_of(world: World, name: str) -> RayScene:
 
 def _where_they_were(population: Population) -> bool:
     """Whether everybody is still where the step began; not so after a first substep."""
-    now, start = population.now, population.start
-    return all((now[name] == start[name]).all() for name in _PLACE)
+    now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
+    if compiled.wanted(len(population)):
+        from antdsl.runtime.moving.obstacles_compiled import same
+
+        found: bool = same(now, start)
+        return found
+    return all((one == other).all() for one, other in zip(now, start, strict=True))
 
 
 def _along(
@@ -93,15 +97,16 @@ def _along_fast(
     """As `_along`, to the same bits, by kernels."""
     from antdsl.runtime.moving.obstacles_compiled import kept_off, touching
 
-    rows, found = np.empty(len(radius), np.int64), np.empty((12, len(radius)), np.float32)
-    count = touching(place, step, up, radius, clear, rows, found)
+    rows, found = np.empty(len(radius), np.int64), np.empty((9, len(radius)), np.float32)
+    count = touching(place, step, radius, clear, rows, found)
     if not count:
         return step
-    found = found[:, :count] if count == len(radius) else np.ascontiguousarray(found[:, :count])
-    size, margin, _, x, y, z, _, _, _, *above = found
+    rows, found = rows[:count], np.ascontiguousarray(found[:, :count])
+    above = vec.take(up, rows)
+    size, margin, _, x, y, z, _, _, _ = found
     gap, out = scene.apart(x, y, z, size + margin, threads)
     bent, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
-    asking = kept_off(found, gap, out, bent, going, rays)
+    asking = kept_off(found, above, gap, out, bent, going, rays)
     a, b, c = bent
     if asking:
         px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
@@ -109,9 +114,8 @@ def _along_fast(
         met = np.flatnonzero(hits.hit)
         if len(met):
             free, normal = np.clip(hits.t[met] - margin[met], _F(0), size[met]), (hits.nx[met], hits.ny[met], hits.nz[met])
-            u = (above[0], above[1], above[2])
-            _turn_aside(scene, (x, y, z), (a, b, c), u, found[1], going[met], free, normal, threads)
-    return _put(step, rows[:count], (a, b, c))
+            _turn_aside(scene, (x, y, z), (a, b, c), above, found[1], going[met], free, normal, threads)
+    return _put(step, rows, (a, b, c))
 
 
 def _bent(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, I64, Array1, Array2, kernel
+from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, independent, kernel
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -17,11 +17,18 @@ _WIDER = _F(1) + _SLACK
 
 
 @kernel
-def touching(
-    place: Three, step: Three, up: Three, radius: Array1[F32], clear: Array1[F32], rows: Array1[I64], found: Array2[F32]
-) -> I64:
-    """How many may touch an obstacle on their step, which is `clear` of them: their rows, and of each `found` [12, ..]: how long
-    its step is, its margin (mm) and `clear`, then the three vectors."""
+def same(one: Three, other: Three) -> BOOL:
+    """Whether vectors are all equal, none of them NaN."""
+    found = True
+    for i in range(one[0].size):
+        found = found and one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]
+    return found
+
+
+@kernel
+def touching(place: Three, step: Three, radius: Array1[F32], clear: Array1[F32], rows: Array1[I64], found: Array2[F32]) -> I64:
+    """How many may touch an obstacle on their step, which is `clear` of them: their rows, and of each `found` [9, ..]: how long
+    its step is, its margin (mm) and `clear`, then the two vectors."""
     count = 0
     for i in range(radius.size):
         way = (step[0][i], step[1][i], step[2][i])
@@ -30,22 +37,28 @@ def touching(
         if size > _LEAST and clear[i] <= (size + margin) * _WIDER + _SLACK:
             rows[count], found[0, count], found[1, count], found[2, count] = i, size, margin, clear[i]
             for k in range(3):
-                found[3 + k, count], found[6 + k, count], found[9 + k, count] = place[k][i], step[k][i], up[k][i]
+                found[3 + k, count], found[6 + k, count] = place[k][i], step[k][i]
             count += 1
     return count
 
 
 @kernel
 def kept_off(
-    near: Array2[F32], gaps: Array1[F32], out: Array2[F32], bent: Array2[F32], going: Array1[I64], rays: Array2[F32]
+    near: Array2[F32],
+    above: Three,
+    gaps: Array1[F32],
+    out: Array2[F32],
+    bent: Array2[F32],
+    going: Array1[I64],
+    rays: Array2[F32],
 ) -> I64:
-    """Steps of those whom `touching` has found, `bent` [3, n] such that they keep the margin from the nearest face, which lies so
-    far (`gaps`) along `out` [3, n]; and how many may meet a face on them: which ones they are, and their `rays` [9, n]: place,
-    direction, how far they look, the length of the step and the margin."""
+    """Steps of those whom `touching` has found, on ground whose up is `above`, `bent` [3, n] such that they keep the margin from
+    the nearest face, which lies so far (`gaps`) along `out` [3, n]; and how many may meet a face on them: which ones they are,
+    and their `rays` [9, n]: place, direction, how far they look, the length of the step and the margin."""
     count = 0
     for i in range(gaps.size):
         size, margin, clear, gap = near[0, i], near[1, i], near[2, i], gaps[i]
-        step, up = (near[6, i], near[7, i], near[8, i]), (near[9, i], near[10, i], near[11, i])
+        step, up = (near[6, i], near[7, i], near[8, i]), (above[0][i], above[1][i], above[2][i])
         away = (out[0, i], out[1, i], out[2, i])
         wall = minus(away, times(up, dot(away, up)))
         long = np.sqrt(dot(wall, wall))
@@ -76,10 +89,10 @@ def kept_off(
 
 
 @kernel
-def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, to: Three, begin: I64, end: I64) -> None:
-    """Velocities of agents from `begin` to before `end` into `to`: of those whose steps are not as `wanted`, `rate` times their
+def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, begin: I64, end: I64) -> None:
+    """Changes velocities of agents from `begin` to before `end`, of those whose steps are not as `wanted`, to `rate` times their
     steps."""
-    for i in range(begin, end):
-        stopped = step[0][i] != wanted[0][i] or step[1][i] != wanted[1][i] or step[2][i] != wanted[2][i]
-        for k in range(3):
-            to[k][i] = step[k][i] * rate if stopped else velocity[k][i]
+    for i in independent(begin, end):
+        if step[0][i] != wanted[0][i] or step[1][i] != wanted[1][i] or step[2][i] != wanted[2][i]:
+            for k in range(3):
+                velocity[k][i] = step[k][i] * rate

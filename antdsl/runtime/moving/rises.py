@@ -12,13 +12,13 @@ from antdsl.ground.protocol import Meshes
 from antdsl.numerics import elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot, stacked_cross
+from antdsl.runtime.moving.headings import FACE
 from antdsl.runtime.moving.heads import RAISED
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-FACE = "~face.x"  # a register of those species alone that ask for it
 _STEEP = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
 _EYE = 0.03  # of a body: how high above the feet a ray looks for walls
 _ASIDE = 0.97  # cosine of the angle between look and way above which one ray tells of both
@@ -111,11 +111,10 @@ def rises(
     looking: NDArray[np.float32],
     step: Vector,
     lengths: tuple[Floats, Floats],
-    state: NDArray[np.int64] | None = None,
 ) -> Rises:
     """What rises before whom who looks along `looking` (3, n) over its ground and is about to make a step (mm): of what lies in
     the two directions that for which it has to tilt further. Of those who face a way of their own, who walks backward has no head
-    where it goes. `lengths` are `reaches`; in `state`, if it is given, those get the number of their wall.
+    where it goes. `lengths` are `reaches`.
 
     The body of length L tilts over a way of L before a wall, linearly: so its head, L/2 before its feet, keeps out of a wall that
     rises by up to a right angle, and of one that hangs over if the way is longer by angle / sine."""
@@ -126,8 +125,6 @@ def rises(
     rows = meshes.rising(population.footing, population.position, reach)
     if not len(rows):
         return Rises.none()
-    if state is not None:
-        return _rises_fast(world, meshes, population, rows, half, looking, step, state)
     faced = _faced(population.now)
     half, normal, look = half[rows], population.normal[rows].T.astype(np.float64), looking[:, rows].astype(np.float64)
     way = np.stack([component[rows] for component in step]).astype(np.float64)
@@ -156,17 +153,17 @@ def _faced(now: dict[str, NDArray[Any]]) -> NDArray[np.bool_] | None:
     return found
 
 
-def _rises_fast(
-    world: World,
-    meshes: Meshes,
-    population: Population,
-    rows: Rows,
-    half: Floats,
-    looking: NDArray[np.float32],
-    step: Vector,
-    state: NDArray[np.int64],
+def rises_by_kernels(
+    world: World, population: Population, looking: Vector, step: Vector, reach: Floats, state: NDArray[np.int32]
 ) -> Rises:
-    """As `rises` for the `rows` near something that rises, to the same bits."""
+    """As `rises`, to the same bits, of those who look out as far as `reach` (mm): in their `state` they get the number of their
+    wall. `looking` has the headings of those alone who lean, and gets those of all who look out."""
+    meshes = world.ground.meshes
+    if meshes is None:
+        return Rises.none()
+    rows = meshes.rising(population.footing, population.position, reach)
+    if not len(rows):
+        return Rises.none()
     from antdsl.runtime.moving.rises_compiled import look, walls
 
     now, most = population.now, max(_FEW, 1 << len(rows).bit_length())  # the same room while about as many look out
@@ -176,17 +173,16 @@ def _rises_fast(
     )
     ahead, normal, origin, ray = population.room("ways", 4, (3, 2 * most), np.float64)
     looks = (which, halves, sizes, ahead, normal)
-    face = vec.named(now, "~face") if FACE in now else step
-    count = look(
-        rows, half, population.position, population.normal, looking, step, FACE in now, face, looks, origin, ray
-    )  # fmt: skip
+    face, heading = vec.named(now, "~face") if FACE in now else step, vec.named(now, "heading")
+    ways = (heading, looking, state, step, FACE in now, face)
+    count = look(rows, now["size"], population.position, population.normal, *ways, looks, origin, ray)
     hit, part, wall = meshes.faced(origin[:, :count].T, ray[:, :count].T, world.options.threads)
     if not len(hit):
         return Rises.none()
     own, lengths, vectors = np.empty(len(hit), np.int64), np.empty((4, len(hit))), np.empty((2, 3, len(hit)))
     count = walls(len(rows), looks, hit, part, wall, own, *vectors, *lengths, state)
-    found, ways = (each[:, :count] for each in vectors)
-    return Rises(own[:count], found, ways, *(each[:count] for each in lengths))
+    found, along = (each[:, :count] for each in vectors)
+    return Rises(own[:count], found, along, *(each[:count] for each in lengths))
 
 
 def _seen(

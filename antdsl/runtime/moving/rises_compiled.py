@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, inlined, kernel
 from antdsl.numerics.elementary_compiled import atan2
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
+from antdsl.runtime.moving.tilting_compiled import STANDS, half_of
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 # Of looks: whose it is, half a body, the step (mm), its way and the ground's normal.
@@ -23,10 +24,12 @@ def _column(vectors, k):  # type: ignore[no-untyped-def]
 @kernel
 def look(
     rows: Array1[I64],
-    half: Array1[F64],
+    size: Array1[F32],
     position: Strided2[F64],
     normal: Array2[F32],
-    looking: Array2[F32],
+    heading: Three,
+    looking: Three,
+    state: Array1[I32],
     step: Three,
     faces: BOOL,
     face: Three,
@@ -34,19 +37,22 @@ def look(
     origin: Array2[F64],
     ray: Array2[F64],
 ) -> I64:
-    """How many look out, and their `looks` with rays (3, ..): all `rows` along `looking`, and then those who step aside from that
-    along their way, but not who walks backward (`faces`: whether `face` has ways to face). There is room for two each."""
+    """How many look out, and their `looks` with rays (3, ..): all `rows` along their heading over the ground, and then those who
+    step aside from that along their way, but not who walks backward (`faces`: whether `face` has ways to face). There is room for
+    two each. That heading is in `looking` of those who lean, by their `state`, and afterwards of all rows."""
     which, halves, sizes, aheads, normals = looks
     count = rows.size
     for k in range(rows.size):
-        i = rows[k]
+        i, half = rows[k], half_of(size[rows[k]])
+        if state[i] == STANDS:
+            looking[0][i], looking[1][i], looking[2][i] = heading[0][i], heading[1][i], heading[2][i]
         up = (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2]))
-        ahead = (np.float64(looking[0, i]), np.float64(looking[1, i]), np.float64(looking[2, i]))
+        ahead = (np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i]))
         way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
         way = minus(way, times(up, dot(way, up)))
-        size = np.sqrt(dot(way, way))
-        if size > 1e-9:
-            long = max(size, 1e-300)
+        gone = np.sqrt(dot(way, way))
+        if gone > 1e-9:
+            long = max(gone, 1e-300)
             way = (way[0] / long, way[1] / long, way[2] / long)
         else:
             way = ahead
@@ -55,12 +61,12 @@ def look(
         if aside and faces and same < 0 and (face[0][i] != 0 or face[1][i] != 0 or face[2][i] != 0):
             aside = False
         place = (position[i, 0], position[i, 1], position[i, 2])
-        start = plus(place, times(up, 2 * _EYE * half[i]))
-        reach = _WIDEST * half[i]
+        start = plus(place, times(up, 2 * _EYE * half))
+        reach = _WIDEST * half
         at = k
         for turn in range(2):
             if turn == 0 or aside:
-                which[at], halves[at], sizes[at] = i, half[i], size
+                which[at], halves[at], sizes[at] = i, half, gone
                 for axis in range(3):
                     aheads[axis, at], normals[axis, at] = ahead[axis], up[axis]
                     origin[axis, at], ray[axis, at] = start[axis], ahead[axis] * reach
@@ -85,7 +91,7 @@ def walls(
     far: Array1[F64],
     over: Array1[F64],
     half: Array1[F64],
-    state: Array1[I64],
+    state: Array1[I32],
 ) -> I64:
     """How many have a wall before them and what `Rises` has of these, from what their looks have met (`hit`, ascending, of which
     the `first` are straight ahead): of two that for which they tilt further. `state` of these becomes the number of the wall."""

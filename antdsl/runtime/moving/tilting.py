@@ -10,7 +10,6 @@ over about its own length; where it cannot tilt as fast as it walks, the feet wa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,7 @@ from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import unit
 from antdsl.numerics.vectors import Vector, dot, stacked_cross
-from antdsl.runtime.moving.heads import RAISED
-from antdsl.runtime.moving.rises import WIDEST, Rises, reaches, rises
+from antdsl.runtime.moving.rises import Rises, reaches, rises
 from antdsl.runtime.world import AXES, Population, World
 
 Floats = NDArray[np.float64]
@@ -31,8 +29,7 @@ _F = np.float32
 _RIGHT_ANGLE = _F(np.pi / 2)
 _LEAST = _F(np.pi / 4)  # rad/s that a body tilts at least: who turns slower still comes round an edge
 _OPPOSITE = 0.05  # sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
-_WAITING = 0.05
-_NOBODY: Rows = np.empty(0, np.intp)
+WAITING = _F(0.05)  # of a velocity: kept by who waits for its body
 
 
 def limits(now: dict[str, NDArray[Any]], dt: np.float32) -> NDArray[np.float32]:
@@ -62,8 +59,7 @@ class Paced:
 @dataclass(slots=True)
 class Bodies:
     """The bodies of a species as a step begins: `up` and `heading` (3, n) float32 of all, the `most` (radians) that each may
-    tilt, who leans (stands otherwise than its feet), and what rises before whom. For kernels, who leans is in the `state` of
-    each: see `tilting_compiled`."""
+    tilt, who leans (stands otherwise than its feet), and what rises before whom."""
 
     population: Population
     up: NDArray[np.float32]
@@ -72,13 +68,9 @@ class Bodies:
     leaning: Rows
     rises: Rises
     looking: NDArray[np.float32]  # (3, n): headings laid along the ground that the feet are on
-    state: NDArray[np.int64] | None = None
-    threads: int = 1
 
     def paced(self, step: Vector, velocity: Vector) -> Paced:
         """What bodies are about to do, with steps (mm) and velocities such that they can follow."""
-        if self.state is not None:
-            return self._paced_fast(step, velocity, self.state)
         chosen = np.zeros(len(self.most), np.bool_)
         chosen[self.leaning] = True
         chosen[self.rises.rows] = True
@@ -95,7 +87,7 @@ class Bodies:
             far = self.rises.room(rows, stood, way / np.maximum(size, 1e-300), self.most[rows].astype(np.float64))
             share[rows] = np.minimum(free, np.clip(far / np.maximum(size, 1e-300), 0.0, 1.0))
             part = share.astype(np.float32)
-            step, velocity = vec.scale(step, part), vec.scale(velocity, np.maximum(part, _F(_WAITING)))
+            step, velocity = vec.scale(step, part), vec.scale(velocity, np.maximum(part, WAITING))
         looking = self.looking.T.astype(np.float64, order="K")
         up = self.population.normal.astype(np.float64)
         return Paced(step, velocity, at_once, vec.rows(step), looking, up, self.population.now["size"].astype(np.float64))
@@ -103,9 +95,6 @@ class Bodies:
     def follow(self, hasty: NDArray[np.bool_], before: Floats, dt: np.float32) -> None:
         """Turn the bodies of those who lean, would tilt too fast or have something rise before them; all others stand as their
         feet do already. The population's up and heading are those of its feet, which were at places `before` (n, 3)."""
-        if self.state is not None:
-            self._follow_fast(hasty, before, dt, self.state)
-            return
         chosen = hasty.copy()
         chosen[self.leaning] = True
         chosen[self.rises.rows] = True
@@ -143,31 +132,6 @@ class Bodies:
             for axis_name, component in zip(AXES, value, strict=True):
                 now[f"{name}.{axis_name}"][rows] = component
 
-    def _paced_fast(self, step: Vector, velocity: Vector, state: NDArray[np.int64]) -> Paced:
-        from antdsl.runtime.moving.tilting_compiled import pace
-
-        p, n = self.population, len(self.most)
-        x, y, z, vx, vy, vz, at_once = p.room("paced", 7, (n,), np.float32)
-        walk = wish, looking, up = p.room("walk", 3, (3, n), np.float64)
-        bodies = (self.up, self.looking, p.normal, self.most)
-        paced = ((x, y, z), (vx, vy, vz), at_once, walk)
-        work = partial(pace, state, step, velocity, *bodies, self._walls(), _F(_WAITING), *paced)
-        compiled.in_parts(work, n, self.threads, compiled.LIGHT)
-        return Paced((x, y, z), (vx, vy, vz), at_once, wish.T, looking.T, up.T, p.rooms["lengths"][0])
-
-    def _follow_fast(self, hasty: NDArray[np.bool_], before: Floats, dt: np.float32, state: NDArray[np.int64]) -> None:
-        from antdsl.runtime.moving.tilting_compiled import follow
-
-        p = self.population
-        ways = (self.up, self.heading, before, p.position)
-        most = (self.most, p.now["max_turn"], dt)
-        up, heading = (vec.named(p.now, name) for name in ("up", "heading"))
-        follow(state, hasty, *ways, *most, self._walls(), self.rises.half, RAISED, up, heading)
-
-    def _walls(self) -> tuple[Floats, ...]:
-        r = self.rises
-        return r.wall, r.ahead, r.angle, r.far, r.over
-
     def _feet(self, rows: Rows) -> Floats:
         return self.population.normal[rows].T.astype(np.float64)
 
@@ -175,8 +139,6 @@ class Bodies:
 def bodies(world: World, population: Population, step: Vector, dt: np.float32) -> Bodies:
     """The bodies of a species about to make steps (mm) in a time."""
     now = population.now
-    if compiled.wanted(len(population)):
-        return _bodies_fast(world, population, step, dt)
     up, heading = (np.stack([now[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
     leaning = _leaning(population)
     looking = heading
@@ -185,22 +147,6 @@ def bodies(world: World, population: Population, step: Vector, dt: np.float32) -
         looking[:, leaning] = _laid_down(leaning, heading, up, population.normal)
     found = rises(world, population, looking, step, reaches(now["size"]))
     return Bodies(population, up, heading, limits(now, dt), leaning, found, looking)
-
-
-def _bodies_fast(world: World, population: Population, step: Vector, dt: np.float32) -> Bodies:
-    from antdsl.runtime.moving.tilting_compiled import stand
-
-    now, n = population.now, len(population)
-    vectors = up, heading, looking = population.room("bodies", 3, (3, n), np.float32)
-    lengths = _, half, reach = population.room("lengths", 3, (n,), np.float64)
-    (most,), (state,) = population.room("most", 1, (n,), np.float32), population.room("state", 1, (n,), np.int64)
-    given = (now["max_speed"], now["size"], now["max_turn"])
-    stands = (vec.named(now, "up"), vec.named(now, "heading"), population.normal)
-    threads = world.options.threads
-    work = partial(stand, *stands, given, dt, WIDEST, vectors, most, lengths, state)
-    compiled.in_parts(work, n, threads, compiled.LIGHT)
-    found = rises(world, population, looking, step, (half, reach), state)
-    return Bodies(population, up, heading, most, _NOBODY, found, looking, state, threads)
 
 
 def settle(world: World, population: Population, rows: Rows) -> None:

@@ -1,12 +1,13 @@
 """The passes of `tilting` as loops over all agents: the same operations in the same order, and so the same bits.
 
-The `state` of a body is the number of the wall before it, or LEANS or STANDS, as its feet do."""
+The `state` of a body is the number of the wall before it, or it LEANS, or STANDS as its feet do, or HASTENS: it stands so, but
+would turn too fast."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, inlined, kernel
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
@@ -14,7 +15,7 @@ Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 # Of walls: normal and way ahead (3, k), angle, how far, over how much.
 Walls = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array1[F64]]
 _F = np.float32
-LEANS, STANDS = -1, -2
+LEANS, STANDS, HASTENS = -1, -2, -3
 _OPPOSITE, _STEEP = 0.05, 0.9  # as `tilting` and `vectors`
 _ZERO, _ONE, _PI = _F(0), _F(1), _F(np.pi)
 _RIGHT_ANGLE, _LEAST = _F(np.pi / 2), _F(np.pi / 4)  # as `tilting`
@@ -110,49 +111,30 @@ def _tilted(n, wall, ahead, angle, far, over, gone):  # type: ignore[no-untyped-
     return _over(turned, np.sqrt(dot(turned, turned)))
 
 
-@kernel
-def stand(
-    up: Three,
-    heading: Three,
-    normal: Array2[F32],
-    limits: tuple[Array1[F32], Array1[F32], Array1[F32]],
-    dt: F32,
-    widest: F64,
-    vectors: tuple[Array2[F32], Array2[F32], Array2[F32]],
-    most: Array1[F32],
-    lengths: tuple[Array1[F64], Array1[F64], Array1[F64]],
-    state: Array1[I64],
-    begin: I64,
-    end: I64,
-) -> None:
-    """Bodies from `begin` to before `end` as a step begins, from `max_speed`, `size` and `max_turn` (`limits`): up, heading,
-    and heading along the ground into `vectors` (3, n); by how much (radians) each tilts at `most` in a time; size, half of it
-    and `widest` times that (`reaches`) into `lengths`; and their `state`, without walls."""
-    max_speed, size, max_turn = limits
-    to_up, to_heading, looking = vectors
-    whole, half, reach = lengths
-    for i in range(begin, end):
-        to_up[0, i], to_up[1, i], to_up[2, i] = up[0][i], up[1][i], up[2][i]
-        to_heading[0, i], to_heading[1, i], to_heading[2, i] = heading[0][i], heading[1][i], heading[2][i]
-        walking = _maximum(max_speed[i], _ZERO) / (size[i] if size[i] > 0 else _ONE) * _RIGHT_ANGLE
-        rate = _maximum(max_turn[i], _ZERO)
-        if not rate < walking and rate == rate:
-            rate = walking
-        if walking != walking:
-            rate = walking
-        rate = _maximum(rate, _LEAST)
-        most[i] = (rate if np.isfinite(rate) else _PI / dt) * dt
-        whole[i] = np.float64(size[i])
-        long = np.float64(_maximum(size[i], _ZERO))
-        half[i] = long / 2 if np.isfinite(long) else 0.0
-        reach[i] = widest * half[i]
-        if _leaning(up, normal, i):
-            state[i] = LEANS
-            found = _laid(_of(heading, i), _of(up, i), _row(normal, i))
-            looking[0, i], looking[1, i], looking[2, i] = _F(found[0]), _F(found[1]), _F(found[2])
-        else:
-            state[i] = STANDS
-            looking[0, i], looking[1, i], looking[2, i] = heading[0][i], heading[1][i], heading[2][i]
+@inlined
+def half_of(size):  # type: ignore[no-untyped-def]
+    """As the first of `rises.reaches`."""
+    long = np.float64(_maximum(size, _ZERO))
+    return long / 2 if np.isfinite(long) else 0.0
+
+
+@inlined
+def stood(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state):  # type: ignore[no-untyped-def]
+    """Body i as a step begins: by how much (radians) it tilts at `most` in a time, its `state` without walls, and if it leans its
+    heading along the ground, into `looking`."""
+    walking = _maximum(max_speed[i], _ZERO) / (size[i] if size[i] > 0 else _ONE) * _RIGHT_ANGLE
+    rate = _maximum(max_turn[i], _ZERO)
+    if not rate < walking and rate == rate:
+        rate = walking
+    if walking != walking:
+        rate = walking
+    rate = _maximum(rate, _LEAST)
+    most[i] = (rate if np.isfinite(rate) else _PI / dt) * dt
+    state[i] = STANDS
+    if _leaning(up, normal, i):
+        state[i] = LEANS
+        found = _laid(_of(heading, i), _of(up, i), _row(normal, i))
+        looking[0][i], looking[1][i], looking[2][i] = _F(found[0]), _F(found[1]), _F(found[2])
 
 
 @kernel
@@ -209,62 +191,48 @@ def stand_up(
 
 @kernel
 def pace(
-    state: Array1[I64],
+    state: Array1[I32],
     step: Three,
     velocity: Three,
-    up: Array2[F32],
-    looking: Array2[F32],
+    up: Three,
     normal: Array2[F32],
     most: Array1[F32],
     walls: Walls,
     waiting: F32,
-    steps: Three,
-    velocities: Three,
-    at_once: Array1[F32],
-    walk: tuple[Array2[F64], Array2[F64], Array2[F64]],
-    begin: I64,
-    end: I64,
 ) -> None:
-    """As `Bodies.paced`, of bodies from `begin` to before `end`: steps and velocities into `steps` and `velocities`, what
-    bodies may tilt at once into `at_once`, and steps, headings and up in float64 into `walk`, (3, n) each."""
+    """As `Bodies.paced`: changes steps and velocities of those who lean or have a wall before them, by their `state`."""
     wall, ahead, angle, far, over = walls
-    wish, forward, above = walk
     zero = (0.0, 0.0, 0.0)
-    for i in range(begin, end):
-        j, part, kept = state[i], _ONE, _ONE
-        at_once[i] = most[i] if j == STANDS else _ZERO
-        if j != STANDS:
-            way, stood = _of(step, i), _column(up, i)
-            size = np.sqrt(dot(way, way))
-            wanted = _row(normal, i)
-            room = np.inf
-            if j >= 0:
-                w, a = _column(wall, j), _column(ahead, j)
-                wanted = _tilted(wanted, w, a, angle[j], far[j], over[j], zero)
-                towards = _nearer(_over(way, max(size, 1e-300)), w, a)
-                across = cross(stood, w)
-                left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stood, w))))
-                tilt = angle[j] - left + np.float64(most[i])
-                free = max(over[j] * (tilt / angle[j] - 1.0) + far[j], 0.0)
-                room = free / max(towards, 0.05) if towards > 0.05 else np.inf
-            lag = min(1.0, 2.0 * max(dot(stood, wanted), 0.0))
-            part = _F(min(lag, min(max(room / max(size, 1e-300), 0.0), 1.0)))
-            kept = _maximum(part, waiting)
+    for i in range(state.size):
+        j = state[i]
+        if j == STANDS:
+            continue
+        way, stands = _of(step, i), _of(up, i)
+        size = np.sqrt(dot(way, way))
+        wanted = _row(normal, i)
+        room = np.inf
+        if j >= 0:
+            w, a = _column(wall, j), _column(ahead, j)
+            wanted = _tilted(wanted, w, a, angle[j], far[j], over[j], zero)
+            towards = _nearer(_over(way, max(size, 1e-300)), w, a)
+            across = cross(stands, w)
+            left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stands, w))))
+            tilt = angle[j] - left + np.float64(most[i])
+            free = max(over[j] * (tilt / angle[j] - 1.0) + far[j], 0.0)
+            room = free / max(towards, 0.05) if towards > 0.05 else np.inf
+        lag = min(1.0, 2.0 * max(dot(stands, wanted), 0.0))
+        part = _F(min(lag, min(max(room / max(size, 1e-300), 0.0), 1.0)))
+        kept = _maximum(part, waiting)
         for k in range(3):
-            pace = step[k][i] * part
-            steps[k][i] = pace
-            wish[k, i] = np.float64(pace)
-            velocities[k][i] = velocity[k][i] * kept
-            forward[k, i] = np.float64(looking[k, i])
-            above[k, i] = np.float64(normal[i, k])
+            step[k][i] = step[k][i] * part
+            velocity[k][i] = velocity[k][i] * kept
 
 
 @kernel
 def follow(
-    state: Array1[I64],
-    hasty: Array1[BOOL],
-    before_up: Array2[F32],
-    before_heading: Array2[F32],
+    state: Array1[I32],
+    before_up: Three,
+    before_heading: Three,
     before: Strided2[F64],
     place: Strided2[F64],
     most: Array1[F32],
@@ -276,28 +244,28 @@ def follow(
     now_up: Three,
     now_heading: Three,
 ) -> None:
-    """As `Bodies.follow` for whom there is anything to do, who have come from places `before` to `place`; changes `now_up` and
-    `now_heading`."""
+    """As `Bodies.follow` for whom there is anything to do by its `state`, who have come from places `before` to `place`; changes
+    `now_up` and `now_heading`."""
     wall, ahead, angle, far, over = walls
     for i in range(state.size):
         j = state[i]
-        if j == STANDS and not hasty[i]:
+        if j == STANDS:
             continue
-        stood = _column(before_up, i)
-        look = _across(_column(before_heading, i), stood)
+        stands = _of(before_up, i)
+        look = _across(_of(before_heading, i), stands)
         normal, looking = _of(now_up, i), _of(now_heading, i)
         gone = (place[i, 0] - before[i, 0], place[i, 1] - before[i, 1], place[i, 2] - before[i, 2])
         wanted = normal
         if j >= 0:
             wanted = _tilted(normal, _column(wall, j), _column(ahead, j), angle[j], far[j], over[j], gone)
-        axis, cosine, sine = _axis(stood, wanted, look)
+        axis, cosine, sine = _axis(stands, wanted, look)
         whole = atan2(_F(sine), _F(cosine))
         if whole <= most[i]:
             tilt, c, s, up = whole, cosine, sine, wanted
         else:
             part = cos_sin(most[i])
             tilt, c, s = most[i], np.float64(part[0]), np.float64(part[1])
-            up = _unit(_rotated(stood, axis, c, s))
+            up = _unit(_rotated(stands, axis, c, s))
         one = _across(_rotated(look, axis, c, s), up)
         other = _laid(_laid(looking, normal, wanted), wanted, up)
         room = 4.0

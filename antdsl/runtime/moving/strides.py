@@ -1,0 +1,234 @@
+"""A substep of a crowd by kernels: what `advance.move` does, to the same bits, in as few loops over all agents as there can be.
+
+Up to what stands in anybody's way one loop does; those who may touch an obstacle, look out for walls, lean or have a wall before
+them are few, and have loops of their own. Another walks all who stay on their own surface and lets them arrive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.mesh.walk_events import CrowdWalk, Waiting
+from antdsl.ground.plane import Plane
+from antdsl.ground.protocol import Footing, Ground, Move
+from antdsl.numerics import compiled
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import Vector
+from antdsl.runtime.moving.falling import in_the_air
+from antdsl.runtime.moving.headings import AT_ONCE, FACE, share
+from antdsl.runtime.moving.heads import RAISED
+from antdsl.runtime.moving.least_speed import LEAST, no_slower
+from antdsl.runtime.moving.obstacles import slide
+from antdsl.runtime.moving.orienting import orient
+from antdsl.runtime.moving.rises import WIDEST, rises_by_kernels
+from antdsl.runtime.moving.tilting import WAITING
+from antdsl.runtime.moving.walks import led, walks_of
+from antdsl.runtime.world import Population, World
+
+_F = np.float32
+
+
+def move(world: World, population: Population, dt: np.float32, substep: int) -> None:
+    """As `advance.move`, of a crowd of one at least, in `dt` seconds."""
+    from antdsl.runtime.moving.tilting_compiled import follow, pace
+
+    others = world.setting.orient != "normal"
+    crowd = _Crowd.of(world, population, dt, others)
+    before = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
+    crowd.set_out(substep)
+    crowd.pass_obstacles()
+    _, _, heading, up = crowd.registers
+    found = rises_by_kernels(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
+    walls = (found.wall, found.ahead, found.angle, found.far, found.over)
+    pace(crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, walls, WAITING)
+    came_from = population.position
+    crowd.walk(world.ground)
+    if before is not None:
+        orient(world, population, *before)
+    ways = (*crowd.kept, came_from, population.position)
+    follow(crowd.state, *ways, crowd.most, population.now["max_turn"], dt, walls, found.half, RAISED, up, heading)
+
+
+@dataclass(slots=True)
+class _Crowd:
+    """A crowd on its way for `dt` of `whole` seconds: its registers position, velocity, heading and up, and what kernels work
+    out, see `strides_compiled`. `kept` is room for the up and heading from before of those whose bodies have to follow their feet
+    afterwards, as those of `everyone` may have."""
+
+    world: World
+    population: Population
+    dt: np.float32
+    whole: np.float32
+    everyone: bool
+    registers: tuple[Vector, Vector, Vector, Vector]
+    velocity: Vector
+    step: Vector
+    looking: Vector
+    kept: tuple[Vector, Vector]
+    long: NDArray[np.float32]
+    most: NDArray[np.float32]
+    reach: NDArray[np.float64]
+    state: NDArray[np.int32]
+
+    @staticmethod
+    def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _Crowd:
+        """A crowd before it sets out."""
+        now, n = population.now, len(population)
+        room = population.room("on the way", 17, (n,), np.float32)
+        (reach,), (state,) = population.room("reach", 1, (n,), np.float64), population.room("state", 1, (n,), np.int32)
+        registers = tuple(vec.named(now, name) for name in ("position", "velocity", "heading", "up"))
+        velocity, step, looking, up, heading = (room[k : k + 3] for k in range(0, 15, 3))
+        given = (registers, velocity, step, looking, (up, heading), *room[15:], reach, state)
+        return _Crowd(world, population, dt, _F(world.dt), everyone, *given)  # type: ignore[arg-type]
+
+    @property
+    def threads(self) -> int:
+        return self.world.options.threads
+
+    def set_out(self, substep: int) -> None:
+        """What all are about to do, whatever is in their way."""
+        from antdsl.runtime.moving.strides_compiled import set_out
+
+        p, now, whole = self.population, self.population.now, self.whole
+        _, *given = self.registers
+        limits = (now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
+        keeps = LEAST in now
+        least = now[LEAST] if keeps else now["max_speed"]
+        times = (whole * AT_ONCE, whole if substep == 0 else _F(0), self.dt)
+        to = (self.velocity, self.step, self.looking, (self.long, self.most, self.reach), self.state)
+        does = (vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times, WIDEST)
+        work = partial(set_out, *does, *to)
+        compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+        if walks_of(self.world, p):
+            velocity = led(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
+            zero = np.zeros(len(p), np.float32)
+            self.velocity = vec.choose(p.quarantined, (zero, zero, zero), velocity)
+            self.step = vec.scale(self.velocity, self.dt)
+            self.long = vec.length(self.step)
+
+    def pass_obstacles(self) -> None:
+        """Steps along the obstacles in their way, and velocities of those who would have gone otherwise."""
+        world, p = self.world, self.population
+        if not world.plan.of_kind("obstacle"):
+            return
+        from antdsl.runtime.moving.obstacles_compiled import slowed
+
+        wanted, normal = self.step, p.normal
+        up = normal[:, 0], normal[:, 1], normal[:, 2]
+        step = no_slower(world, p, slide(world, p, wanted, up, p.now["radius"]), up, self.dt)
+        if step is not wanted:
+            work = partial(slowed, wanted, step, self.velocity, _F(1) / self.dt)
+            compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+            self.step = step
+
+    def walk(self, ground: Ground) -> None:
+        """Walk over a ground to new places, and arrive there."""
+        now = self.population.now
+        limits = (now["max_speed"], now["max_turn"], now["response"])
+        times = (self.whole * AT_ONCE, self.dt, share(self.dt))
+        facing = (FACE in now, vec.named(now, "~face") if FACE in now else self.registers[1], self.everyone)
+        there = (limits, (self.most, self.state, *self.kept), times, facing, self.registers)
+        if isinstance(ground, Plane):
+            self._over_plane(ground, there)
+        elif not isinstance(ground, MeshGround) or not self._over_meshes(ground, there):
+            self._over_any(ground, there)
+
+    def _over_plane(self, plane: Plane, there: tuple[Any, ...]) -> None:
+        from antdsl.runtime.moving.strides_compiled import glide
+
+        p, n = self.population, len(self.population)
+        place, normals = np.empty((n, 3)), np.empty((n, 3), np.float32)
+        going = (self.velocity, self.step, self.looking)
+        work = partial(glide, plane.up, p.footing.point, *going, *there, place, normals)
+        compiled.in_parts(work, n, self.threads)
+        p.footing, p.position, p.normal = Footing.on_plane(place), place, normals
+
+    def _over_meshes(self, ground: MeshGround, there: tuple[Any, ...]) -> bool:
+        """False where triangles are not what is walked over."""
+        from antdsl.ground.mesh import walk_compiled as loop
+        from antdsl.runtime.moving.strides_compiled import stride
+
+        p, n = self.population, len(self.population)
+        walk = ground.crowd_walk(self.long, p.now["size"])
+        if walk is None:
+            return False
+        tables = walk.tables()
+        to = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
+        at, placed = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (p.footing, to))
+        place, normals = np.empty((3, n)), np.empty((n, 3), np.float32)
+        (how,) = p.room("how", 1, (n,), np.uint8)
+        (reals,), (wholes,) = p.room("reals", 1, (loop.REALS * n,), np.float64), p.room("wholes", 1, (loop.WHOLES * n,), np.int64)
+        given = (at, p.now["size"], p.normal, self.velocity, self.step, self.looking, *there)
+
+        def part(begin: int, end: int) -> Waiting:
+            floats = reals[begin * loop.REALS : end * loop.REALS].reshape(loop.REALS, -1)
+            numbers = wholes[begin * loop.WHOLES : end * loop.WHOLES].reshape(loop.WHOLES, -1)
+            waiting, left = stride(*tables, *given, floats, numbers, how, placed, place, p.position, normals, begin, end)
+            return floats[:, :waiting], numbers[:, :waiting], left
+
+        parted = compiled.in_parts(part, n, self.threads)
+        self._later(ground, there, walk, parted, to, place, normals, how)
+        p.footing, p.position, p.normal = to, place.T, normals
+        return True
+
+    def _later(
+        self,
+        ground: MeshGround,
+        there: tuple[Any, ...],
+        walk: CrowdWalk,
+        parted: list[Waiting],
+        to: Footing,
+        place: NDArray[np.float64],
+        normals: NDArray[np.float32],
+        how: NDArray[np.uint8],
+    ) -> None:
+        """Move those who have come to something else than the next face of their surface, and those who are nowhere or whose
+        numbers are none, and let them arrive."""
+        from antdsl.ground.mesh.walk_compiled import DONE
+
+        p, n = self.population, len(self.population)
+        above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
+        (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
+        placed, moved = (to.mesh, to.face, to.b1, to.b2, to.over), (place, above, ahead, direction, gone)
+        rows, left = walk.on(parted, how, placed, moved, blocked, self.threads)
+        if left:
+            others = np.flatnonzero(how != DONE)
+            result = Move(to, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
+            result.put(others, self._moved(ground, others))
+            rows = np.union1d(rows, others)
+        if len(rows):
+            self._arrive(rows, (*moved[:4], blocked), there, normals)
+
+    def _over_any(self, ground: Ground, there: tuple[Any, ...]) -> None:
+        p, rows = self.population, np.arange(len(self.population))
+        moved = self._moved(ground, slice(None))
+        if self.world.solids:
+            moved = in_the_air(self.world, p, moved, self.dt)
+        normals = np.empty((len(rows), 3), np.float32)
+        walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
+        self._arrive(rows, walked, there, normals)
+        p.footing, p.position, p.normal = moved.footing, moved.position, normals
+
+    def _moved(self, ground: Ground, rows: NDArray[np.intp] | slice) -> Move:
+        """Where a ground moves some agents."""
+        from antdsl.runtime.moving.tilting_compiled import STANDS
+
+        p = self.population
+        stands = self.state[rows] == STANDS
+        heading = vec.choose(stands, vec.take(self.registers[2], rows), vec.take(self.looking, rows))
+        vectors = vec.rows(vec.take(self.step, rows)), vec.rows(heading), p.normal[rows].astype(np.float64)
+        size = p.now["size"][rows].astype(np.float64)
+        return ground.move(p.footing.take(rows), *vectors, size, self.threads)
+
+    def _arrive(
+        self, rows: NDArray[np.intp], walked: tuple[Any, ...], there: tuple[Any, ...], normals: NDArray[np.float32]
+    ) -> None:
+        from antdsl.runtime.moving.advance_compiled import arrive
+
+        work = partial(arrive, rows, self.velocity, self.step, self.population.position, walked, *there, normals)
+        compiled.in_parts(work, len(rows), self.threads, compiled.LIGHT)

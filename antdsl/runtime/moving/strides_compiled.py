@@ -1,0 +1,210 @@
+"""A substep of a crowd in two loops over all agents: `set_out` up to what stands in anybody's way, and from there one for each
+kind of ground that walks agents and lets them arrive. Each gives the bits of the passes of `advance`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.ground.mesh.face_table import MESH, WIDTH
+from antdsl.ground.mesh.stretches_compiled import finish
+from antdsl.ground.mesh.walk_compiled import (
+    DONE,
+    LEFT_OUT,
+    ROWS_AHEAD,
+    WAITS,
+    Clearances,
+    Placed,
+    Surface,
+    bring_near,
+    counted,
+    keep,
+    walked,
+)  # fmt: skip
+from antdsl.ground.plane_compiled import straight
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    U8,
+    Array1,
+    Array2,
+    Strided2,
+    fetch_ahead,
+    independent,
+    inlined,
+    kernel,
+    whole,
+)  # fmt: skip
+from antdsl.numerics.vectors_compiled import dot, times
+from antdsl.runtime.moving.advance_compiled import Bodies, Facing, Limits, Three, Times, arrived, pushed
+from antdsl.runtime.moving.tilting_compiled import STANDS, half_of, stood
+
+_F = np.float32
+_ZERO = _F(0)
+
+
+@kernel
+def set_out(
+    push: Three,
+    velocity: Three,
+    heading: Three,
+    up: Three,
+    normal: Array2[F32],
+    limits: tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]],
+    keeps: BOOL,
+    min_speed: Array1[F32],
+    size: Array1[F32],
+    quarantined: Array1[BOOL],
+    times_of: tuple[F32, F32, F32],
+    widest: F64,
+    to: Three,
+    step: Three,
+    looking: Three,
+    lengths: tuple[Array1[F32], Array1[F32], Array1[F64]],
+    state: Array1[I32],
+    begin: I64,
+    end: I64,
+) -> None:
+    """What agents from `begin` to before `end` are about to do: velocities after the push `to` three arrays, the `step` (mm) that
+    is their way in `dt`, and how bodies stand: their `state`, and of those who lean the heading along the ground, `looking`.
+
+    `limits`: `max_speed`, `max_force`, `mass`, `response` and `max_turn`; `keeps`: whether `min_speed` counts. `times_of`: the
+    longest response that takes its whole time in one substep, that time, and `dt`, that of others. Into `lengths`: how long the
+    step is, by what angle (radians) a body tilts at most, and how far before it (mm), `widest` times half of its size, it looks
+    out for walls.
+    """
+    max_speed, max_turn, dt = limits[0], limits[4], times_of[2]
+    long, most, reach = lengths
+    for i in independent(begin, end):
+        u = (normal[i, 0], normal[i, 1], normal[i, 2])
+        v = pushed(push, velocity, u, heading, limits, keeps, min_speed, times_of, i)
+        if quarantined[i]:
+            v = (_ZERO, _ZERO, _ZERO)
+        way = times(v, dt)
+        for k in range(3):
+            to[k][i], step[k][i] = v[k], way[k]
+        long[i] = np.sqrt(dot(way, way))
+        stood(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
+        reach[i] = widest * half_of(size[i])
+
+
+@inlined
+def _ahead(heading, looking, state, i):  # type: ignore[no-untyped-def]
+    """The heading along the ground, in float64."""
+    if state[i] == STANDS:
+        return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
+    return np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i])
+
+
+@kernel
+def stride(
+    surface: Surface,
+    near: Clearances,
+    at: Placed,
+    size: Array1[F32],
+    normal: Array2[F32],
+    velocity: Three,
+    step: Three,
+    looking: Three,
+    limits: Limits,
+    bodies: Bodies,
+    times_of: Times,
+    facing: Facing,
+    registers: tuple[Three, Three, Three, Three],
+    reals: Array2[F64],
+    wholes: Array2[I64],
+    how: Array1[U8],
+    placed: Placed,
+    place: Array2[F64],
+    old: Strided2[F64],
+    normals: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """`walk_all` over triangles by steps and headings in float32, from footings `at` to `placed` and `place` (3, n); those
+    who are there arrive as by `arrive`."""
+    mesh, face, b1s, b2s, overs = at
+    first = surface[3]
+    heading, state = registers[2], bodies[1]
+    to_mesh, to_face, to_b1, to_b2, to_over = placed
+    for group in range(begin - 8 * ROWS_AHEAD, end, 8):
+        # Columns are brought near, too: they are more than a processor by itself sees coming.
+        k = group + 8 * ROWS_AHEAD
+        for three in (velocity, step, registers[0], registers[1], registers[2], registers[3], limits):
+            for each in three:
+                fetch_ahead(each, k)
+        for each in (bodies[0], size, state, b1s, b2s, overs, to_mesh, to_face, to_b1, to_b2, to_over):
+            fetch_ahead(each, k)
+        for axis in range(3):
+            fetch_ahead(place, k + axis * to_b1.size)
+        for each in (normal, normals):
+            fetch_ahead(each, 3 * k)
+            fetch_ahead(each, 3 * k + 16)
+        for each in (mesh, face):
+            fetch_ahead(each, k + 64)
+        bring_near(surface, mesh, face, max(group + 8 * ROWS_AHEAD, begin), min(group + 8 * ROWS_AHEAD + 8, end))
+        for i in independent(max(group, begin), min(group + 8, end)):
+            how[i] = LEFT_OUT
+            if mesh[i] < 0 or face[i] < 0:
+                continue
+            way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+            if not np.isfinite(way[0] + way[1] + way[2]):
+                continue
+            up = (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2]))
+            long, look = np.float64(size[i]), _ahead(heading, looking, state, i)
+            high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length = walked(
+                surface, near, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], long, way, look, up
+            )
+            if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
+                continue
+            if event:
+                how[i] = WAITS
+                keep(
+                    reals, wholes, i - begin, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s,
+                    left, gone, over, turn, event, edge, length,
+                )  # fmt: skip
+                continue
+            how[i] = DONE
+            row = WIDTH * f
+            on = whole(surface[0][row + MESH])
+            to_mesh[i], to_face[i] = on, f - first[on]
+            to_b1[i], to_b2[i], to_over[i] = b1, b2, over * side + 0.0
+            found = finish(surface[0], row, b1, b2, side, c, s, heading_c, heading_s, over)
+            for k in range(3):
+                place[k, i] = found[0][k]
+            arrived(i, found, False, old, step, velocity, limits, bodies, times_of, facing, registers, normals)
+    waiting, left = counted(how, reals, wholes, begin, end)
+    return waiting, left
+
+
+@kernel
+def glide(
+    plane: Array1[F64],
+    at: Strided2[F64],
+    velocity: Three,
+    step: Three,
+    looking: Three,
+    limits: Limits,
+    bodies: Bodies,
+    times_of: Times,
+    facing: Facing,
+    registers: tuple[Three, Three, Three, Three],
+    place: Array2[F64],
+    normals: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Agents from `begin` to before `end` walk across the unit vector `plane` from points `at` to points `place`, (n, 3) both,
+    and arrive there as by `arrive`."""
+    heading, state = registers[2], bodies[1]
+    up = (plane[0], plane[1], plane[2])
+    for i in independent(begin, end):
+        way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+        look = _ahead(heading, looking, state, i)
+        there, ahead, direction, _ = straight(up, (at[i, 0], at[i, 1], at[i, 2]), way, look)
+        for k in range(3):
+            place[i, k] = there[k]
+        found = (there, up, ahead, direction)
+        arrived(i, found, False, at, step, velocity, limits, bodies, times_of, facing, registers, normals)
