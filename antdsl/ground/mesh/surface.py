@@ -239,17 +239,14 @@ class MeshGround:
             return None
         from antdsl.ground.mesh.walk_events import CrowdWalk
 
-        longest = float(np.fmax.reduce(ways))
-        if not longest < np.inf:
-            longest = float(ways.max(initial=0.0, where=np.isfinite(ways)))
+        longest = float(ways.max(initial=0.0, where=np.isfinite(ways)))
         parts = self._clearances.within(longest + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise)
         return CrowdWalk(self._compiled(), parts, self._boxes, self._scale)
 
     def _compiled(self) -> Walk:
         from antdsl.ground.mesh.walk_events import Walk
 
-        if self._fast is None:
-            self._fast = Walk(self._table, self._mesh, self._first)
+        self._fast = self._fast or Walk(self._table, self._mesh, self._first)
         return self._fast
 
     def _reach(self, wish: Floats, body: Floats) -> float:
