@@ -229,7 +229,8 @@ def maximum(a, b):  # type: ignore[no-untyped-def]
 
 @inlined
 def _minimum(a, b):  # type: ignore[no-untyped-def]
-    return b if a >= b else a
+    """NaN where either is, as NumPy does."""
+    return a if a < b or a != a else b
 
 
 @inlined
