@@ -196,5 +196,5 @@ def test_parts_on_threads_give_the_same_bits_as_one(by_kernels, monkeypatch):
     alone, counted = stepped(1)
     monkeypatch.setattr(compiled, "in_parts", parted)
     found, other = stepped(3)
-    assert found == alone and sum(split) > 30
+    assert found == alone and sum(split) > 15
     assert counted.keys() == other.keys() and all(np.array_equal(counted[name], other[name]) for name in counted)
