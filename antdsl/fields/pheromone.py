@@ -153,7 +153,7 @@ class PheromoneField:
         if self.deposits_first:
             stepped(self._padded, _NONE, self._pending, 0.0, 1.0, UNIT, self.limit, -np.inf, lands)
         change = self._laplacian.of(self._padded) if spread > 0 else _NONE
-        last = (0.0, self.limit, 0) if self.deposits_first else (UNIT, self.limit, lands)
+        last = (0.0, np.inf, 0) if self.deposits_first else (UNIT, self.limit, lands)
         stepped(self._padded, change, self._pending, spread, keep, *last[:2], FLUSH, last[2])
 
     def _land(self) -> None:

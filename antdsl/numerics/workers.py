@@ -71,8 +71,8 @@ class Workers:
         ended then, whatever interrupts it. Raises what one of them raised."""
         self._work, self._failed = work, []
         self._job(self._called, self._numbers, min(helpers, PARTS))
-        self._start(self.address, 0, 0)
         try:
+            self._start(self.address, 0, 0)
             work(0)
         finally:
             try:
@@ -113,6 +113,7 @@ class Workers:
     def _job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
         code = ctypes.cast(function, ctypes.c_void_p).value or 0
         self._words[words.CODE : words.OF + 1] = code, address(table), 0, parts
+        self._words[words.DONE] = parts  # as long as it has not been started, there is nothing to wait for
 
     def _one(self, _: int, number: int, __: int) -> None:
         try:

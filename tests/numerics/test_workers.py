@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -142,6 +143,34 @@ def test_the_first_part_that_fails_is_told_and_all_begun_have_ended(threads: int
             compiled.in_parts(work, 5 * threads, threads, 5)
         assert not at_work
     assert compiled.in_parts(lambda a, b: b - a, 10, 2, 1) == [5, 5]
+
+
+@pytest.mark.parametrize("begun", (False, True))
+def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool) -> None:
+    pool, came = workers.Workers(2), threading.Event()
+    start = pool._start
+    at_work, ended = [], []
+
+    def interrupted(*words: int) -> None:
+        if begun:
+            start(*words)
+            came.wait(60)
+        raise KeyboardInterrupt
+
+    def work(number: int) -> None:
+        at_work.append(number)
+        came.set()
+        time.sleep(0.05)
+        ended.append(number)
+
+    pool._start = interrupted  # type: ignore[assignment]
+    with pytest.raises(KeyboardInterrupt):
+        pool.do(work, 2)
+    assert bool(ended) == begun and len(at_work) == len(ended) and not pool._words[workers_text.LEFT]
+    pool._start = start
+    pool.do(work, 2)
+    assert ended.count(0) == 1
+    pool.end()
 
 
 def test_functions_of_machine_code_are_called_with_each_row() -> None:

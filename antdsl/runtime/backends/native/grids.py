@@ -304,7 +304,7 @@ class Grids:
 
     def _in_parts(self, world: World, function: Function, table: int, count: int) -> None:
         """Call a function for so many rows, by several threads where that pays."""
-        threads = world.options.threads if count >= _PARTED else 1
+        threads = max(1, world.options.threads) if count >= _PARTED else 1
         part = -(-count // (WIDTH * threads)) * WIDTH
         compiled.listed(function, [(table, begin, min(begin + part, count)) for begin in range(0, count, part)], threads)
 
