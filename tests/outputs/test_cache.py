@@ -282,6 +282,7 @@ def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> N
     assert unbroken is not None and unbroken > 0 and worst("--resume") == unbroken == worst("--resume")
     checkpoint_path(folder, 12).unlink()
     assert worst("--resume") == unbroken
+    as_before(folder)
     line = read_lines(folder / HASHES)[12]
     arrays = dict(read_npz(checkpoint_path(folder, 12)))
     arrays.pop(SURFACE_ERROR)  # as before it was kept
@@ -453,6 +454,7 @@ def test_a_cache_from_before_checkpoints_had_hashes_is_read_and_said_to_be_not_c
 ) -> None:
     shutil.copytree(unbroken[0].parent, tmp_path / "p")
     folder = tmp_path / "p" / "out" / "scene"
+    as_before(folder)
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest.pop("static")
     (folder / "manifest.json").write_text(json.dumps(manifest))
