@@ -123,10 +123,18 @@ def _is_function(value: Any) -> bool:
 
 
 class _Counted:
-    """A function of NumPy that counts its calls; what it calls itself of NumPy's does not count again."""
+    """A function of NumPy that counts its calls; what it calls itself of NumPy's does not count again. It stands for the function
+    to whoever asks which one it is: a kernel that is made meanwhile has its name in its text."""
 
     def __init__(self, function: Callable[..., Any], counts: Counts, inside: list[bool]) -> None:
         self._function, self._counts, self._inside = function, counts, inside
+        self.__module__ = getattr(function, "__module__", "numpy")
+
+    def __eq__(self, other: object) -> bool:
+        return other is self._function or (isinstance(other, _Counted) and other._function is self._function)
+
+    def __hash__(self) -> int:
+        return hash(self._function)
 
     def __call__(self, *given: Any, **named: Any) -> Any:
         if self._inside[0]:

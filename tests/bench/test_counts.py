@@ -19,8 +19,10 @@ from counts import RECORDED, grown
 
 from antdsl.bench.cases import case_of
 from antdsl.bench.counting import SETTLED, count_step, counts_of
+from antdsl.machine_code.kernels import sources
 from antdsl.numerics import compiled
 from antdsl.runtime import Options, World, bind, state_hash, step, stepping
+from antdsl.senses.overlaps_compiled import worst
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "tests" / "benchmarks"
@@ -68,6 +70,17 @@ def test_counting_changes_no_step_and_leaves_nothing_behind(worlds: tuple[World,
     assert state_hash(counted) == state_hash(plain)
     for name in ("instructions", "instruction_bytes", "elements", "numpy_calls", "numpy_bytes", "python_calls"):
         assert found[0][name] > 0
+
+
+def test_a_kernel_that_is_made_in_a_step_that_is_counted_is_the_usual_one(
+    worlds: tuple[World, World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, made = (sources.key(worst.part, []), worst.text()), []
+    monkeypatch.setattr(
+        stepping, "PHASES", (*stepping.PHASES, ("made", lambda world: made.append((sources.key(worst.part, []), worst.text()))))
+    )
+    count_step(worlds[0])
+    assert made == [plain] and plain[0] is not None
 
 
 def test_one_more_call_of_numpy_is_counted_with_its_bytes(worlds: tuple[World, World], monkeypatch: pytest.MonkeyPatch) -> None:

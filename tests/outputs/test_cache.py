@@ -282,6 +282,7 @@ def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> N
     assert unbroken is not None and unbroken > 0 and worst("--resume") == unbroken == worst("--resume")
     checkpoint_path(folder, 12).unlink()
     assert worst("--resume") == unbroken
+    as_before(folder)
     line = read_lines(folder / HASHES)[12]
     arrays = dict(read_npz(checkpoint_path(folder, 12)))
     arrays.pop(SURFACE_ERROR)  # as before it was kept
@@ -371,6 +372,8 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint from which"),
     "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` is not what was written"),
     "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` is not what was written"),
+    "a hash of other feet": (lambda f: lines_changed(f, 33, feet="0" * 32), 25, "frame.0033.npz` is not what was written"),
+    "no hash of a checkpoint": (lambda f: lines_changed(f, 60, checkpoint=""), 57, "checkpoint.0060.npz` has no hash in"),
     "a cut line": (lambda f: os.truncate(f / HASHES, in_line_of(f, 31)), 25, "has no hash in `hashes.jsonl`"),
     "no hashes": (lambda f: (f / HASHES).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
 }  # fmt: skip
@@ -451,6 +454,7 @@ def test_a_cache_from_before_checkpoints_had_hashes_is_read_and_said_to_be_not_c
 ) -> None:
     shutil.copytree(unbroken[0].parent, tmp_path / "p")
     folder = tmp_path / "p" / "out" / "scene"
+    as_before(folder)
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest.pop("static")
     (folder / "manifest.json").write_text(json.dumps(manifest))

@@ -25,9 +25,9 @@ _BYTES = 400 * limits.FRAMES
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """`hash`: of the state; `file`: of the frame's number, that hash and its file, so that neither a damaged file nor a
-    damaged line passes; `checkpoint`: the same of its checkpoint. Empty in a cache from before that was written, or where
-    there is no checkpoint. `feet`: of the state of all feet, empty where none are worked out."""
+    """`hash`: of the state; `feet`: of the state of all feet, empty where none are worked out; `file`: of the frame's number,
+    those hashes and its file, so that neither a damaged file nor a damaged line passes; `checkpoint`: the same of its
+    checkpoint. Empty in a cache from before that was written, or where there is no checkpoint."""
 
     hash: str
     file: str
@@ -43,13 +43,13 @@ class Line:
 
 def line_of(frame: int, state: str, file: Stored, feet: str = "") -> Line:
     """The line for a frame with the state of a hash, which is written as this file, and with a hash of its feet."""
-    return Line(state, _told(_of_frame(frame, state), file.headers), feet=feet)
+    return Line(state, _told(_of_frame(frame, state) + _of_feet(feet), file.headers), feet=feet)
 
 
 def with_checkpoint(frame: int, line: Line, file: Stored) -> Line:
     """The line for a frame whose checkpoint is written as this file. It follows the one that the frame has already, and counts
     in its stead."""
-    return replace(line, checkpoint=_told(_of_checkpoint(frame, line.hash), file.headers))
+    return replace(line, checkpoint=_told(_of_checkpoint(frame, line.hash) + _of_feet(line.feet), file.headers))
 
 
 def hash_of_static(file: Stored) -> str:
@@ -79,14 +79,18 @@ def read_lines(path: Path) -> dict[int, Line]:
 
 def damage(path: Path, frame: int, line: Line | None) -> str | None:
     """What is wrong with the file of a frame, in words that stand alone; None where it has the bytes that were written."""
-    return _differs(path, *((b"", "") if line is None else (_of_frame(frame, line.hash), line.file)))
+    if line is None:
+        return _differs(path, b"", "")
+    return _differs(path, _of_frame(frame, line.hash) + _feet_within(line.file, line.feet), line.file)
 
 
 def checkpoint_damage(path: Path, frame: int, line: Line | None) -> str | None:
-    """The same for a checkpoint; one of which no hash was kept has nothing wrong that could be known here."""
-    if line is not None and not line.checkpoint:
+    """The same for a checkpoint; one from before hashes of them were kept has nothing wrong that could be known here."""
+    if line is None:
+        return _differs(path, b"", "")
+    if not line.checkpoint and not line.file.startswith(_BY_HEADERS):
         return None
-    return _differs(path, *((b"", "") if line is None else (_of_checkpoint(frame, line.hash), line.checkpoint)))
+    return _differs(path, _of_checkpoint(frame, line.hash) + _feet_within(line.checkpoint, line.feet), line.checkpoint)
 
 
 def static_damage(path: Path, wanted: str) -> str | None:
@@ -127,6 +131,15 @@ def _of_frame(frame: int, state: str) -> bytes:
 
 def _of_checkpoint(frame: int, state: str) -> bytes:
     return f"checkpoint {frame} {state} ".encode()
+
+
+def _of_feet(feet: str) -> bytes:
+    return f"{feet} ".encode() if feet else b""
+
+
+def _feet_within(wanted: str, feet: str) -> bytes:
+    """What a hash has of that of the feet: nothing where it is one of all bytes of a file."""
+    return _of_feet(feet) if wanted.startswith(_BY_HEADERS) else b""
 
 
 def _told(begin: bytes, headers: Iterable[bytes]) -> str:
