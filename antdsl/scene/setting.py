@@ -282,10 +282,11 @@ class Setting:
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
     legs: Mapping[str, LegsData] = field(default_factory=dict)
     unseen: frozenset[str] = frozenset()
-    dt: float = field(init=False)  # seconds a step
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "dt", float(1 / self.fps))
+    @property
+    def dt(self) -> float:
+        """Seconds a step."""
+        return self.fps.denominator / self.fps.numerator  # asked for many times a step: a Fraction takes ten times as long
 
     @property
     def begun_with(self) -> dict[str, frozenset[str]]:
