@@ -19,18 +19,19 @@ _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it 
 
 def slide(world: World, population: Population, step: Vector, up: Vector, radius: NDArray[np.float32]) -> Vector:
     """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
-    place = vec.named(population.now, "position")
-    for name in world.plan.of_kind("obstacle"):
-        if name in world.obstacles:
-            scene = mesh_of(world, name)
-            clear = clearance(world, population, name) if _where_they_were(population) else scene.clearance(*place)
-            step = _along(scene, place, step, up, radius, clear, world.options.threads)
+    names = _names(world)
+    if names:
+        place, began = vec.named(population.now, "position"), _where_they_were(population)
+    for name in names:
+        scene = mesh_of(world, name)
+        clear = clearance(world, population, name) if began else scene.clearance(*place)
+        step = _along(scene, place, step, up, radius, clear, world.options.threads)
     return step
 
 
 def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Vector) -> Vector:
     """As `slide`, of some agents alone, from where they are now in a step that began elsewhere."""
-    names = [name for name in world.plan.of_kind("obstacle") if name in world.obstacles]
+    names = _names(world)
     if names:
         place, radius, gone = _strayed(population, rows)
     for name in names:
@@ -51,6 +52,11 @@ def _strayed(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, ND
     at = vec.take(places, rows)
     gone = vec.length(vec.sub(at, vec.take(start, rows))) * (1 + _BIT)
     return at, population.now["radius"][rows], gone
+
+
+def _names(world: World) -> list[str]:
+    """Obstacles that there are."""
+    return [name for name in world.plan.of_kind("obstacle") if name in world.obstacles]
 
 
 def mesh_of(world: World, name: str) -> RayScene:
