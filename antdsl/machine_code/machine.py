@@ -23,6 +23,9 @@ _FUSED = ("fma", "fma4", "avx512f")  # what no instruction may come from, so tha
 # Of processors with registers of 512 bits those since 2019: from there on their use slows nothing down. They imply `fma`, which
 # nothing that is written here asks for.
 _WIDE = "avx512vbmi2"
+# A number that can be written to. llvmlite sets a page aside for such numbers where an object file has one, and that is where LLVM
+# puts the addresses of functions of C, of which llvmlite takes no account.
+_WRITTEN = '\n@"a number" = global i64 1\n'
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +105,7 @@ def named(features: Mapping[str, bool]) -> str:
 def object_code(text: str, target: Target) -> bytes:
     """An object file with the functions of a text. Raises RuntimeError where the text is wrong, which is our mistake."""
     with _LOCK:
-        machine, module = _passed(text, target)
+        machine, module = _passed(text + _WRITTEN, target)
         code: bytes = machine.emit_object(module)
         return code
 
@@ -176,10 +179,13 @@ class Code:
 
 
 def load(code: bytes) -> Code:
-    """Put an object file into memory, ready to run."""
+    """Put an object file into memory, ready to run.
+
+    Code and constants lie in one piece (`use_lmm`): code names its constants by 32 bits from where it stands, and pieces of their
+    own may lie further apart in a process with gigabytes of arrays, where LLVM ends the process."""
     llvm = _llvm()
     with _LOCK:
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(host()))
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(host()), use_lmm=True)
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
         return Code(engine)

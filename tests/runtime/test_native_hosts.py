@@ -1,4 +1,4 @@
-"""Machine code on other hosts: without instructions, without llvmlite, at the end of memory, and what it calls from outside."""
+"""Machine code on other hosts: without instructions, without llvmlite, at the end of memory and in pieces of it that lie far apart, and what it calls from outside."""
 
 from __future__ import annotations
 
@@ -55,6 +55,12 @@ def test_a_byte_behind_an_array_is_noticed() -> None:
 @pytest.mark.parametrize("what", ["2 0 9 100", pytest.param("2 2 1 7 8 9 70", marks=pytest.mark.slow)])
 def test_nothing_behind_the_spare_rows_is_touched(what: str) -> None:
     found = ran("guarded_memory.py", *what.split(), ANTDSL_NATIVE_CACHE="")
+    assert (found.returncode, found.stdout) == (0, "same\n"), found.stderr[-2000:]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is given out as by Linux")
+def test_code_finds_its_constants_in_a_process_of_gigabytes() -> None:
+    found = ran("far_memory.py")
     assert (found.returncode, found.stdout) == (0, "same\n"), found.stderr[-2000:]
 
 
