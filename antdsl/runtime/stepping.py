@@ -10,7 +10,7 @@ from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.phases import PHASES
 from antdsl.runtime.world import World
 
-_SHORT = 50e-6  # s
+_SHORT = 200e-6  # s
 _LAST = PHASES[-1][0]
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +18,13 @@ from antdsl.runtime.world import Population, World
 _F = np.float32
 _BIT = _F(1e-6)  # more than rounding makes a way shorter
 _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.runtime.moving import obstacles_compiled
+
+    return obstacles_compiled
 
 
 def slide(world: World, population: Population, step: Vector, up: Vector, radius: NDArray[np.float32]) -> Vector:
@@ -44,10 +54,8 @@ def _strayed(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, ND
     """Where some agents are now, their radii, and how far (mm) they are at most from where the step began."""
     places, start = (vec.named(registers, "position") for registers in (population.now, population.start))
     if compiled.wanted(len(rows)):
-        from antdsl.runtime.moving.obstacles_compiled import strayed
-
         place, radius, gone = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
-        strayed(rows, places, start, population.now["radius"], place, radius, gone)
+        _kernels().strayed(rows, places, start, population.now["radius"], place, radius, gone)
         return (place[0], place[1], place[2]), radius, gone
     at = vec.take(places, rows)
     gone = vec.length(vec.sub(at, vec.take(start, rows))) * (1 + _BIT)
@@ -70,9 +78,7 @@ def _where_they_were(population: Population) -> bool:
     """Whether everybody is still where the step began; not so after a first substep."""
     now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
     if compiled.wanted(len(population)):
-        from antdsl.runtime.moving.obstacles_compiled import same
-
-        found: bool = same(now, start)
+        found: bool = _kernels().same(now, start)
         return found
     return all((one == other).all() for one, other in zip(now, start, strict=True))
 
@@ -114,10 +120,9 @@ def _along_fast(
     threads: int,
 ) -> Vector:
     """As `_along`, to the same bits, by kernels."""
-    from antdsl.runtime.moving.obstacles_compiled import kept_off, touching
-
+    kernels = _kernels()
     rows, found = np.empty(len(radius), np.int64), np.empty((9, len(radius)), np.float32)
-    count = touching(place, step, radius, clear, rows, found)
+    count = kernels.touching(place, step, radius, clear, rows, found)
     if not count:
         return step
     rows, found = rows[:count], np.ascontiguousarray(found[:, :count])
@@ -125,7 +130,7 @@ def _along_fast(
     size, margin, _, x, y, z, _, _, _ = found
     gap, out = scene.apart(x, y, z, size + margin, threads)
     bent, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
-    asking = kept_off(found, above, gap, out, bent, going, rays)
+    asking = kernels.kept_off(found, above, gap, out, bent, going, rays)
     a, b, c = bent
     if asking:
         px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
