@@ -60,7 +60,7 @@ def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
     x, y, z, dx, dy, dz, reach = rays
     count = 0
     for i in range(reach.size):
-        n, face = _feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
+        n, face = feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
         if face == FURTHER:
             count += 1
         found[0, i] = np.float32(n[3])
@@ -84,7 +84,7 @@ def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt
         size = np.sqrt((wx[i] * wx[i] + wy[i] * wy[i]) + wz[i] * wz[i])
         if not (size > TINY and size < np.inf):
             continue
-        n, face = _feel(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
+        n, face = feel(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
         if face == FURTHER:
             count += 1
             t[i] = np.float32(n[3])
@@ -95,7 +95,7 @@ def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt
 
 
 @called
-def _feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
+def feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
     """The normal of what a feeler touches, towards the asker, and after how many mm (inf = nothing, NaN = the grid cannot tell);
     and the face."""
     shape, normals = grid[0], grid[7]
@@ -116,24 +116,33 @@ def apart(grid: Grid, places: Three, found: Array2[F32], begin: I64, end: I64) -
     """As `TriangleGrid.apart` of places from `begin` to before `end`, into `found`: gap, NaN for who has to ask elsewhere, and
     way out; how many have."""
     x, y, z = places
-    shape, normals = grid[0], grid[7]
     count = 0
     for i in range(begin, end):
-        p = np.float64(x[i]), np.float64(y[i]), np.float64(z[i])
-        square, face, q = _nearest(grid, (p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]))
-        if face < 0:
-            found[0, i] = np.float32(np.nan)
-            count += 1
-            continue
+        gap, out = way_out(grid, (x[i], y[i], z[i]))
+        count += 1 if gap != gap else 0
+        found[0, i], found[1, i], found[2, i], found[3, i] = gap, out[0], out[1], out[2]
+    return count
+
+
+@inlined
+def way_out(grid, place):  # type: ignore[no-untyped-def]
+    """As `apart`, of one place: how far it is out of the faces, NaN where the grid cannot tell, and the way out."""
+    shape, normals = grid[0], grid[7]
+    p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
+    square, face, q = _nearest(grid, (p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]))
+    gap, x, y, z = np.float32(np.nan), np.float32(0), np.float32(0), np.float32(0)
+    if face >= 0:
         distance = np.sqrt(square)
         n = normals[face, 0], normals[face, 1], normals[face, 2]
         away = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
         side = -1.0 if (away[0] * n[0] + away[1] * n[1]) + away[2] * n[2] < 0 else 1.0
-        found[0, i] = np.float32(distance * side)
+        gap = np.float32(distance * side)
         part = side / max(distance, TOUCHING)
-        for k in range(3):
-            found[k + 1, i] = np.float32(n[k] if distance < TOUCHING else away[k] * part)
-    return count
+        if distance < TOUCHING:
+            x, y, z = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+        else:
+            x, y, z = np.float32(away[0] * part), np.float32(away[1] * part), np.float32(away[2] * part)
+    return gap, (x, y, z)
 
 
 @kernel

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import Columns, Vector
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
 from antdsl.runtime.world import Population, World
 
@@ -27,7 +27,7 @@ def _kernels() -> Any:
     return obstacles_compiled
 
 
-def slide(world: World, population: Population, step: Vector, up: Vector, radius: NDArray[np.float32]) -> Vector:
+def slide(world: World, population: Population, step: Vector, up: Columns, radius: NDArray[np.float32]) -> Vector:
     """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
     names = _names(world)
     if names:
@@ -39,7 +39,7 @@ def slide(world: World, population: Population, step: Vector, up: Vector, radius
     return step
 
 
-def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Vector) -> Vector:
+def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Columns) -> Vector:
     """As `slide`, of some agents alone, from where they are now in a step that began elsewhere."""
     names = _names(world)
     if names:
@@ -87,7 +87,7 @@ def _along(
     scene: RayScene,
     place: Vector,
     step: Vector,
-    up: Vector,
+    up: Columns,
     radius: NDArray[np.float32],
     clear: NDArray[np.float32],
     threads: int,
@@ -114,14 +114,22 @@ def _along_fast(
     scene: RayScene,
     place: Vector,
     step: Vector,
-    up: Vector,
+    up: Columns,
     radius: NDArray[np.float32],
     clear: NDArray[np.float32],
     threads: int,
 ) -> Vector:
     """As `_along`, to the same bits, by kernels."""
-    kernels = _kernels()
-    rows, found = np.empty(len(radius), np.int64), np.empty((9, len(radius)), np.float32)
+    kernels, n = _kernels(), len(radius)
+    tables = scene.tables()
+    if tables is not None:
+        (rows, met), found, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
+        normals = np.stack(up) if isinstance(up, tuple) else up
+        work = partial(kernels.along, tables, place, step, normals, radius, clear, rows, found, met, faces)
+        parts = compiled.in_parts(work, n, threads, compiled.LIGHT)
+        if not any([left for _, _, _, left in parts]):
+            return _turned(scene, step, rows, found, met, faces, parts, threads)
+    rows, found = np.empty(n, np.int64), np.empty((9, n), np.float32)
     count = kernels.touching(place, step, radius, clear, rows, found)
     if not count:
         return step
@@ -142,11 +150,42 @@ def _along_fast(
     return _put(step, rows, (a, b, c))
 
 
+def _turned(
+    scene: RayScene,
+    step: Vector,
+    rows: NDArray[np.int64],
+    found: NDArray[np.float32],
+    met: NDArray[np.int64],
+    hits: NDArray[np.float32],
+    parts: list[tuple[int, int, int, int]],
+    threads: int,
+) -> Vector:
+    """Steps, of those whom the kernel `along` has found bent ones, of those who have met a face turned aside from that."""
+    if len(parts) > 1:
+        begin, counts = 0, [count for _, count, _, _ in parts]
+        firsts = [sum(counts[:k]) for k in range(len(parts))]
+        rows, found = (np.concatenate([each[..., b : b + n] for b, n, _, _ in parts], axis=-1) for each in (rows, found))
+        met = np.concatenate([met[b : b + n] + first for (b, _, n, _), first in zip(parts, firsts, strict=True)])
+        hits, hit, count = np.concatenate([hits[:, b : b + n] for b, _, n, _ in parts], axis=1), len(met), sum(counts)
+    else:
+        [(begin, count, hit, _)] = parts
+    if not count:
+        return step
+    found = found[:, begin : begin + count]
+    if hit:
+        some, (free, *normal) = met[:hit], hits[:, :hit]
+        place, bent, above = (found[k : k + 3] for k in (0, 3, 6))
+        _turn_aside(scene, place, bent, above, found[9], some, free, (normal[0], normal[1], normal[2]), threads)
+    to = np.empty((3, len(step[0])), np.float32)
+    _kernels().put(step, rows[:count], found[3:6], to)
+    return to[0], to[1], to[2]
+
+
 def _bent(
     scene: RayScene,
     place: Vector,
     step: Vector,
-    up: Vector,
+    up: Columns,
     size: NDArray[np.float32],
     margin: NDArray[np.float32],
     clear: NDArray[np.float32],
@@ -163,9 +202,9 @@ def _bent(
 
 def _turn_aside(
     scene: RayScene,
-    place: Vector,
-    step: Vector,
-    up: Vector,
+    place: Columns,
+    step: Columns,
+    up: Columns,
     margin: NDArray[np.float32],
     met: NDArray[np.intp],
     free: NDArray[np.float32],
@@ -195,7 +234,7 @@ def _keep_off(
     scene: RayScene,
     place: Vector,
     step: Vector,
-    up: Vector,
+    up: Columns,
     size: NDArray[np.float32],
     margin: NDArray[np.float32],
     threads: int,

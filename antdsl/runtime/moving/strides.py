@@ -118,8 +118,7 @@ class _Crowd:
         world, p = self.world, self.population
         if not world.plan.of_kind("obstacle"):
             return
-        wanted, normal = self.step, p.normal
-        up = normal[:, 0], normal[:, 1], normal[:, 2]
+        wanted, up = self.step, p.normal.T
         step = no_slower(world, p, slide(world, p, wanted, up, p.now["radius"]), up, self.dt)
         if step is not wanted:
             work = partial(slowed, wanted, step, self.velocity, _F(1) / self.dt)
