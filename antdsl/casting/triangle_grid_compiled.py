@@ -44,14 +44,52 @@ def firsts(
     cells = scratch(2 * AHEAD, I64)
     for low in range(begin, end, AHEAD):
         high = min(low + AHEAD, end)
-        for i in range(low, high):
-            k, a = 2 * (i - low), (origin[i, 0], origin[i, 1], origin[i, 2])
-            cells[k] = _look_at(grid, a)
-            cells[k + 1] = _look_at(grid, (a[0] + way[i, 0], a[1] + way[i, 1], a[2] + way[i, 2]))
-        for k in range(0, 2 * (high - low)):
-            _fetch_list(grid, cells[k])
+        _fetch(grid, origin, (0.0, 0.0, 0.0), way, cells, low, high)
         for i in range(low, high):
             t[i], face[i] = _first(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
+
+
+@kernel
+def faced(
+    grid: Grid,
+    origin: Strided2[F64],
+    way: Strided2[F64],
+    normals: Strided2[F64],
+    named: Array1[I64],
+    which: Array1[I64],
+    found: Array2[F64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64, I64]:
+    """As `TriangleGrid.faced` of rays from `begin` to before `end`, from number `begin` on into the last two arrays: which ones;
+    part of the way and normal (x y z), [4, n]. Gives `begin`, how many hit, and of how many the grid cannot tell."""
+    shape, count, left = grid[0], 0, 0
+    zero = shape[6], shape[7], shape[8]
+    cells = scratch(2 * AHEAD, I64)
+    for low in range(begin, end, AHEAD):
+        high = min(low + AHEAD, end)
+        _fetch(grid, origin, zero, way, cells, low, high)
+        for i in range(low, high):
+            a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
+            t, face = _first(grid, a, (way[i, 0], way[i, 1], way[i, 2]))
+            left += 1 if face == FURTHER else 0
+            if face >= 0:
+                k, f = begin + count, named[face]
+                which[k], found[0, k] = i, t
+                found[1, k], found[2, k], found[3, k] = normals[0, f], normals[1, f], normals[2, f]
+                count += 1
+    return begin, count, left
+
+
+@inlined
+def _fetch(grid, origin, zero, way, cells, low, high):  # type: ignore[no-untyped-def]
+    """Have faces near both ends of rays from `low` to before `high` brought near; origins count from a `zero`."""
+    for i in range(low, high):
+        k, a = 2 * (i - low), minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
+        cells[k] = _look_at(grid, a)
+        cells[k + 1] = _look_at(grid, (a[0] + way[i, 0], a[1] + way[i, 1], a[2] + way[i, 2]))
+    for k in range(0, 2 * (high - low)):
+        _fetch_list(grid, cells[k])
 
 
 @kernel

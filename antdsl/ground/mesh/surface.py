@@ -113,8 +113,7 @@ class MeshGround:
         """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface: their numbers, ascending, after what part of it,
         and the face's unit normal (3, k), by how it is wound."""
         scene, live = self._scene(None)
-        which, part, _, face = scene.cast_within(origin, way, threads)
-        return which, part, self._table.normal.take(live.take(face), axis=1)
+        return scene.faced(origin, way, self._table.normal, live, threads)
 
     def position(self, footing: Footing) -> Floats:
         """Places in the world, float64[n,3]; zero for footings nowhere."""
@@ -237,16 +236,13 @@ class MeshGround:
         None where they are put where rays hit, or where there is nothing to walk on."""
         if self._by_rays or not self._faces.size:
             return None
-        from antdsl.ground.mesh.walk_events import CrowdWalk
-
-        longest = float(ways.max(initial=0.0, where=np.isfinite(ways)))
-        parts = self._clearances.within(longest + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise)
-        return CrowdWalk(self._compiled(), parts, self._boxes, self._scale)
+        return self._compiled().of_crowd(self._clearances, self._boxes, self._scale, ways, body)
 
     def _compiled(self) -> Walk:
-        from antdsl.ground.mesh.walk_events import Walk
+        if self._fast is None:
+            from antdsl.ground.mesh.walk_events import Walk
 
-        self._fast = self._fast or Walk(self._table, self._mesh, self._first)
+            self._fast = Walk(self._table, self._mesh, self._first)
         return self._fast
 
     def _reach(self, wish: Floats, body: Floats) -> float:
