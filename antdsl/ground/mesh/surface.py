@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from math import sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,13 @@ from antdsl.numerics.vectors import dot
 
 if TYPE_CHECKING:
     from antdsl.ground.mesh.walk_events import CrowdWalk, Walk
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.ground.mesh import places_compiled
+
+    return places_compiled
 
 
 class MeshGround:
@@ -118,10 +126,8 @@ class MeshGround:
     def position(self, footing: Footing) -> Floats:
         """Places in the world, float64[n,3]; zero for footings nowhere."""
         if compiled.wanted(len(footing)):
-            from antdsl.ground.mesh.places_compiled import places
-
             found, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
-            if places(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, found):
+            if _kernels().places(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, found):
                 return found
         face, known = self._faces_of(footing)
         t = self._table
@@ -143,10 +149,8 @@ class MeshGround:
         if not self._faces.size:
             return np.zeros(len(footing), np.int8)
         if compiled.wanted(len(footing)):
-            from antdsl.ground.mesh.sides_compiled import faced
-
             found = np.empty(len(footing), np.int8)
-            faced(footing.mesh, footing.face, self._first, self._side, found)
+            _kernels().faced(footing.mesh, footing.face, self._first, self._side, found)
             return found
         face, known = self._faces_of(footing)
         return np.where(known, self._side.take(face), np.int8(0))
