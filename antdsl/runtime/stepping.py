@@ -27,7 +27,8 @@ def step(world: World) -> None:
 def _step(world: World) -> None:
     started, worked = perf_counter(), process_time()
     begun = worked
-    compiled.begin_step(len(world))
+    if not compiled.running():
+        compiled.begin_step(len(world))
     for name, phase in PHASES:
         phase(world)
         ended = perf_counter()

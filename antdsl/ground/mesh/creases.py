@@ -180,9 +180,9 @@ class RiseMap:
         """As `MeshGround.rising`, for agents on a face of a mesh (-1: nowhere), which count from the `first` of each on, with the
         lowest and highest corner of each mesh that moves."""
         if compiled.wanted(len(reach)) and not moving:
-            rows, faces, rungs = np.empty((3, len(reach)), np.int64)
+            rows, rungs = np.empty(len(reach), np.int64), np.empty(len(reach), np.int64)
             on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
-            count, asked = _kernels().candidates(*on, rows, faces, rungs)
+            count, asked = _kernels().candidates(*on, rows, rungs)
             return self._creases.keep(rows[:count], rungs[:count], asked, place) if count else rows[:0]
         known = (local >= 0) & (mesh >= 0) & (mesh < len(first) - 1) & (reach > 0)
         face = np.where(known, first.take(np.where(known, mesh, 0)) + local, 0)

@@ -41,6 +41,7 @@ class Rises:
     half: Floats
 
     @staticmethod
+    @cache
     def none() -> Rises:
         return Rises(np.empty(0, np.intp), np.empty((3, 0)), np.empty((3, 0)), *np.empty((4, 0)))
 
