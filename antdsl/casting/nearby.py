@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces
 from antdsl.casting.tolerances import TOUCHING
-from antdsl.casting.triangle_grid import Arrays, TriangleGrid
+from antdsl.casting.triangle_grid import Arrays, Tables, TriangleGrid
 from antdsl.numerics import compiled
 
 Vectors = NDArray[np.float64]
@@ -134,6 +134,11 @@ class Nearby:
                 found[1][asked] = np.inf
                 left.append((number, asked))
         return left
+
+    def tables(self) -> Tables | None:
+        """What kernels read of the grid of triangles; None where there is none."""
+        grid = self._triangles()
+        return None if grid is None else grid.tables
 
     def _compiled(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
         """The grid, where its kernels run and take these columns."""

@@ -15,6 +15,7 @@ from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.nearby import END, Index, Nearby, Vectors
 from antdsl.casting.tolerances import FURTHER, NOTHING
 from antdsl.casting.triangle_grid import TriangleGrid
+from antdsl.numerics import compiled
 
 Mesh = tuple[Vectors, NDArray[np.int32]]
 Met = tuple[Index, Vectors, Index, Vectors]
@@ -140,6 +141,19 @@ class RayScene(Nearby):
         """Which rays hit from `origin` [n,3] to `origin + step`, ascending; t, mesh, face. `most_hit`: it is not asked first."""
         which, t, face = self._within(origin - self.origin, step, threads, most_hit)
         return which, t, *self._counted(face)
+
+    def faced(
+        self, origin: Vectors, way: Vectors, normals: Vectors, named: Index, threads: int = 1
+    ) -> tuple[Index, Vectors, Vectors]:
+        """Which rays hit from `origin` [n,3] to `origin + way`, ascending; after what part of it; and the normal (3, k), of
+        those of (3, m), which each face of the scene has by its `named` number."""
+        grid = self._triangles()
+        if grid is not None and compiled.wanted(len(origin)):
+            found, left = grid.faced(origin, way, normals, named, threads)
+            if not left:
+                return found
+        which, part, face = self._within(origin - self.origin, way, threads)
+        return which, part, normals.take(named.take(face), axis=1)
 
     def _triangles(self) -> TriangleGrid | None:
         """The grid for short rays and near faces, made when it is first asked for: none for a scene of a single step."""

@@ -7,4 +7,4 @@ FAR_OFF = 1e-4  # relative, and in mm: more than any rounding of a place or a di
 
 NOTHING, FURTHER = -1, -2  # instead of a face: there is none, and the grid cannot tell
 LONGEST = 16.0  # cubes along the three axes that a ray passes: of longer ones, thousands at once are faster in a tree
-RINGS = 3  # of cubes around a place in which its nearest face is looked for
+RINGS = 4  # of cubes around a place in which its nearest face is looked for

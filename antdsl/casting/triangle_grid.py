@@ -94,6 +94,23 @@ class TriangleGrid:
         with np.errstate(all="ignore"):
             return self._first(origin, way)
 
+    def faced(
+        self, origin: Floats, way: Floats, normals: Floats, named: Index, threads: int = 1
+    ) -> tuple[tuple[Index, Floats, Floats], int]:
+        """Of rays from places in the world those that `first` finds a face for: their numbers, ascending, after what part of
+        their way, and the normal (3, k), of those of (3, m) which each face has by its `named` number; and for how many the grid
+        cannot tell. Compiled."""
+        which, found = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
+        work = partial(_kernels().faced, self.tables, origin, way, normals, named, which, found)
+        parts = compiled.in_parts(work, len(origin), threads, _RAYS)
+        _, count, left = parts[0]
+        if len(parts) > 1:
+            left = sum(each[2] for each in parts)
+            which = np.concatenate([which[begin : begin + count] for begin, count, _ in parts])
+            found = np.concatenate([found[:, begin : begin + count] for begin, count, _ in parts], axis=1)
+            count = len(which)
+        return (which[:count], found[0, :count], found[1:, :count]), left
+
     def _first(self, origin: Floats, way: Floats) -> tuple[Floats, Index]:
         low, width = self.tables[0][:3], self.tables[0][3]
         hair = self._hair / np.sqrt(dot(way, way))

@@ -44,14 +44,52 @@ def firsts(
     cells = scratch(2 * AHEAD, I64)
     for low in range(begin, end, AHEAD):
         high = min(low + AHEAD, end)
-        for i in range(low, high):
-            k, a = 2 * (i - low), (origin[i, 0], origin[i, 1], origin[i, 2])
-            cells[k] = _look_at(grid, a)
-            cells[k + 1] = _look_at(grid, (a[0] + way[i, 0], a[1] + way[i, 1], a[2] + way[i, 2]))
-        for k in range(0, 2 * (high - low)):
-            _fetch_list(grid, cells[k])
+        _fetch(grid, origin, (0.0, 0.0, 0.0), way, cells, low, high)
         for i in range(low, high):
             t[i], face[i] = _first(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
+
+
+@kernel
+def faced(
+    grid: Grid,
+    origin: Strided2[F64],
+    way: Strided2[F64],
+    normals: Strided2[F64],
+    named: Array1[I64],
+    which: Array1[I64],
+    found: Array2[F64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64, I64]:
+    """As `TriangleGrid.faced` of rays from `begin` to before `end`, from number `begin` on into the last two arrays: which ones;
+    part of the way and normal (x y z), [4, n]. Gives `begin`, how many hit, and of how many the grid cannot tell."""
+    shape, count, left = grid[0], 0, 0
+    zero = shape[6], shape[7], shape[8]
+    cells = scratch(2 * AHEAD, I64)
+    for low in range(begin, end, AHEAD):
+        high = min(low + AHEAD, end)
+        _fetch(grid, origin, zero, way, cells, low, high)
+        for i in range(low, high):
+            a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
+            t, face = _first(grid, a, (way[i, 0], way[i, 1], way[i, 2]))
+            left += 1 if face == FURTHER else 0
+            if face >= 0:
+                k, f = begin + count, named[face]
+                which[k], found[0, k] = i, t
+                found[1, k], found[2, k], found[3, k] = normals[0, f], normals[1, f], normals[2, f]
+                count += 1
+    return begin, count, left
+
+
+@inlined
+def _fetch(grid, origin, zero, way, cells, low, high):  # type: ignore[no-untyped-def]
+    """Have faces near both ends of rays from `low` to before `high` brought near; origins count from a `zero`."""
+    for i in range(low, high):
+        k, a = 2 * (i - low), minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
+        cells[k] = _look_at(grid, a)
+        cells[k + 1] = _look_at(grid, (a[0] + way[i, 0], a[1] + way[i, 1], a[2] + way[i, 2]))
+    for k in range(0, 2 * (high - low)):
+        _fetch_list(grid, cells[k])
 
 
 @kernel
@@ -60,7 +98,7 @@ def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
     x, y, z, dx, dy, dz, reach = rays
     count = 0
     for i in range(reach.size):
-        n, face = _feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
+        n, face = feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
         if face == FURTHER:
             count += 1
         found[0, i] = np.float32(n[3])
@@ -84,7 +122,7 @@ def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt
         size = np.sqrt((wx[i] * wx[i] + wy[i] * wy[i]) + wz[i] * wz[i])
         if not (size > TINY and size < np.inf):
             continue
-        n, face = _feel(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
+        n, face = feel(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
         if face == FURTHER:
             count += 1
             t[i] = np.float32(n[3])
@@ -95,7 +133,7 @@ def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt
 
 
 @called
-def _feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
+def feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
     """The normal of what a feeler touches, towards the asker, and after how many mm (inf = nothing, NaN = the grid cannot tell);
     and the face."""
     shape, normals = grid[0], grid[7]
@@ -116,24 +154,33 @@ def apart(grid: Grid, places: Three, found: Array2[F32], begin: I64, end: I64) -
     """As `TriangleGrid.apart` of places from `begin` to before `end`, into `found`: gap, NaN for who has to ask elsewhere, and
     way out; how many have."""
     x, y, z = places
-    shape, normals = grid[0], grid[7]
     count = 0
     for i in range(begin, end):
-        p = np.float64(x[i]), np.float64(y[i]), np.float64(z[i])
-        square, face, q = _nearest(grid, (p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]))
-        if face < 0:
-            found[0, i] = np.float32(np.nan)
-            count += 1
-            continue
+        gap, out = way_out(grid, (x[i], y[i], z[i]))
+        count += 1 if gap != gap else 0
+        found[0, i], found[1, i], found[2, i], found[3, i] = gap, out[0], out[1], out[2]
+    return count
+
+
+@inlined
+def way_out(grid, place):  # type: ignore[no-untyped-def]
+    """As `apart`, of one place: how far it is out of the faces, NaN where the grid cannot tell, and the way out."""
+    shape, normals = grid[0], grid[7]
+    p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
+    square, face, q = _nearest(grid, (p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]))
+    gap, x, y, z = np.float32(np.nan), np.float32(0), np.float32(0), np.float32(0)
+    if face >= 0:
         distance = np.sqrt(square)
         n = normals[face, 0], normals[face, 1], normals[face, 2]
         away = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
         side = -1.0 if (away[0] * n[0] + away[1] * n[1]) + away[2] * n[2] < 0 else 1.0
-        found[0, i] = np.float32(distance * side)
+        gap = np.float32(distance * side)
         part = side / max(distance, TOUCHING)
-        for k in range(3):
-            found[k + 1, i] = np.float32(n[k] if distance < TOUCHING else away[k] * part)
-    return count
+        if distance < TOUCHING:
+            x, y, z = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+        else:
+            x, y, z = np.float32(away[0] * part), np.float32(away[1] * part), np.float32(away[2] * part)
+    return gap, (x, y, z)
 
 
 @kernel

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,13 @@ class FieldTooFine(ValueError):
     def __init__(self, needed: int, cap: int, in_a_row: bool = False) -> None:
         super().__init__(f"about {needed:,} cells are needed and {cap:,} are allowed; a larger `cell` needs fewer")
         self.needed, self.cap, self.in_a_row = needed, cap, in_a_row
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.fields import cells_compiled
+
+    return cells_compiled
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,15 +184,13 @@ class SurfaceCells:
         self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells, threads: int
     ) -> tuple[int, Known | None]:
         """Write the cell of each point's own voxel and side, -1 for none; gives how many have none, and what to remember."""
-        from antdsl.fields.cells_compiled import located
-
         known = before
         if known is None or known.of is not self or len(known.key) != len(points):
             known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
         index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
         keys = (self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
         along = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
-        work = partial(located, along, side, *keys, known.key, known.cell, cell)
+        work = partial(_kernels().located, along, side, *keys, known.key, known.cell, cell)
         return sum(compiled.in_parts(work, len(points), threads, compiled.LIGHT)), known
 
     def _located_plainly(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +22,13 @@ FLUSH = 1e-12
 _SPARSE = 0.2  # share of cells that hold scent above which looking for who may smell any does not pay
 _NONE = np.empty(0)
 _SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.fields import pheromone_step_compiled
+
+    return pheromone_step_compiled
 
 
 class PheromoneField:
@@ -146,8 +153,7 @@ class PheromoneField:
 
     def _stepped(self, keep: float, spread: float) -> None:
         """The rest of a step by kernels."""
-        from antdsl.fields.pheromone_step_compiled import stepped
-
+        stepped = _kernels().stepped
         lands = 0 if not self._touched else 1 if self.combine == "add" else 2
         self._touched = False
         if self.deposits_first:
@@ -313,11 +319,9 @@ class _Flow:
 
     def of(self, held: NDArray[np.float64]) -> NDArray[np.float64]:
         """The same by a kernel, in an array that is written anew by the next call; `held` may have more behind the cells."""
-        from antdsl.fields.pheromone_step_compiled import flowed
-
         if not len(self._change):
             self._change = np.empty(len(self._out))
-        flowed(held, *self._links, self._out, self._change)
+        _kernels().flowed(held, *self._links, self._out, self._change)
         return self._change
 
 

@@ -120,12 +120,11 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int
     """`work(begin, end)` over so many agents, in as many parts as pay, of no fewer than `least` each, side by side; what each
     gave, in order. A kernel (a `partial` of one, whose last two arguments are missing) is handed over in machine code, in more
     parts than there are threads, to even them out. Who finds the threads at work for another takes all, in one part."""
-    threads, parts = min(threads, cores()), count // max(1, least)
-    if threads < 2 or parts < 2:
+    if threads < 2 or count < 2 * least or min(threads, cores()) < 2:
         return [work(0, count)]
     from antdsl.numerics import workers
 
-    return workers.in_parts(work, count, threads, parts, _running)
+    return workers.in_parts(work, count, min(threads, cores()), count // max(1, least), _running)
 
 
 def side_by_side(work: Callable[[int], object], threads: int) -> None:

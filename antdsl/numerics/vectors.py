@@ -30,19 +30,19 @@ def stacked_cross(a: Columns, b: Columns) -> Array:
     return np.stack(cross(a, b))
 
 
-def add(a: Vector, b: Vector) -> Vector:
+def add(a: Columns, b: Columns) -> Vector:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-def sub(a: Vector, b: Vector) -> Vector:
+def sub(a: Columns, b: Columns) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def scale(a: Vector, s: Array | float | np.floating[Any]) -> Vector:
+def scale(a: Columns, s: Array | float | np.floating[Any]) -> Vector:
     return a[0] * s, a[1] * s, a[2] * s
 
 
-def length(a: Vector) -> Array:
+def length(a: Columns) -> Array:
     return np.sqrt(dot(a, a))
 
 
@@ -55,11 +55,11 @@ def copy(a: Vector) -> Vector:
     return np.array(a[0]), np.array(a[1]), np.array(a[2])
 
 
-def take(a: Vector, rows: NDArray[np.integer[Any]] | NDArray[np.bool_] | slice) -> Vector:
+def take(a: Columns, rows: NDArray[np.integer[Any]] | NDArray[np.bool_] | slice) -> Vector:
     return a[0][rows], a[1][rows], a[2][rows]
 
 
-def flat(a: Vector, up: Vector) -> Vector:
+def flat(a: Columns, up: Columns) -> Vector:
     """The part of a across the unit vector up."""
     return sub(a, scale(up, dot(a, up)))
 

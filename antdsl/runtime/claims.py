@@ -7,6 +7,7 @@ register made. From a field whole multiples of `UNIT` are taken, as deposits are
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,13 @@ from antdsl.runtime.requests import ClaimEntry, GiveEntry
 from antdsl.runtime.world import Population, World
 
 Entries = list[tuple[Population, ClaimEntry]]
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.runtime import claims_compiled
+
+    return claims_compiled
 
 
 def settle(world: World) -> None:
@@ -207,9 +215,7 @@ def _served(rest: NDArray[np.float64], item: NDArray[np.integer], asks: _Asks) -
     if not len(item):
         return got
     if compiled.wanted(len(item)) and not asks.everything.any():
-        from antdsl.runtime.claims_compiled import in_turn
-
-        in_turn(rest, item.astype(np.int64, copy=False), asks.change, got)
+        _kernels().in_turn(rest, item.astype(np.int64, copy=False), asks.change, got)
         return got
     starts = np.flatnonzero(np.concatenate(([True], item[1:] != item[:-1])))
     ends = np.append(starts[1:], len(item))

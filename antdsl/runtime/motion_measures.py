@@ -172,15 +172,13 @@ class Motion:
 
     def _counted(self, population: Population, window: Window, dt: np.float32, steps: int, threads: int) -> NDArray[np.float64]:
         """The same by a kernel."""
-        from antdsl.runtime.motion_measures_compiled import counted
-
         now, start = _NOW(population.now), _START(population.start)
         seen = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
         given = (*seen, now[9:12], now[12:15], *now[15:], population.position, window.start, window.path, window.age)
 
         def part(begin: int, end: int) -> tuple[Any, ...]:
             own = (self.turns, self.tilts) if begin == 0 else (np.zeros_like(self.turns), np.zeros_like(self.tilts))
-            found = counted(*given, *own, *_bins(), window.straight, dt, *_MEANT, steps, begin, end)
+            found = _kernels().counted(*given, *own, *_bins(), window.straight, dt, *_MEANT, steps, begin, end)
             return begin, own, *found
 
         straight = []
@@ -267,6 +265,13 @@ def _bin_of(angle: NDArray[np.float32]) -> NDArray[np.int64]:
 
 def _histogram(angle: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.bincount(_bin_of(angle), minlength=_BINS + 1)[: _BINS + 1]
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.runtime import motion_measures_compiled
+
+    return motion_measures_compiled
 
 
 @cache

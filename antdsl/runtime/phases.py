@@ -5,6 +5,7 @@ Others, items and fields are read as they were when the step began (`start`, `se
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -141,6 +142,10 @@ def commit(world: World) -> None:
             begin_anew(population, _by_place(population))
             continue
         changed = [(start[name], array) for name, array in now.items() if start[name] is not array]
+        if len(population) < 2 * _COPIED:
+            for to, array in changed:
+                to[:] = array
+            continue
         compiled.in_parts(partial(_copied, changed), len(population), world.options.threads, _COPIED)
 
 
@@ -165,12 +170,10 @@ def _count_transitions(world: World, population: Population) -> None:
         before, after = population.start[name], population.now[name]
         (changed,) = (before != after).nonzero()
         if changed.size:
-            count = len(machine.states)
-            numbers = np.bincount(before[changed] * count + after[changed]).tolist()
-            for pair, number in enumerate(numbers):
-                if number:
-                    key = f"{population.name}.{machine.states[pair // count]}->{machine.states[pair % count]}"
-                    world.transitions[key] = world.transitions.get(key, 0) + number
+            pairs = Counter(zip(before[changed].tolist(), after[changed].tolist(), strict=True))
+            for (one, other), number in sorted(pairs.items()):
+                key = f"{population.name}.{machine.states[one]}->{machine.states[other]}"
+                world.transitions[key] = world.transitions.get(key, 0) + number
 
 
 # What settles an effect, by its row's op; the phase that the row names calls it.

@@ -10,7 +10,7 @@ from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.phases import PHASES
 from antdsl.runtime.world import World
 
-_SHORT = 50e-6  # s
+_SHORT = 200e-6  # s
 _LAST = PHASES[-1][0]
 
 
@@ -27,7 +27,8 @@ def step(world: World) -> None:
 def _step(world: World) -> None:
     started, worked = perf_counter(), process_time()
     begun = worked
-    compiled.begin_step(len(world))
+    if not compiled.running():
+        compiled.begin_step(len(world))
     for name, phase in PHASES:
         phase(world)
         ended = perf_counter()

@@ -269,7 +269,7 @@ class World:
         return self.frame + self.stepping
 
     def __len__(self) -> int:
-        return sum(len(p) for p in self.populations.values())
+        return sum([len(p.ids) for p in self.populations.values()])
 
 
 def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:

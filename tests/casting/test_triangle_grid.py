@@ -179,6 +179,29 @@ def test_kernels_and_arrays_give_the_same_bits(name: str, monkeypatch: pytest.Mo
     assert (found[0][1][[5, 6, 7, 8]] == NOTHING).all() and (found[0][4][[3, 4]] == FURTHER).all()
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("name", MESHES)
+def test_normals_of_first_faces_are_the_same_with_and_without_kernels(name: str, threads: int, monkeypatch: pytest.MonkeyPatch):
+    need_llvmlite()
+    scene, _ = made(name)
+    grid = scene._triangles()
+    assert grid is not None
+    origin, way = rays(scene, grid, 2000)
+    origin, named = origin + scene.origin, np.random.default_rng(4).permutation(len(scene._faces.corners))
+    normals = np.random.default_rng(5).normal(size=(3, len(named)))
+    short = np.flatnonzero(grid.first(origin - scene.origin, way)[1] != FURTHER)
+    assert 0 < len(short) < len(origin)
+    for some in (slice(None), short):  # of some rays, and of none, the grid cannot tell
+        found = []
+        for one in (True, False):
+            monkeypatch.setattr(compiled, "wanted", lambda count, one=one: one)
+            found.append(scene.faced(origin[some], way[some], normals, named, threads))
+        assert len(found[0][0]) > 100
+        for one, other in zip(*found, strict=True):
+            assert np.array_equal(one, other)
+    assert grid.faced(origin[short], way[short], normals, named, threads)[1] == 0
+
+
 def test_feelers_and_gaps_are_the_same_with_and_without_a_grid(monkeypatch: pytest.MonkeyPatch):
     need_llvmlite()
     scene, grid = made("a few of them")

@@ -156,7 +156,9 @@ def test_straight_walks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> N
     assert_same(*found)
 
 
-def test_steps_along_an_obstacle_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("odd_sizes", [False, True])
+def test_steps_along_an_obstacle_are_the_same(monkeypatch: pytest.MonkeyPatch, odd_sizes: bool, threads: int) -> None:
     need_kernels()
     rng, found = np.random.default_rng(8), []
     scene = RayScene(*box((-2, -2, -2), (2, 3, 1)))
@@ -165,10 +167,18 @@ def test_steps_along_an_obstacle_are_the_same(monkeypatch: pytest.MonkeyPatch) -
     for component in step:
         component[:50] = 0
     radius, clear = odd(rng, 0, -1, np.nan, np.inf), odd(rng, 0, np.inf, 1)
+    asked: list[int] = []
+    apart = scene.apart
+    monkeypatch.setattr(scene, "apart", lambda x, *others: asked.append(len(x)) or apart(x, *others))
+    monkeypatch.setattr(compiled, "LIGHT", N // 4)
+    if not odd_sizes:  # then the grid of triangles tells of all, in one call
+        radius = np.abs(np.nan_to_num(radius, nan=1, posinf=1)) % 4
+        place = tuple(np.clip(each, -6, 6) for each in place)
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
-        along = obstacles._along(scene, place, step, up, radius, clear, 1)  # type: ignore[arg-type]
+        along = obstacles._along(scene, place, step, up, radius, clear, threads)  # type: ignore[arg-type]
         found.append({str(k): v for k, v in enumerate(along)})
     assert_same(*found)
+    assert len(asked) == (2 if odd_sizes else 1)
     bent = sum(found[0][str(k)] != step[k] for k in range(3)) > 0
     assert 0.1 < bent.mean() < 0.9

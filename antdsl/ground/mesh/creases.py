@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,13 @@ _NOISE = 1e-4  # of a ground's extent: distances in float32 err by less
 _ALONG = 192  # cells along the longest side of a ground
 _SMOOTH = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
 _NONE = np.iinfo(np.int32).max
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.ground.mesh import creases_compiled
+
+    return creases_compiled
 
 
 def inner_creases(table: Topology, corners: Floats) -> Index:
@@ -93,8 +102,7 @@ class Creases:
     def keep(self, rows: Index, rungs: Index, asked: int, place: Floats) -> Index:
         """Of some rows at places (n, 3), those near: of rung -1, or by the grid of their rung over that of a cell; `asked` has a
         bit for each such rung that there is."""
-        from antdsl.ground.mesh.creases_compiled import close
-
+        close = _kernels().close
         for rung in range(asked.bit_length()):
             if asked >> rung & 1:
                 close(rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
@@ -172,11 +180,9 @@ class RiseMap:
         """As `MeshGround.rising`, for agents on a face of a mesh (-1: nowhere), which count from the `first` of each on, with the
         lowest and highest corner of each mesh that moves."""
         if compiled.wanted(len(reach)) and not moving:
-            from antdsl.ground.mesh.creases_compiled import candidates
-
-            rows, faces, rungs = np.empty((3, len(reach)), np.int64)
+            rows, rungs = np.empty(len(reach), np.int64), np.empty(len(reach), np.int64)
             on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
-            count, asked = candidates(*on, rows, faces, rungs)
+            count, asked = _kernels().candidates(*on, rows, rungs)
             return self._creases.keep(rows[:count], rungs[:count], asked, place) if count else rows[:0]
         known = (local >= 0) & (mesh >= 0) & (mesh < len(first) - 1) & (reach > 0)
         face = np.where(known, first.take(np.where(known, mesh, 0)) + local, 0)

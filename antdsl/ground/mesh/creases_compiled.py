@@ -26,11 +26,10 @@ def candidates(
     width: F64,
     whole: F64,
     rows: Array1[I64],
-    faces: Array1[I64],
     rungs: Array1[I64],
 ) -> tuple[I64, I64]:
     """How many stand on a face that is no further than `reach` from a rise, and which rungs of `Creases` are asked, by bits from
-    that of `width` on: their rows and faces, and the rung of those whose face is larger than their reach (-1 for others)."""
+    that of `width` on: their rows, and the rung of those whose face is larger than their reach (-1 for others)."""
     count, asked = 0, 0
     lowest = _rung(width, width, whole)
     for i in range(reach.size):
@@ -43,7 +42,7 @@ def candidates(
         if wide[f] > reach[i]:
             rung = _rung(reach[i], width, whole) - lowest
             asked = asked | (1 << rung)
-        rows[count], faces[count], rungs[count] = i, f, rung
+        rows[count], rungs[count] = i, rung
         count += 1
     return count, asked
 

@@ -1,8 +1,8 @@
-"""Where footings are in the world, of many in one pass: as `surface.MeshGround.position`.
+"""Where footings are in the world and which way their faces point, of many in one pass: as `MeshGround.position` and `sides`.
 
-From vertices, of which neighbours share most, so that less of memory is read than of a table of faces."""
+Places are made from vertices, of which neighbours share most, so that less of memory is read than of a table of faces."""
 
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, fetch_ahead, kernel
+from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, Array2, fetch_ahead, kernel
 
 _FETCHED = 64  # footings whose vertices are brought near at once
 
@@ -47,3 +47,13 @@ def places(
                     x, y, z = x + h * normal[0, f], y + h * normal[1, f], z + h * normal[2, f]
             place[n, 0], place[n, 1], place[n, 2] = x, y, z
     return True
+
+
+@kernel
+def faced(mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], found: Array1[I8]) -> None:
+    """Write the side of each face, of those of its mesh, which begin at `first`; 0 for nowhere."""
+    for n in range(found.size):
+        if mesh[n] >= 0 and face[n] >= 0:
+            found[n] = side[first[mesh[n]] + face[n]]
+        else:
+            found[n] = 0

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from math import sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,13 @@ from antdsl.numerics.vectors import dot
 
 if TYPE_CHECKING:
     from antdsl.ground.mesh.walk_events import CrowdWalk, Walk
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.ground.mesh import places_compiled
+
+    return places_compiled
 
 
 class MeshGround:
@@ -113,16 +121,13 @@ class MeshGround:
         """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface: their numbers, ascending, after what part of it,
         and the face's unit normal (3, k), by how it is wound."""
         scene, live = self._scene(None)
-        which, part, _, face = scene.cast_within(origin, way, threads)
-        return which, part, self._table.normal.take(live.take(face), axis=1)
+        return scene.faced(origin, way, self._table.normal, live, threads)
 
     def position(self, footing: Footing) -> Floats:
         """Places in the world, float64[n,3]; zero for footings nowhere."""
         if compiled.wanted(len(footing)):
-            from antdsl.ground.mesh.places_compiled import places
-
             found, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
-            if places(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, found):
+            if _kernels().places(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, found):
                 return found
         face, known = self._faces_of(footing)
         t = self._table
@@ -144,10 +149,8 @@ class MeshGround:
         if not self._faces.size:
             return np.zeros(len(footing), np.int8)
         if compiled.wanted(len(footing)):
-            from antdsl.ground.mesh.sides_compiled import faced
-
             found = np.empty(len(footing), np.int8)
-            faced(footing.mesh, footing.face, self._first, self._side, found)
+            _kernels().faced(footing.mesh, footing.face, self._first, self._side, found)
             return found
         face, known = self._faces_of(footing)
         return np.where(known, self._side.take(face), np.int8(0))
@@ -237,16 +240,13 @@ class MeshGround:
         None where they are put where rays hit, or where there is nothing to walk on."""
         if self._by_rays or not self._faces.size:
             return None
-        from antdsl.ground.mesh.walk_events import CrowdWalk
-
-        longest = float(ways.max(initial=0.0, where=np.isfinite(ways)))
-        parts = self._clearances.within(longest + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise)
-        return CrowdWalk(self._compiled(), parts, self._boxes, self._scale)
+        return self._compiled().of_crowd(self._clearances, self._boxes, self._scale, ways, body)
 
     def _compiled(self) -> Walk:
-        from antdsl.ground.mesh.walk_events import Walk
+        if self._fast is None:
+            from antdsl.ground.mesh.walk_events import Walk
 
-        self._fast = self._fast or Walk(self._table, self._mesh, self._first)
+            self._fast = Walk(self._table, self._mesh, self._first)
         return self._fast
 
     def _reach(self, wish: Floats, body: Floats) -> float:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh import walk_compiled as loop
 from antdsl.ground.mesh.boxes import Boxes
 from antdsl.ground.mesh.face_table import pack, packed
-from antdsl.ground.mesh.surface_clearance import Parts
-from antdsl.ground.mesh.surroundings import Scale
+from antdsl.ground.mesh.reach_compiled import longest
+from antdsl.ground.mesh.surface_clearance import Clearances, Parts
+from antdsl.ground.mesh.surroundings import LIFT, Scale
 from antdsl.ground.mesh.topology import Topology
 from antdsl.numerics import compiled
 
@@ -29,10 +30,21 @@ class Walk:
     def __init__(self, table: Topology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
         self.table, self.first, self._mesh = table, first, mesh
         self.packed = packed(table, mesh)
+        self._crowd: CrowdWalk | None = None  # that of the last step
 
     def changed(self, faces: slice) -> None:
         """Some faces have another shape in the table."""
         pack(self.packed, self.table, self._mesh, faces)
+
+    def of_crowd(
+        self, clearances: Clearances, boxes: Boxes, scale: Scale, ways: NDArray[np.float32], bodies: NDArray[np.float32]
+    ) -> CrowdWalk:
+        """That of agents with ways and bodies so long (mm), which says how far the surfaces about them are."""
+        way, body = longest(ways, bodies)
+        parts, known = clearances.within(way + LIFT * body + 3 * scale.noise), self._crowd
+        if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
+            known = self._crowd = CrowdWalk(self, parts, boxes, scale)
+        return known
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ a second. Who has a way to face turns there instead, and walks backward and side
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,6 @@ from antdsl.ground.protocol import Move
 from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
-from antdsl.runtime.moving import strides
 from antdsl.runtime.moving.falling import in_the_air
 from antdsl.runtime.moving.headings import AT_ONCE, BEYOND, BOUNCE, FACE, LEAST_TURN, LEVEL, NINETIETH, SLOW, TWELFTH, share
 from antdsl.runtime.moving.least_speed import LEAST, least, no_slower, quickened
@@ -35,7 +35,7 @@ def move(world: World, population: Population, substep: int) -> None:
         return
     dt = _F(world.dt / world.setting.substeps)
     if compiled.wanted(len(population)):
-        strides.move(world, population, dt, substep)
+        _strides().move(world, population, dt, substep)
         return
     up = vec.columns(population.normal, np.float32)
     others = world.setting.orient != "normal"
@@ -61,6 +61,14 @@ def move(world: World, population: Population, substep: int) -> None:
         orient(world, population, *before)
         hasty[:] = True
     body.follow(hasty, came_from, dt)
+
+
+@cache
+def _strides() -> Any:
+    """What does this by kernels, which take a while to load."""
+    from antdsl.runtime.moving import strides
+
+    return strides
 
 
 def _arrive(

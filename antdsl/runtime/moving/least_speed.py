@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import Columns, Vector
 from antdsl.runtime.moving.obstacles import slide
 from antdsl.runtime.moving.walks import is_led
 from antdsl.runtime.world import Population, World
@@ -32,7 +32,7 @@ def quickened(velocity: Vector, before: Vector, heading: Vector, least: NDArray[
     return vec.choose(square < least * least, vec.add(velocity, vec.scale(ahead, more)), velocity)
 
 
-def no_slower(world: World, population: Population, step: Vector, up: Vector, dt: np.float32) -> Vector:
+def no_slower(world: World, population: Population, step: Vector, up: Columns, dt: np.float32) -> Vector:
     """Steps (mm) that obstacles have bent: of those who have to keep moving as long as the least speed asks for along the same
     way, if that is free."""
     now = population.now

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cache, partial
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
 from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import Columns, Vector
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
 from antdsl.runtime.world import Population, World
 
@@ -17,7 +20,14 @@ _BIT = _F(1e-6)  # more than rounding makes a way shorter
 _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
 
 
-def slide(world: World, population: Population, step: Vector, up: Vector, radius: NDArray[np.float32]) -> Vector:
+@cache
+def _kernels() -> Any:
+    from antdsl.runtime.moving import obstacles_compiled
+
+    return obstacles_compiled
+
+
+def slide(world: World, population: Population, step: Vector, up: Columns, radius: NDArray[np.float32]) -> Vector:
     """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
     names = _names(world)
     if names:
@@ -29,7 +39,7 @@ def slide(world: World, population: Population, step: Vector, up: Vector, radius
     return step
 
 
-def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Vector) -> Vector:
+def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Columns) -> Vector:
     """As `slide`, of some agents alone, from where they are now in a step that began elsewhere."""
     names = _names(world)
     if names:
@@ -44,10 +54,8 @@ def _strayed(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, ND
     """Where some agents are now, their radii, and how far (mm) they are at most from where the step began."""
     places, start = (vec.named(registers, "position") for registers in (population.now, population.start))
     if compiled.wanted(len(rows)):
-        from antdsl.runtime.moving.obstacles_compiled import strayed
-
         place, radius, gone = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
-        strayed(rows, places, start, population.now["radius"], place, radius, gone)
+        _kernels().strayed(rows, places, start, population.now["radius"], place, radius, gone)
         return (place[0], place[1], place[2]), radius, gone
     at = vec.take(places, rows)
     gone = vec.length(vec.sub(at, vec.take(start, rows))) * (1 + _BIT)
@@ -70,9 +78,7 @@ def _where_they_were(population: Population) -> bool:
     """Whether everybody is still where the step began; not so after a first substep."""
     now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
     if compiled.wanted(len(population)):
-        from antdsl.runtime.moving.obstacles_compiled import same
-
-        found: bool = same(now, start)
+        found: bool = _kernels().same(now, start)
         return found
     return all((one == other).all() for one, other in zip(now, start, strict=True))
 
@@ -81,7 +87,7 @@ def _along(
     scene: RayScene,
     place: Vector,
     step: Vector,
-    up: Vector,
+    up: Columns,
     radius: NDArray[np.float32],
     clear: NDArray[np.float32],
     threads: int,
@@ -108,16 +114,23 @@ def _along_fast(
     scene: RayScene,
     place: Vector,
     step: Vector,
-    up: Vector,
+    up: Columns,
     radius: NDArray[np.float32],
     clear: NDArray[np.float32],
     threads: int,
 ) -> Vector:
     """As `_along`, to the same bits, by kernels."""
-    from antdsl.runtime.moving.obstacles_compiled import kept_off, touching
-
-    rows, found = np.empty(len(radius), np.int64), np.empty((9, len(radius)), np.float32)
-    count = touching(place, step, radius, clear, rows, found)
+    kernels, n = _kernels(), len(radius)
+    tables = scene.tables()
+    if tables is not None:
+        (rows, met), found, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
+        normals = np.stack(up) if isinstance(up, tuple) else up
+        work = partial(kernels.along, tables, place, step, normals, radius, clear, rows, found, met, faces)
+        parts = compiled.in_parts(work, n, threads, compiled.LIGHT)
+        if not any([left for _, _, _, left in parts]):
+            return _turned(scene, step, rows, found, met, faces, parts, threads)
+    rows, found = np.empty(n, np.int64), np.empty((9, n), np.float32)
+    count = kernels.touching(place, step, radius, clear, rows, found)
     if not count:
         return step
     rows, found = rows[:count], np.ascontiguousarray(found[:, :count])
@@ -125,7 +138,7 @@ def _along_fast(
     size, margin, _, x, y, z, _, _, _ = found
     gap, out = scene.apart(x, y, z, size + margin, threads)
     bent, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
-    asking = kept_off(found, above, gap, out, bent, going, rays)
+    asking = kernels.kept_off(found, above, gap, out, bent, going, rays)
     a, b, c = bent
     if asking:
         px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
@@ -137,11 +150,42 @@ def _along_fast(
     return _put(step, rows, (a, b, c))
 
 
+def _turned(
+    scene: RayScene,
+    step: Vector,
+    rows: NDArray[np.int64],
+    found: NDArray[np.float32],
+    met: NDArray[np.int64],
+    hits: NDArray[np.float32],
+    parts: list[tuple[int, int, int, int]],
+    threads: int,
+) -> Vector:
+    """Steps, of those whom the kernel `along` has found bent ones, of those who have met a face turned aside from that."""
+    if len(parts) > 1:
+        begin, counts = 0, [count for _, count, _, _ in parts]
+        firsts = [sum(counts[:k]) for k in range(len(parts))]
+        rows, found = (np.concatenate([each[..., b : b + n] for b, n, _, _ in parts], axis=-1) for each in (rows, found))
+        met = np.concatenate([met[b : b + n] + first for (b, _, n, _), first in zip(parts, firsts, strict=True)])
+        hits, hit, count = np.concatenate([hits[:, b : b + n] for b, _, n, _ in parts], axis=1), len(met), sum(counts)
+    else:
+        [(begin, count, hit, _)] = parts
+    if not count:
+        return step
+    found = found[:, begin : begin + count]
+    if hit:
+        some, (free, *normal) = met[:hit], hits[:, :hit]
+        place, bent, above = (found[k : k + 3] for k in (0, 3, 6))
+        _turn_aside(scene, place, bent, above, found[9], some, free, (normal[0], normal[1], normal[2]), threads)
+    to = np.empty((3, len(step[0])), np.float32)
+    _kernels().put(step, rows[:count], found[3:6], to)
+    return to[0], to[1], to[2]
+
+
 def _bent(
     scene: RayScene,
     place: Vector,
     step: Vector,
-    up: Vector,
+    up: Columns,
     size: NDArray[np.float32],
     margin: NDArray[np.float32],
     clear: NDArray[np.float32],
@@ -158,9 +202,9 @@ def _bent(
 
 def _turn_aside(
     scene: RayScene,
-    place: Vector,
-    step: Vector,
-    up: Vector,
+    place: Columns,
+    step: Columns,
+    up: Columns,
     margin: NDArray[np.float32],
     met: NDArray[np.intp],
     free: NDArray[np.float32],
@@ -190,7 +234,7 @@ def _keep_off(
     scene: RayScene,
     place: Vector,
     step: Vector,
-    up: Vector,
+    up: Columns,
     size: NDArray[np.float32],
     margin: NDArray[np.float32],
     threads: int,

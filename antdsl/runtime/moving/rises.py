@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ class Rises:
     half: Floats
 
     @staticmethod
+    @cache
     def none() -> Rises:
         return Rises(np.empty(0, np.intp), np.empty((3, 0)), np.empty((3, 0)), *np.empty((4, 0)))
 
@@ -96,6 +98,13 @@ class Rises:
         free = np.maximum(self.over * (tilt / self.angle - 1.0) + self.far, 0.0)
         found[at] = np.where(towards > 0.05, free / np.maximum(towards, 0.05), np.inf)
         return found
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.runtime.moving import rises_compiled
+
+    return rises_compiled
 
 
 def reaches(size: NDArray[np.float32]) -> tuple[Floats, Floats]:
@@ -164,25 +173,24 @@ def rises_by_kernels(
     rows = meshes.rising(population.footing, population.position, reach)
     if not len(rows):
         return Rises.none()
-    from antdsl.runtime.moving.rises_compiled import look, walls
-
-    now, most = population.now, max(_FEW, 1 << len(rows).bit_length())  # the same room while about as many look out
-    (which,), (halves, sizes) = (
-        population.room("looks", 1, (2 * most,), np.int64),
-        population.room("sizes", 2, (2 * most,), np.float64),
-    )
+    kernels, now, most = (
+        _kernels(),
+        population.now,
+        max(_FEW, 1 << len(rows).bit_length()),
+    )  # the same room while about as many look out
+    (which,) = population.room("looks", 1, (2 * most,), np.int64)
+    halves, sizes = population.room("sizes", 2, (2 * most,), np.float64)
     ahead, normal, origin, ray = population.room("ways", 4, (3, 2 * most), np.float64)
     looks = (which, halves, sizes, ahead, normal)
     face, heading = vec.named(now, "~face") if FACE in now else step, vec.named(now, "heading")
     ways = (heading, looking, state, step, FACE in now, face)
-    count = look(rows, now["size"], population.position, population.normal, *ways, looks, origin, ray)
+    count = kernels.look(rows, now["size"], population.position, population.normal, *ways, looks, origin, ray)
     hit, part, wall = meshes.faced(origin[:, :count].T, ray[:, :count].T, world.options.threads)
     if not len(hit):
         return Rises.none()
-    own, lengths, vectors = np.empty(len(hit), np.int64), np.empty((4, len(hit))), np.empty((2, 3, len(hit)))
-    count = walls(len(rows), looks, hit, part, wall, own, *vectors, *lengths, state)
-    found, along = (each[:, :count] for each in vectors)
-    return Rises(own[:count], found, along, *(each[:count] for each in lengths))
+    own, lengths, found, along = np.empty(len(hit), np.int64), np.empty((4, len(hit))), *np.empty((2, 3, len(hit)))
+    count = kernels.walls(len(rows), looks, hit, part, wall, own, found, along, *lengths, state)
+    return Rises(own[:count], found[:, :count], along[:, :count], *lengths[:, :count])
 
 
 def _seen(

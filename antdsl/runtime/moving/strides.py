@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.ground.mesh import walk_compiled as loop
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.walk_events import CrowdWalk, Waiting
 from antdsl.ground.plane import Plane
@@ -19,14 +20,18 @@ from antdsl.ground.protocol import Footing, Ground, Move
 from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
+from antdsl.runtime.moving.advance_compiled import arrive
 from antdsl.runtime.moving.falling import in_the_air
 from antdsl.runtime.moving.headings import AT_ONCE, FACE, share
 from antdsl.runtime.moving.heads import RAISED
 from antdsl.runtime.moving.least_speed import LEAST, no_slower
 from antdsl.runtime.moving.obstacles import slide
+from antdsl.runtime.moving.obstacles_compiled import slowed
 from antdsl.runtime.moving.orienting import orient
 from antdsl.runtime.moving.rises import WIDEST, rises_by_kernels
+from antdsl.runtime.moving.strides_compiled import glide, set_out, stride
 from antdsl.runtime.moving.tilting import WAITING
+from antdsl.runtime.moving.tilting_compiled import STANDS, follow, pace
 from antdsl.runtime.moving.walks import led, walks_of
 from antdsl.runtime.world import Population, World
 
@@ -35,8 +40,6 @@ _F = np.float32
 
 def move(world: World, population: Population, dt: np.float32, substep: int) -> None:
     """As `advance.move`, of a crowd of one at least, in `dt` seconds."""
-    from antdsl.runtime.moving.tilting_compiled import follow, pace
-
     others = world.setting.orient != "normal"
     crowd = _Crowd.of(world, population, dt, others)
     before = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
@@ -93,8 +96,6 @@ class _Crowd:
 
     def set_out(self, substep: int) -> None:
         """What all are about to do, whatever is in their way."""
-        from antdsl.runtime.moving.strides_compiled import set_out
-
         p, now, whole = self.population, self.population.now, self.whole
         _, *given = self.registers
         limits = (now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
@@ -117,10 +118,7 @@ class _Crowd:
         world, p = self.world, self.population
         if not world.plan.of_kind("obstacle"):
             return
-        from antdsl.runtime.moving.obstacles_compiled import slowed
-
-        wanted, normal = self.step, p.normal
-        up = normal[:, 0], normal[:, 1], normal[:, 2]
+        wanted, up = self.step, p.normal.T
         step = no_slower(world, p, slide(world, p, wanted, up, p.now["radius"]), up, self.dt)
         if step is not wanted:
             work = partial(slowed, wanted, step, self.velocity, _F(1) / self.dt)
@@ -140,8 +138,6 @@ class _Crowd:
             self._over_any(ground, there)
 
     def _over_plane(self, plane: Plane, there: tuple[Any, ...]) -> None:
-        from antdsl.runtime.moving.strides_compiled import glide
-
         p, n = self.population, len(self.population)
         place, normals = np.empty((n, 3)), np.empty((n, 3), np.float32)
         going = (self.velocity, self.step, self.looking)
@@ -151,9 +147,6 @@ class _Crowd:
 
     def _over_meshes(self, ground: MeshGround, there: tuple[Any, ...]) -> bool:
         """False where triangles are not what is walked over."""
-        from antdsl.ground.mesh import walk_compiled as loop
-        from antdsl.runtime.moving.strides_compiled import stride
-
         p, n = self.population, len(self.population)
         walk = ground.crowd_walk(self.long, p.now["size"])
         if walk is None:
@@ -190,15 +183,13 @@ class _Crowd:
     ) -> None:
         """Move those who have come to something else than the next face of their surface, and those who are nowhere or whose
         numbers are none, and let them arrive."""
-        from antdsl.ground.mesh.walk_compiled import DONE
-
         p, n = self.population, len(self.population)
         above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
         (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
         placed, moved = (to.mesh, to.face, to.b1, to.b2, to.over), (place, above, ahead, direction, gone)
         rows, left = walk.on(parted, how, placed, moved, blocked, self.threads)
         if left:
-            others = np.flatnonzero(how != DONE)
+            others = np.flatnonzero(how != loop.DONE)
             result = Move(to, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
             result.put(others, self._moved(ground, others))
             rows = np.union1d(rows, others)
@@ -217,8 +208,6 @@ class _Crowd:
 
     def _moved(self, ground: Ground, rows: NDArray[np.intp] | slice) -> Move:
         """Where a ground moves some agents."""
-        from antdsl.runtime.moving.tilting_compiled import STANDS
-
         p = self.population
         stands = self.state[rows] == STANDS
         heading = vec.choose(stands, vec.take(self.registers[2], rows), vec.take(self.looking, rows))
@@ -229,7 +218,5 @@ class _Crowd:
     def _arrive(
         self, rows: NDArray[np.intp], walked: tuple[Any, ...], there: tuple[Any, ...], normals: NDArray[np.float32]
     ) -> None:
-        from antdsl.runtime.moving.advance_compiled import arrive
-
         work = partial(arrive, rows, self.velocity, self.step, self.population.position, walked, *there, normals)
         compiled.in_parts(work, len(rows), self.threads, compiled.LIGHT)

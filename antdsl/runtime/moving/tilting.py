@@ -10,6 +10,7 @@ over about its own length; where it cannot tilt as fast as it walks, the feet wa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,13 @@ _RIGHT_ANGLE = _F(np.pi / 2)
 _LEAST = _F(np.pi / 4)  # rad/s that a body tilts at least: who turns slower still comes round an edge
 _OPPOSITE = 0.05  # sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
 WAITING = _F(0.05)  # of a velocity: kept by who waits for its body
+
+
+@cache
+def _kernels() -> Any:
+    from antdsl.runtime.moving import tilting_compiled
+
+    return tilting_compiled
 
 
 def limits(now: dict[str, NDArray[Any]], dt: np.float32) -> NDArray[np.float32]:
@@ -185,10 +193,8 @@ def lay(population: Population) -> None:
     start, now = population.start, population.now
     population.laid = None
     if compiled.wanted(n := len(population)):
-        from antdsl.runtime.moving import tilting_compiled
-
         (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
-        count = tilting_compiled.lay(population.normal, *_registers(start), *_registers(now), found, *lean)
+        count = _kernels().lay(population.normal, *_registers(start), *_registers(now), found, *lean)
         if count:
             population.laid = (found[:count], *(vectors[:, :count] for vectors in lean))
         return
@@ -210,9 +216,7 @@ def stand_up(population: Population) -> None:
     rows, up, heading, along = population.laid
     population.laid = None
     if compiled.wanted(len(population)):
-        from antdsl.runtime.moving import tilting_compiled
-
-        tilting_compiled.stand_up(rows, up, heading, along, *_registers(population.start), *_registers(population.now))
+        _kernels().stand_up(rows, up, heading, along, *_registers(population.start), *_registers(population.now))
         return
     told = np.stack([population.now[f"heading.{axis}"][rows] for axis in AXES])
     kept = np.where((told == along).all(axis=0), heading, told)

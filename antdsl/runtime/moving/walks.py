@@ -17,7 +17,11 @@ _F = np.float32
 
 def walks_of(world: World, population: Population) -> dict[int, WalkData]:
     """The walks of a species by the number of the crowd's line that has one."""
-    return {c.group: c.walk for c in world.setting.crowds if c.walk is not None and c.species == population.name}
+    found = {}
+    for crowd in world.setting.crowds:  # which is done a few times in each step: most scenes lead nobody
+        if crowd.walk is not None and crowd.species == population.name:
+            found[crowd.group] = crowd.walk
+    return found
 
 
 def is_led(world: World, population: Population) -> NDArray[np.bool_]:
