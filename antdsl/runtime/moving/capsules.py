@@ -141,9 +141,9 @@ class Near:
         if compiled.wanted(len(self.i)):
             from antdsl.runtime.moving.capsules_compiled import measured
 
-            lost = np.empty(len(self.i), np.intp)
+            some, lost = np.empty((2, len(self.i)), np.intp)
             capsules = (self.ahead, self.up, self.half, self.radius)
-            count = measured(self.middle, gone, *capsules, self.i, self.j, changed, gap, way, lost)
+            count = measured(self.middle, gone, *capsules, self.i, self.j, changed, gap, way, some, lost)
             which = lost[:count]
         else:
             which = np.flatnonzero(changed.take(self.i) | changed.take(self.j))

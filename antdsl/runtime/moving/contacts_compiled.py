@@ -22,7 +22,7 @@ from antdsl.machine_code.kernels import (
     kernel,
 )
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
-from antdsl.runtime.moving.capsules_compiled import measured
+from antdsl.runtime.moving.capsules_compiled import listed, measured_some
 
 _FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts` and `cutting`
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
@@ -43,6 +43,7 @@ Room = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], A
 
 _WEIGHT, _LOCKED, _SPREAD, _LIGHT, _HEAPED, _MOST, _ROOM = range(7)  # numbers of rows
 _NUMBER, _SOME, _CONTACTS = 0, 1, 2  # whole numbers of rows
+_NONE, _MET = -1, -2  # numbers of rows that are in no pair of a look, and that touch another
 _DEAD_ZONE, _DEEP, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
 _CHOSEN, _FIRST, _SECOND = 0, 1, 2  # whole numbers of pairs
 
@@ -183,8 +184,8 @@ def _greatest(numbers, count):  # type: ignore[no-untyped-def]
 
 
 @called
-def _share(m, some, count, room, light, heap):  # type: ignore[no-untyped-def]
-    """As `contacts._shares`, for the first `m` pairs of `room`, among the first `count` of `some` rows."""
+def _share(m, count, room, light, heap):  # type: ignore[no-untyped-def]
+    """As `contacts._shares`, for the first `m` pairs of `room`, among the first `count` rows."""
     locked, spread = room[2][_LOCKED], room[2][_SPREAD]
     numbers, first, second = room[5], room[7][_FIRST], room[7][_SECOND]
     deep = numbers[_DEEP]
@@ -208,11 +209,11 @@ def _share(m, some, count, room, light, heap):  # type: ignore[no-untyped-def]
             locked[k] = _rounded(spread[k] / highest)
     for n in range(m):
         p, q = first[n], second[n]
-        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap[some[p]], heap[some[q]])
+        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap[p], heap[q])
         outer = 0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300)
         outer = min(max(outer, _LEAST), 1 - _LEAST)
-        one = light[some[p]] * outer * numbers[_LEVEL, n]
-        total = one + light[some[q]] * (1 - outer) * numbers[_LEVEL + 1, n]
+        one = light[p] * outer * numbers[_LEVEL, n]
+        total = one + light[q] * (1 - outer) * numbers[_LEVEL + 1, n]
         part = np.rint(one / max(total, 1e-300) * _SHARES) / _SHARES
         numbers[_SHARE, n], numbers[_SHARE + 1, n] = part, 1 - part if total > 0 else 0.0
 
@@ -244,39 +245,46 @@ def parted(
     Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
     middle, ahead, up, half, radius = bodies
     i, j, gap, way, which = pairs
-    least, changed = room[5][_DEAD_ZONE], room[4]
+    least, number, some, changed = room[5][_DEAD_ZONE], room[3][_NUMBER], room[3][_SOME], room[4]
     for pair in independent(0, i.size):
         least[pair] = (radius[i[pair]] + radius[j[pair]]) * _DEAD
-    _limit(radius, stand, room[2])
+    number[:] = _NONE
+    changed[:] = False
     for left in range(looks - 1, -1, -1):
-        changed[:] = False
-        if not _look(pairs, stand, gone, magic, sweeps, slow, room) or not left:
+        moved, rows = _look(radius, pairs, stand, gone, magic, sweeps, slow, room)
+        if not moved or not left:
             break
-        count = measured(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, lost)
-        for pair in range(i.size):
-            which[pair] |= changed[i[pair]] or changed[j[pair]]
-        if count:
-            return left, count
+        chosen = room[7][_CHOSEN]
+        count, without = measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, chosen, lost)
+        for n in range(count):
+            which[chosen[n]] = True
+        if without:
+            return left, without
+        for k in range(rows):
+            changed[some[k]] = False
     return 0, 0
 
 
 @called
-def _limit(radius, stand, of_rows):  # type: ignore[no-untyped-def]
-    """As `contacts._apart`: how easily each row is moved, how much it is in a heap, how far it may get and how far be pushed."""
+def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
+    """As `contacts._apart`: how easily each of some rows is moved, how much it is in a heap, how far it may get and how far be
+    pushed."""
     mass, yields, reach, deep, held, _, walked, _ = stand
     light, heap, most, room = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
-    for k in independent(0, mass.size):
-        way = _of(walked, k)
+    for k in independent(0, count):
+        row = some[k]
+        way = _of(walked, row)
         size = np.sqrt(dot(way, way))
-        far = max(reach[k], size)
-        most[k], room[k] = far, min(far * _YIELD + deep[k], far) * yields[k]
-        heap[k] = 1.0 if size <= _RESTS * far else min(max(deep[k] / (radius[k] * _HEAP) - 0.5, 0.0), 1.0)
-        light[k] = 0.0 if held[k] else 1 / mass[k]
+        far = max(reach[row], size)
+        most[k], room[k] = far, min(far * _YIELD + deep[row], far) * yields[row]
+        heap[k] = 1.0 if size <= _RESTS * far else min(max(deep[row] / (radius[row] * _HEAP) - 0.5, 0.0), 1.0)
+        light[k] = 0.0 if held[row] else 1 / mass[row]
 
 
 @called
-def _look(pairs, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
-    """As `contacts._look`; says who has changed, and whether anybody has."""
+def _look(radius, pairs, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
+    """As `contacts._look`; says who has changed, and whether anybody has; gives also how many rows it has looked at, which are
+    the first of `some`."""
     i, j, gap, way, which = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
     led, sums, of_rows, wholes, changed, numbers, ways, indices = room
@@ -284,20 +292,16 @@ def _look(pairs, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-unt
     number, some, contacts = wholes[_NUMBER], wholes[_SOME], wholes[_CONTACTS]
     weight, least = of_rows[_WEIGHT], numbers[_DEAD_ZONE]
     chosen, first, second = indices[_CHOSEN], indices[_FIRST], indices[_SECOND]
-    number[:] = 0  # of who touches 1, then of who is in a pair with one of these
-    m, count = 0, 0
-    for pair in range(i.size):
-        if which[pair] and gap[pair] < -least[pair]:
-            number[i[pair]] = number[j[pair]] = 1
-            m += 1
+    for pair in independent(0, i.size):
+        chosen[pair] = 1 if which[pair] & (gap[pair] < -least[pair]) else 0
+    m, count = listed(chosen, i.size), 0
     if not m:
-        return False
-    m = 0
-    for pair in range(i.size):
-        if which[pair] and (number[i[pair]] == 1 or number[j[pair]] == 1):
-            chosen[m] = pair
-            m += 1
-    number[:] = -1
+        return False, count
+    for n in range(m):
+        number[i[chosen[n]]], number[j[chosen[n]]] = _MET, _MET
+    for pair in independent(0, i.size):
+        chosen[pair] = 1 if which[pair] & ((number[i[pair]] == _MET) | (number[j[pair]] == _MET)) else 0
+    m = listed(chosen, i.size)
     for n in range(m):
         for side in range(2):
             k = j[chosen[n]] if side else i[chosen[n]]
@@ -305,6 +309,9 @@ def _look(pairs, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-unt
                 number[k], some[count] = count, k
                 count += 1
         first[n], second[n] = number[i[chosen[n]]], number[j[chosen[n]]]
+    for k in range(count):
+        number[some[k]] = _NONE
+    _limit(radius, stand, some, count, of_rows)
     for n in range(m):
         pair = chosen[n]
         numbers[_DEEP, n] = -gap[pair] if gap[pair] < -least[pair] else 0.0
@@ -315,7 +322,7 @@ def _look(pairs, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-unt
             ways[side, n, 0], ways[side, n, 1], ways[side, n, 2] = along
             numbers[_LEVEL + side, n] = dot(along, along)
             v = _negative(v)
-    _share(m, some, count, room, light, heap)
+    _share(m, count, room, light, heap)
     for side in range(2):
         for n in range(m):
             factor = numbers[_SHARE + side, n] / max(numbers[_LEVEL + side, n], _STEEPEST)
@@ -342,14 +349,14 @@ def _look(pairs, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-unt
             break
         for k in range(count):
             at = some[k]
-            part = (1 + (_EAGER - 1) * heap[at] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
+            part = (1 + (_EAGER - 1) * heap[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
             asked = plus(_of(led, k), times(_of(sums, k), part))
-            asked = _within(asked, _negative(_of(cut, at)), far[at])
-            _put(led, k, _within(asked, _of(walked, at), most[at]))
+            asked = _within(asked, _negative(_of(cut, at)), far[k])
+            _put(led, k, _within(asked, _of(walked, at), most[k]))
     moved = False
     for k in range(count):
         for axis in range(3):
             changed[some[k]] |= led[axis, k] != gone[axis, some[k]]
         moved |= changed[some[k]]
         _put(gone, some[k], _of(led, k))
-    return moved
+    return moved, count
