@@ -52,9 +52,7 @@ def pairs(
 
 
 @kernel
-def _in_columns(
-    fast: Column, middle: Column, first: F64, second: F64, rate: F64, across: I64, keys: Cells, counts: Cells
-) -> I64:
+def _in_columns(fast: Column, middle: Column, first: F64, second: F64, rate: F64, across: I64, keys: Cells, counts: Cells) -> I64:
     """The cell of each agent in a layer, and how many are in each; gives how many pairs of cell mates there are, either way."""
     mates = 0
     for k in range(fast.size):

@@ -107,27 +107,63 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
     for left in range(effort.rounds - 1, -1, -1):
         asked = _apart(near, agents, which, held, walked, deep, effort, share, cut)
-        some = np.flatnonzero(_moved(asked))
-        rows, wanted = near.rows.take(some), asked.take(some, axis=1)
+        some, wanted = _led(asked)
+        rows = near.rows.take(some)
         got = walking.walk(rows, wanted)
         _note_pushes(crowd, rows, cut, some, wanted, got)
         if not left:
             break
-        short = wanted - got
-        missed = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
-        if not missed.any():
-            break
-        near.middle[:, some] += got
         cut, held = np.zeros_like(cut), held.copy()
-        held[some[missed & (dot(got, wanted) < _HELD * dot(wanted, wanted))]] = True
-        touched = np.zeros(len(held), np.bool_)
-        touched[some[missed]] = True
-        which = touched.take(near.i) | touched.take(near.j)
-        near.measure(cut, touched)
-        visible = (near.radius.take(near.i) + near.radius.take(near.j)) * _SEEN
-        if not (which & (near.gap < -visible)).any():
+        touched = _missed(near, some, wanted, got, held)
+        if not touched.any():
             break
-        walked[:, some] = crowd.of(lambda p: p.position.T, 1).take(rows, axis=1) - agents.start.take(some, axis=1)
+        near.measure(cut, touched)
+        which = _visible(near, touched)
+        if which is None:
+            break
+        at = [population.position[own].T for population, own in crowd.parts(rows)]
+        walked[:, some] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start.take(some, axis=1)
+
+
+def _led(asked: Floats) -> tuple[Rows, Floats]:
+    """Which rows are `asked` to go (3, k) mm anywhere, and how far these are."""
+    if compiled.wanted(asked.shape[1]):
+        from antdsl.runtime.moving.contacts_compiled import led
+
+        some, wanted = np.empty(asked.shape[1], np.intp), np.empty_like(asked)
+        count = led(asked, some, wanted)
+        return some[:count], wanted[:, :count]
+    some = np.flatnonzero(_moved(asked))
+    return some, asked.take(some, axis=1)
+
+
+def _missed(near: Near, some: Rows, wanted: Floats, got: Floats, held: Flags) -> Flags:
+    """Which rows (k) are looked at again, of `some` that were `wanted` to go (3, ..) mm and `got` so far. They stand there now, and
+    `held` are those, besides others, who came on by too little of it."""
+    touched = np.zeros(len(held), np.bool_)
+    if compiled.wanted(len(some)):
+        from antdsl.runtime.moving.contacts_compiled import missed
+
+        missed(some, wanted, got, near.radius, near.middle, held, touched)
+        return touched
+    near.middle[:, some] += got
+    short = wanted - got
+    again = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
+    held[some[again & (dot(got, wanted) < _HELD * dot(wanted, wanted))]] = True
+    touched[some[again]] = True
+    return touched
+
+
+def _visible(near: Near, touched: Flags) -> Flags | None:
+    """Which pairs (m) have a row that is `touched` (k); None where none of them is an overlap that more is walked for."""
+    if compiled.wanted(len(near.i)):
+        from antdsl.runtime.moving.contacts_compiled import visible
+
+        which = np.empty(len(near.i), np.bool_)
+        return which if visible(near.i, near.j, near.gap, near.radius, touched, which) else None
+    which = touched.take(near.i) | touched.take(near.j)
+    least = (near.radius.take(near.i) + near.radius.take(near.j)) * _SEEN
+    return which if (which & (near.gap < -least)).any() else None
 
 
 def _came(crowd: Crowd, rows: Rows, dt: float) -> Floats:

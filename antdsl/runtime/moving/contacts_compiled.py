@@ -26,7 +26,7 @@ from antdsl.runtime.moving.capsules_compiled import listed, measured_some
 
 _FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts` and `cutting`
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
-_YIELD, _HEAP, _RESTS = 0.3, 0.4, 0.01
+_YIELD, _HEAP, _RESTS, _MISSED, _HELD, _SEEN = 0.3, 0.4, 0.01, 0.05, 0.5, 0.05
 _ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 
@@ -173,6 +173,53 @@ def faced(
             facing = np.float64(way[axis])
             middle[axis, k] += (facing - ahead[axis, k]) * shift[whole[n]]
             ahead[axis, k], heading[axis][row] = facing, way[axis]
+
+
+@kernel
+def led(asked: Array2[F64], some: Array1[I64], wanted: Array2[F64]) -> I64:
+    """As `contacts._led`: how many rows go anywhere, which are the first of `some` and `wanted` (3, k)."""
+    count = 0
+    for k in range(some.size):
+        way = _of(asked, k)
+        some[count] = k  # written whatever it is: no branch that is hard to foretell
+        _put(wanted, count, way)
+        count += (way[0] != 0) | (way[1] != 0) | (way[2] != 0)
+    return count
+
+
+@kernel
+def missed(
+    some: Array1[I64],
+    wanted: Strided2[F64],
+    got: Strided2[F64],
+    radius: Array1[F64],
+    middle: Strided2[F64],
+    held: Array1[BOOL],
+    touched: Array1[BOOL],
+) -> None:
+    """As `contacts._missed`."""
+    for n in independent(0, some.size):
+        row, to, on = some[n], _of(wanted, n), _of(got, n)
+        short, far = minus(to, on), _MISSED * radius[row]
+        _put(middle, row, plus(_of(middle, row), on))
+        if dot(short, short) > far * far:
+            touched[row] = True
+            if dot(on, to) < _HELD * dot(to, to):
+                held[row] = True
+
+
+@kernel
+def visible(
+    i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], touched: Array1[BOOL], which: Array1[BOOL]
+) -> BOOL:
+    """As `contacts._visible`, into `which`; says whether there are any that more is walked for."""
+    for pair in independent(0, i.size):
+        which[pair] = touched[i[pair]] | touched[j[pair]]
+    found = False
+    for pair in range(i.size):
+        if which[pair]:
+            found |= gap[pair] < -((radius[i[pair]] + radius[j[pair]]) * _SEEN)
+    return found
 
 
 @inlined
