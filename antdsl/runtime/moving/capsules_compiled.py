@@ -140,6 +140,38 @@ def measured(
 
 
 @kernel
+def before(
+    middle: Strided2[F64],
+    walked: Strided2[F64],
+    ahead: Strided2[F64],
+    up: Strided2[F64],
+    half: Array1[F64],
+    radius: Array1[F64],
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    deep: Array1[F64],
+    lost: Array1[I64],
+) -> I64:
+    """As `capsules.Near.before`, into `gap`, `way` and `deep`; gives how many pairs have no way of their own, which are the first
+    of `lost`."""
+    for pair in independent(0, i.size):
+        p, q = i[pair], j[pair]
+        away = minus(minus(_of(middle, p), _of(walked, p)), minus(_of(middle, q), _of(walked, q)))
+        gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+            away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
+        )
+        lost[pair] = 1 if nowhere else 0
+    deep[:] = 0.0
+    for pair in range(i.size):
+        if gap[pair] < 0:
+            p, q = i[pair], j[pair]
+            deep[p], deep[q] = max(deep[p], -gap[pair]), max(deep[q], -gap[pair])
+    return listed(lost, i.size)
+
+
+@kernel
 def met(
     middle: Array2[F64],
     ahead: Three,

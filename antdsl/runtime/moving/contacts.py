@@ -22,7 +22,7 @@ from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot
 from antdsl.runtime.moving import cutting
-from antdsl.runtime.moving.capsules import Crowd, Near, deepest, find, part_of
+from antdsl.runtime.moving.capsules import Crowd, Near, find, part_of
 from antdsl.runtime.moving.corrections import Corrections
 from antdsl.runtime.world import AXES, PUSHED, World
 
@@ -95,15 +95,13 @@ def resolve(world: World, began: Stood, dt: float) -> None:
         return
     share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
     agents, walked = _Agents.of(crowd, near, began, dt)
-    cut = np.zeros_like(near.middle)
-    gap, way = near.before(walked)
-    deep = deepest(len(near.rows), near.i, near.j, gap)
+    gap, way, deep = near.before(walked)
     if world.setting.contacts == "hard":
-        cut, stopped = cutting.cut(near, _came(crowd, near.rows, dt), agents.mass, walked, gap, way)
+        cut, stopped, changed = cutting.cut(near, _came(crowd, near.rows, dt), agents.mass, walked, gap, way)
         _face_as_before(crowd, near, stopped, began.headings)
-        changed = _moved(cut)
-        changed[stopped] = True
         near.measure(cut, changed)
+    else:
+        cut = np.zeros_like(near.middle)
     which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
     for left in range(effort.rounds - 1, -1, -1):
         asked = _apart(near, agents, which, held, walked, deep, effort, share, cut)
@@ -168,6 +166,14 @@ def _visible(near: Near, touched: Flags) -> Flags | None:
 
 def _came(crowd: Crowd, rows: Rows, dt: float) -> Floats:
     """The way (3, k) mm that rows of a crowd came in a time as long as this substep before it."""
+    if compiled.wanted(len(rows)):
+        from antdsl.runtime.moving.corrections_compiled import came
+
+        first, way = 0, np.empty((3, len(rows)))
+        for population, own in crowd.parts(rows):
+            came(own, first, vec.named(population.start, "velocity"), dt, way)
+            first += len(own)
+        return way
     velocity = (crowd.of(lambda p, axis=axis: p.start[f"velocity.{axis}"]) for axis in AXES)  # type: ignore[misc]
     return np.stack([component.take(rows) * dt for component in velocity]).astype(np.float64)
 

@@ -26,7 +26,7 @@ from antdsl.runtime.moving.capsules_compiled import listed, measured_some
 
 _FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts` and `cutting`
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
-_YIELD, _HEAP, _RESTS, _MISSED, _HELD, _SEEN = 0.3, 0.4, 0.01, 0.05, 0.5, 0.05
+_YIELD, _HEAP, _RESTS, _MISSED, _HELD, _SEEN, _GOES = 0.3, 0.4, 0.01, 0.05, 0.5, 0.05, 0.25
 _ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 
@@ -98,52 +98,81 @@ def bent(
     sums: Array2[F64],
     part: Array1[F64],
     met: Array1[I64],
-    step: Array2[F64],
-) -> None:
-    """As `cutting._bent` with what `cutting._free` says, into `step` (3, k); `free` (2, m), `sums` (3, k), `part` and `met` (k)
-    are room for work."""
-    count, m = walked.shape[1], i.size
-    for pair in independent(0, m):
-        ways = _of(way, pair)
+    some: Array1[I64],
+    pairs: Array1[I64],
+    cut: Array2[F64],
+    stopped: Array1[I64],
+    changed: Array1[BOOL],
+) -> I64:
+    """As `cutting._bent` with what `cutting._free` says: by what steps are `cut` (3, k), who has `changed` (k), and how many are
+    stopped, which are the first of `stopped`. `free` (2, m), `sums` (3, k), `part`, `met` and `some` (k) and `pairs` (m) are room
+    for work. Once all pairs have been looked at, only those count of which a row has been bent: no other goes elsewhere."""
+    for pair in independent(0, i.size):
+        ways, over = _of(way, pair), 0
         for side in range(2):
             own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
+            towards = -dot(ways, _of(walked, own))
             far = max(gap[pair], 0.0) * 0.5 + max(-dot(ways, _of(came, other)), 0.0)
             heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
-            free[side, pair] = far + heavier * max(-dot(ways, _of(walked, own)) - far, 0.0)
+            far += heavier * max(towards - far, 0.0)
+            free[side, pair] = far
+            over = 1 if towards - far > 0 else over
             ways = _negative(ways)
+        pairs[pair] = over
+    count, rows = listed(pairs, i.size), 0
+    met[:] = 0
     part[:] = 1.0
-    for k in range(count):
-        _put(step, k, _of(walked, k))
-    for _ in range(_BENDS):
-        sums[:] = 0.0
-        met[:] = 0
+    for k in independent(0, part.size):
+        _put(cut, k, _of(walked, k))
+    for bend in range(_BENDS):
         found = False
-        for pair in range(m):
+        for n in range(count):
+            pair = pairs[n]
             ways = _of(way, pair)
             for side in range(2):
                 k = j[pair] if side else i[pair]
-                over = -dot(ways, _of(step, k)) - free[side, pair]
+                over = -dot(ways, _of(cut, k)) - free[side, pair]
                 if over > 0:
+                    if met[k] == 0:
+                        sums[0, k], sums[1, k], sums[2, k] = 0.0, 0.0, 0.0
+                        if bend == 0:
+                            some[rows] = k
+                            rows += 1
                     _add(sums, k, times(ways, over), magic)
                     met[k] += 1
                     found = True
                 ways = _negative(ways)
         if not found:
             break
-        for k in range(count):
+        for n in range(rows):
+            k = some[n]
             if met[k]:
                 for axis in range(3):
-                    step[axis, k] += sums[axis, k] / met[k]
-    for pair in range(m):
+                    cut[axis, k] += sums[axis, k] / met[k]
+        if bend == 0:
+            for pair in independent(0, i.size):
+                pairs[pair] = 1 if (met[i[pair]] != 0) | (met[j[pair]] != 0) else 0
+            count = listed(pairs, i.size)
+        for n in range(rows):
+            met[some[n]] = 0
+    for n in range(count):
+        pair = pairs[n]
         ways = _of(way, pair)
         for side in range(2):
             k = j[pair] if side else i[pair]
-            towards = -dot(ways, _of(step, k))
+            towards = -dot(ways, _of(cut, k))
             if towards > free[side, pair]:
                 part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
             ways = _negative(ways)
-    for k in range(count):
-        _put(step, k, times(_of(step, k), part[k]))
+    for k in independent(0, part.size):
+        way_on = _of(walked, k)
+        step = times(_of(cut, k), part[k])
+        short = minus(step, way_on)
+        _put(cut, k, short)
+        held = dot(step, step) < _GOES * dot(way_on, way_on)
+        stopped[k] = 1 if held else 0
+        changed[k] = held | (short[0] != 0) | (short[1] != 0) | (short[2] != 0)
+    return listed(stopped, part.size)
 
 
 @kernel
