@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot
-from antdsl.runtime.moving import cutting
+from antdsl.runtime.moving import cutting, rounds
 from antdsl.runtime.moving.capsules import Crowd, Near, find, part_of
 from antdsl.runtime.moving.corrections import Corrections
 from antdsl.runtime.world import AXES, PUSHED, World
@@ -32,7 +32,6 @@ Flags = NDArray[np.bool_]
 
 _F = np.float32
 _DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
-_SEEN = 0.05  # of the room of two: an overlap for which more is walked
 _FINE = 40  # digits of a term in a sum, below the widest overlap
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 _SHARES = 1 << 20  # a share is a multiple of one in so many
@@ -42,8 +41,6 @@ _PRESSED = 1.0  # the same among those who are hardly in each other: there a cro
 _LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
 _EAGER = 1.5  # times the mean of its contacts, by which one in a heap is moved
 _STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
-_MISSED = 0.05  # of a radius: who ends so far from where it was to is looked at again
-_HELD = 0.5  # of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
 _HEAP = 0.4  # radii: who was half as deep in another begins to be in a heap, who was one and a half times as deep is
 _RESTS = 0.01  # of the way that it may walk: who goes less rests, and presses nobody
 _YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
@@ -105,63 +102,23 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
     for left in range(effort.rounds - 1, -1, -1):
         asked = _apart(near, agents, which, held, walked, deep, effort, share, cut)
-        some, wanted = _led(asked)
+        some, wanted = rounds.led(asked)
         rows = near.rows.take(some)
         got = walking.walk(rows, wanted)
         _note_pushes(crowd, rows, cut, some, wanted, got)
         if not left:
             break
         cut, held = np.zeros_like(cut), held.copy()
-        touched = _missed(near, some, wanted, got, held)
+        touched = rounds.missed(near, some, wanted, got, held)
         if not touched.any():
             break
         near.measure(cut, touched)
-        which = _visible(near, touched)
-        if which is None:
+        seen = rounds.visible(near, touched)
+        if seen is None:
             break
+        which = seen
         at = [population.position[own].T for population, own in crowd.parts(rows)]
         walked[:, some] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start.take(some, axis=1)
-
-
-def _led(asked: Floats) -> tuple[Rows, Floats]:
-    """Which rows are `asked` to go (3, k) mm anywhere, and how far these are."""
-    if compiled.wanted(asked.shape[1]):
-        from antdsl.runtime.moving.contacts_compiled import led
-
-        some, wanted = np.empty(asked.shape[1], np.intp), np.empty_like(asked)
-        count = led(asked, some, wanted)
-        return some[:count], wanted[:, :count]
-    some = np.flatnonzero(_moved(asked))
-    return some, asked.take(some, axis=1)
-
-
-def _missed(near: Near, some: Rows, wanted: Floats, got: Floats, held: Flags) -> Flags:
-    """Which rows (k) are looked at again, of `some` that were `wanted` to go (3, ..) mm and `got` so far. They stand there now, and
-    `held` are those, besides others, who came on by too little of it."""
-    touched = np.zeros(len(held), np.bool_)
-    if compiled.wanted(len(some)):
-        from antdsl.runtime.moving.contacts_compiled import missed
-
-        missed(some, wanted, got, near.radius, near.middle, held, touched)
-        return touched
-    near.middle[:, some] += got
-    short = wanted - got
-    again = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
-    held[some[again & (dot(got, wanted) < _HELD * dot(wanted, wanted))]] = True
-    touched[some[again]] = True
-    return touched
-
-
-def _visible(near: Near, touched: Flags) -> Flags | None:
-    """Which pairs (m) have a row that is `touched` (k); None where none of them is an overlap that more is walked for."""
-    if compiled.wanted(len(near.i)):
-        from antdsl.runtime.moving.contacts_compiled import visible
-
-        which = np.empty(len(near.i), np.bool_)
-        return which if visible(near.i, near.j, near.gap, near.radius, touched, which) else None
-    which = touched.take(near.i) | touched.take(near.j)
-    least = (near.radius.take(near.i) + near.radius.take(near.j)) * _SEEN
-    return which if (which & (near.gap < -least)).any() else None
 
 
 def _came(crowd: Crowd, rows: Rows, dt: float) -> Floats:
@@ -242,12 +199,6 @@ def _stands(crowd: Crowd, rows: Rows, began: Stood, dt: float) -> tuple[Floats, 
     return *vectors, *numbers
 
 
-def _moved(gone: Floats) -> Flags:
-    """Who goes (3, k) anywhere."""
-    moved: Flags = (gone[0] != 0) | (gone[1] != 0) | (gone[2] != 0)
-    return moved
-
-
 def _apart(
     near: Near,
     agents: _Agents,
@@ -286,7 +237,7 @@ def _apart(
     for left in range(effort.looks - 1, -1, -1):
         before = gone.copy()
         _look(near, which, least, light, heap, agents.normal, walked, most, room, cut, gone, magic, effort.sweeps, share)
-        changed = _moved(gone - before)
+        changed = rounds.moved(gone - before)
         if not left or not changed.any():
             break
         near.measure(gone, changed)

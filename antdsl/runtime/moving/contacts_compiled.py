@@ -23,10 +23,11 @@ from antdsl.machine_code.kernels import (
 )
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 from antdsl.runtime.moving.capsules_compiled import listed, measured_some
+from antdsl.runtime.moving.cutting_compiled import add, negative, of, put
 
-_FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts` and `cutting`
+_FINE, _SHARES, _SPREADS = 40, 1 << 20, 3  # as `contacts`
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
-_YIELD, _HEAP, _RESTS, _MISSED, _HELD, _SEEN, _GOES = 0.3, 0.4, 0.01, 0.05, 0.5, 0.05, 0.25
+_YIELD, _HEAP, _RESTS = 0.3, 0.4, 0.01
 _ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 
@@ -38,141 +39,27 @@ Stand = tuple[
     Array1[F64], Array1[F64], Array1[F64], Array1[F64], Array1[BOOL], Strided2[F64], Strided2[F64], Strided2[F64]
 ]  # fmt: skip
 # Room for work, of rows: two vectors, seven numbers, three whole numbers and a condition; of pairs: six numbers, two vectors and
-# three whole numbers
+# four whole numbers
 Room = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64]]
 
 _WEIGHT, _LOCKED, _SPREAD, _LIGHT, _HEAPED, _MOST, _ROOM = range(7)  # numbers of rows
 _NUMBER, _SOME, _CONTACTS = 0, 1, 2  # whole numbers of rows
 _NONE, _MET = -1, -2  # numbers of rows that are in no pair of a look, and that touch another
 _DEAD_ZONE, _DEEP, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
-_CHOSEN, _FIRST, _SECOND = 0, 1, 2  # whole numbers of pairs
+_CHOSEN, _FIRST, _SECOND, _COUNTED = range(4)  # whole numbers of pairs
 
 
 def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
     """Arrays for `parted` to work in."""
     return (
         np.empty((3, rows)), np.empty((3, rows)), np.empty((7, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
-        np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((3, pairs), np.int64),
+        np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((4, pairs), np.int64),
     )  # fmt: skip
-
-
-@inlined
-def _of(vectors, i):  # type: ignore[no-untyped-def]
-    """One of vectors (3, k)."""
-    return vectors[0, i], vectors[1, i], vectors[2, i]
-
-
-@inlined
-def _put(vectors, i, v):  # type: ignore[no-untyped-def]
-    vectors[0, i], vectors[1, i], vectors[2, i] = v
-
-
-@inlined
-def _add(sums, i, v, magic):  # type: ignore[no-untyped-def]
-    """Add to a sum of terms that are rounded to the quantum of `magic`."""
-    for axis in range(3):
-        sums[axis, i] += (v[axis] + magic) - magic
 
 
 @inlined
 def _rounded(term):  # type: ignore[no-untyped-def]
     return (term + _MAGIC) - _MAGIC
-
-
-@inlined
-def _negative(v):  # type: ignore[no-untyped-def]
-    return -v[0], -v[1], -v[2]
-
-
-@kernel
-def bent(
-    i: Array1[I64],
-    j: Array1[I64],
-    gap: Array1[F64],
-    way: Array2[F64],
-    came: Array2[F64],
-    mass: Array1[F64],
-    walked: Array2[F64],
-    magic: F64,
-    free: Array2[F64],
-    sums: Array2[F64],
-    part: Array1[F64],
-    met: Array1[I64],
-    some: Array1[I64],
-    pairs: Array1[I64],
-    cut: Array2[F64],
-    stopped: Array1[I64],
-    changed: Array1[BOOL],
-) -> I64:
-    """As `cutting._bent` with what `cutting._free` says: by what steps are `cut` (3, k), who has `changed` (k), and how many are
-    stopped, which are the first of `stopped`. `free` (2, m), `sums` (3, k), `part`, `met` and `some` (k) and `pairs` (m) are room
-    for work. Once all pairs have been looked at, only those count of which a row has been bent: no other goes elsewhere."""
-    for pair in independent(0, i.size):
-        ways, over = _of(way, pair), 0
-        for side in range(2):
-            own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
-            towards = -dot(ways, _of(walked, own))
-            far = max(gap[pair], 0.0) * 0.5 + max(-dot(ways, _of(came, other)), 0.0)
-            heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
-            far += heavier * max(towards - far, 0.0)
-            free[side, pair] = far
-            over = 1 if towards - far > 0 else over
-            ways = _negative(ways)
-        pairs[pair] = over
-    count, rows = listed(pairs, i.size), 0
-    met[:] = 0
-    part[:] = 1.0
-    for k in independent(0, part.size):
-        _put(cut, k, _of(walked, k))
-    for bend in range(_BENDS):
-        found = False
-        for n in range(count):
-            pair = pairs[n]
-            ways = _of(way, pair)
-            for side in range(2):
-                k = j[pair] if side else i[pair]
-                over = -dot(ways, _of(cut, k)) - free[side, pair]
-                if over > 0:
-                    if met[k] == 0:
-                        sums[0, k], sums[1, k], sums[2, k] = 0.0, 0.0, 0.0
-                        if bend == 0:
-                            some[rows] = k
-                            rows += 1
-                    _add(sums, k, times(ways, over), magic)
-                    met[k] += 1
-                    found = True
-                ways = _negative(ways)
-        if not found:
-            break
-        for n in range(rows):
-            k = some[n]
-            if met[k]:
-                for axis in range(3):
-                    cut[axis, k] += sums[axis, k] / met[k]
-        if bend == 0:
-            for pair in independent(0, i.size):
-                pairs[pair] = 1 if (met[i[pair]] != 0) | (met[j[pair]] != 0) else 0
-            count = listed(pairs, i.size)
-        for n in range(rows):
-            met[some[n]] = 0
-    for n in range(count):
-        pair = pairs[n]
-        ways = _of(way, pair)
-        for side in range(2):
-            k = j[pair] if side else i[pair]
-            towards = -dot(ways, _of(cut, k))
-            if towards > free[side, pair]:
-                part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
-            ways = _negative(ways)
-    for k in independent(0, part.size):
-        way_on = _of(walked, k)
-        step = times(_of(cut, k), part[k])
-        short = minus(step, way_on)
-        _put(cut, k, short)
-        held = dot(step, step) < _GOES * dot(way_on, way_on)
-        stopped[k] = 1 if held else 0
-        changed[k] = held | (short[0] != 0) | (short[1] != 0) | (short[2] != 0)
-    return listed(stopped, part.size)
 
 
 @kernel
@@ -202,53 +89,6 @@ def faced(
             facing = np.float64(way[axis])
             middle[axis, k] += (facing - ahead[axis, k]) * shift[whole[n]]
             ahead[axis, k], heading[axis][row] = facing, way[axis]
-
-
-@kernel
-def led(asked: Array2[F64], some: Array1[I64], wanted: Array2[F64]) -> I64:
-    """As `contacts._led`: how many rows go anywhere, which are the first of `some` and `wanted` (3, k)."""
-    count = 0
-    for k in range(some.size):
-        way = _of(asked, k)
-        some[count] = k  # written whatever it is: no branch that is hard to foretell
-        _put(wanted, count, way)
-        count += (way[0] != 0) | (way[1] != 0) | (way[2] != 0)
-    return count
-
-
-@kernel
-def missed(
-    some: Array1[I64],
-    wanted: Strided2[F64],
-    got: Strided2[F64],
-    radius: Array1[F64],
-    middle: Strided2[F64],
-    held: Array1[BOOL],
-    touched: Array1[BOOL],
-) -> None:
-    """As `contacts._missed`."""
-    for n in independent(0, some.size):
-        row, to, on = some[n], _of(wanted, n), _of(got, n)
-        short, far = minus(to, on), _MISSED * radius[row]
-        _put(middle, row, plus(_of(middle, row), on))
-        if dot(short, short) > far * far:
-            touched[row] = True
-            if dot(on, to) < _HELD * dot(to, to):
-                held[row] = True
-
-
-@kernel
-def visible(
-    i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], touched: Array1[BOOL], which: Array1[BOOL]
-) -> BOOL:
-    """As `contacts._visible`, into `which`; says whether there are any that more is walked for."""
-    for pair in independent(0, i.size):
-        which[pair] = touched[i[pair]] | touched[j[pair]]
-    found = False
-    for pair in range(i.size):
-        if which[pair]:
-            found |= gap[pair] < -((radius[i[pair]] + radius[j[pair]]) * _SEEN)
-    return found
 
 
 @inlined
@@ -321,19 +161,23 @@ def parted(
     Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
     middle, ahead, up, half, radius = bodies
     i, j, gap, way, which = pairs
-    least, number, some, changed = room[5][_DEAD_ZONE], room[3][_NUMBER], room[3][_SOME], room[4]
+    number, some, changed, counted = room[3][_NUMBER], room[3][_SOME], room[4], room[7][_COUNTED]
     for pair in independent(0, i.size):
-        least[pair] = (radius[i[pair]] + radius[j[pair]]) * _DEAD
+        counted[pair] = 1 if which[pair] else 0
+    those = listed(counted, i.size)
     number[:] = _NONE
     changed[:] = False
     for left in range(looks - 1, -1, -1):
-        moved, rows = _look(radius, pairs, stand, gone, magic, sweeps, slow, room)
+        moved, rows = _look(radius, pairs, those, stand, gone, magic, sweeps, slow, room)
         if not moved or not left:
             break
         chosen = room[7][_CHOSEN]
         count, without = measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, chosen, lost)
         for n in range(count):
-            which[chosen[n]] = True
+            if not which[chosen[n]]:
+                which[chosen[n]] = True
+                counted[those] = chosen[n]
+                those += 1
         if without:
             return left, without
         for k in range(rows):
@@ -349,7 +193,7 @@ def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
     light, heap, most, room = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
     for k in independent(0, count):
         row = some[k]
-        way = _of(walked, row)
+        way = of(walked, row)
         size = np.sqrt(dot(way, way))
         far = max(reach[row], size)
         most[k], room[k] = far, min(far * _YIELD + deep[row], far) * yields[row]
@@ -358,27 +202,32 @@ def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
 
 
 @called
-def _look(radius, pairs, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
-    """As `contacts._look`; says who has changed, and whether anybody has; gives also how many rows it has looked at, which are
-    the first of `some`."""
-    i, j, gap, way, which = pairs
+def _look(radius, pairs, those, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
+    """As `contacts._look`, of the pairs that are the first of `counted`; says who has changed, and whether anybody has; and
+    how many rows it has looked at, which are the first of `some`."""
+    i, j, gap, way, _ = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
     led, sums, of_rows, wholes, changed, numbers, ways, indices = room
     light, heap, most, far = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
     number, some, contacts = wholes[_NUMBER], wholes[_SOME], wholes[_CONTACTS]
     weight, least = of_rows[_WEIGHT], numbers[_DEAD_ZONE]
-    chosen, first, second = indices[_CHOSEN], indices[_FIRST], indices[_SECOND]
-    for pair in independent(0, i.size):
-        chosen[pair] = 1 if which[pair] & (gap[pair] < -least[pair]) else 0
-    m, count = listed(chosen, i.size), 0
+    chosen, first, second, counted = indices[_CHOSEN], indices[_FIRST], indices[_SECOND], indices[_COUNTED]
+    for n in independent(0, those):
+        it = counted[n]
+        chosen[n] = 1 if gap[it] < -((radius[i[it]] + radius[j[it]]) * _DEAD) else 0
+    m, count = listed(chosen, those), 0
     if not m:
         return False, count
     for n in range(m):
-        number[i[chosen[n]]], number[j[chosen[n]]] = _MET, _MET
-    for pair in independent(0, i.size):
-        chosen[pair] = 1 if which[pair] & ((number[i[pair]] == _MET) | (number[j[pair]] == _MET)) else 0
-    m = listed(chosen, i.size)
+        pair = counted[chosen[n]]
+        number[i[pair]], number[j[pair]] = _MET, _MET
+    for n in independent(0, those):
+        that = counted[n]
+        chosen[n] = 1 if (number[i[that]] == _MET) | (number[j[that]] == _MET) else 0
+    m = listed(chosen, those)
     for n in range(m):
+        pair = counted[chosen[n]]
+        chosen[n], least[n] = pair, (radius[i[pair]] + radius[j[pair]]) * _DEAD
         for side in range(2):
             k = j[chosen[n]] if side else i[chosen[n]]
             if number[k] < 0:
@@ -390,14 +239,14 @@ def _look(radius, pairs, stand, gone, magic, sweeps, slow, room):  # type: ignor
     _limit(radius, stand, some, count, of_rows)
     for n in range(m):
         pair = chosen[n]
-        numbers[_DEEP, n] = -gap[pair] if gap[pair] < -least[pair] else 0.0
-        v = _of(way, pair)
+        numbers[_DEEP, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
+        v = of(way, pair)
         for side in range(2):
-            up = _of(normal, j[pair] if side else i[pair])
+            up = of(normal, j[pair] if side else i[pair])
             along = minus(v, times(up, dot(v, up)))
             ways[side, n, 0], ways[side, n, 1], ways[side, n, 2] = along
             numbers[_LEVEL + side, n] = dot(along, along)
-            v = _negative(v)
+            v = negative(v)
     _share(m, count, room, light, heap)
     for side in range(2):
         for n in range(m):
@@ -405,20 +254,20 @@ def _look(radius, pairs, stand, gone, magic, sweeps, slow, room):  # type: ignor
             for axis in range(3):
                 ways[side, n, axis] *= factor
     for k in range(count):
-        _put(led, k, _of(gone, some[k]))
+        put(led, k, of(gone, some[k]))
     for _ in range(sweeps):
         for k in range(count):
             sums[0, k], sums[1, k], sums[2, k], weight[k], contacts[k] = 0.0, 0.0, 0.0, 0.0, 0
         touching = False
         for n in range(m):
             pair, p, q = chosen[n], first[n], second[n]
-            one, other = minus(_of(led, p), _of(gone, i[pair])), minus(_of(led, q), _of(gone, j[pair]))
-            left = gap[pair] + dot(_of(way, pair), minus(one, other))
-            if left < -least[pair]:
+            one, other = minus(of(led, p), of(gone, i[pair])), minus(of(led, q), of(gone, j[pair]))
+            left = gap[pair] + dot(of(way, pair), minus(one, other))
+            if left < -least[n]:
                 touching = True
                 for side in range(2):
                     k = q if side else p
-                    _add(sums, k, times((ways[side, n, 0], ways[side, n, 1], ways[side, n, 2]), left * -slow), magic)
+                    add(sums, k, times((ways[side, n, 0], ways[side, n, 1], ways[side, n, 2]), left * -slow), magic)
                     weight[k] += numbers[_SHARE + side, n]
                     contacts[k] += 1
         if not touching:
@@ -426,13 +275,13 @@ def _look(radius, pairs, stand, gone, magic, sweeps, slow, room):  # type: ignor
         for k in range(count):
             at = some[k]
             part = (1 + (_EAGER - 1) * heap[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
-            asked = plus(_of(led, k), times(_of(sums, k), part))
-            asked = _within(asked, _negative(_of(cut, at)), far[k])
-            _put(led, k, _within(asked, _of(walked, at), most[k]))
+            asked = plus(of(led, k), times(of(sums, k), part))
+            asked = _within(asked, negative(of(cut, at)), far[k])
+            put(led, k, _within(asked, of(walked, at), most[k]))
     moved = False
     for k in range(count):
         for axis in range(3):
             changed[some[k]] |= led[axis, k] != gone[axis, some[k]]
         moved |= changed[some[k]]
-        _put(gone, some[k], _of(led, k))
+        put(gone, some[k], of(led, k))
     return moved, count

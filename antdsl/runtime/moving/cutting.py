@@ -19,9 +19,9 @@ _BENDS = 3  # times that a step is bent along those in its way, before it is cut
 
 
 def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way: Floats) -> tuple[Floats, Rows, Flags]:
-    """By what (3, k) mm steps of rows that `walked` (3, k) mm are cut and bent so that nobody enters another; who is stopped, since
-    it goes less than half of its way; and who of all (k) is cut or stopped. They `came` (3, k) mm in a time as long before this one; `gap` (m) and `way` (3, m) of pairs are those
-    from before the steps.
+    """By what (3, k) mm steps of rows that `walked` (3, k) mm are cut and bent so that nobody enters another; who goes less than
+    half of its way, and so is stopped; and who of all (k) is cut or stopped. They `came` (3, k) mm in a time as long before this
+    one; `gap` (m) and `way` (3, m) of pairs are those from before the steps.
 
     As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent by itself keeps to half-planes: towards
     each other one it goes no farther than half of the gap, and than what that one withdraws if it goes on as it came. What all
@@ -30,7 +30,7 @@ def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way
     most = max(walked.max(), -walked.min(), 1e-30)
     magic = np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _FINE + 52)
     if compiled.wanted(len(gap)):
-        from antdsl.runtime.moving.contacts_compiled import bent
+        from antdsl.runtime.moving.cutting_compiled import bent
 
         rows, pairs = len(near.rows), len(gap)
         (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
