@@ -19,6 +19,8 @@ from antdsl.numerics.sorting import stable_order
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
+Bounds = list[tuple[float, float]]
+Cells = tuple[list[int], list[float], float, list[int]]
 
 _MOST = 48  # of one row of three cells, with whom an agent is paired: more than stand side by side in it
 _ALONG = 1 << 20  # cells along an axis at most
@@ -50,44 +52,59 @@ def within_reach(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDA
     """Pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z float64[n],
     mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place
     and reach are in no pair."""
-    rows = None
-    if len(reach) and not (all(np.isfinite(each.min() + each.max()) for each in (*place, reach)) and reach.min() > 0):
+    if not len(reach):
+        return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), True)
+    rows, bounds = None, _bounds((*place, reach))
+    if not (all(np.isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0):
         fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
         rows = np.flatnonzero(fit)
         place, reach, order = (place[0][rows], place[1][rows], place[2][rows]), reach[rows], order[rows]
-    if not len(reach):
-        return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), True)
-    found = _of_all(place, reach, None)
+        if not len(rows):
+            return Pairs(rows, rows, True)
+        bounds = _bounds((*place, reach))
+    found = _of_all(place, reach, None, bounds)
     if not found.all_of_them:  # who is left out goes by the order, not by rows
-        found = _of_all(place, reach, order)
+        found = _of_all(place, reach, order, bounds)
     if rows is None:
         return found
     return Pairs(rows[found.i], rows[found.j], found.all_of_them)
 
 
-def _of_all(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None) -> Pairs:
-    low, high = float(reach.min()), float(reach.max())
+def _bounds(numbers: Sequence[Floats]) -> Bounds:
+    """The least and the greatest of some numbers each."""
+    return [(float(each.min()), float(each.max())) for each in numbers]
+
+
+def _of_all(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, bounds: Bounds) -> Pairs:
+    low, high = bounds[3]
     if low * (1 << _SIZES) >= high:
-        return _of_class(place, reach, order, None, None)
+        return _of_class(place, reach, order, None, None, bounds)
     sizes = np.frexp(reach)[1] // _SIZES
     found = []
     for size in np.unique(sizes):
         members, smaller = np.flatnonzero(sizes == size), np.flatnonzero(sizes < size)
-        found.append(_of_class(place, reach, order, members, smaller if len(smaller) else None))
+        own = _bounds([v[members] for v in (*place, reach)])
+        found.append(_of_class(place, reach, order, members, smaller if len(smaller) else None, own))
     i, j = (np.concatenate([getattr(each, name) for each in found]) for name in ("i", "j"))
     return Pairs(i, j, all(each.all_of_them for each in found))
 
 
 def _of_class(
-    place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, rows: Rows | None, smaller: Rows | None
+    place: tuple[Floats, Floats, Floats],
+    reach: Floats,
+    order: NDArray[np.int64] | None,
+    rows: Rows | None,
+    smaller: Rows | None,
+    bounds: Bounds,
 ) -> Pairs:
-    """The pairs among some rows of much the same size (None: all), and of those with all `smaller` ones."""
-    cell = 2 * float((reach if rows is None else reach[rows]).max())
+    """The pairs among some rows of much the same size (None: all), and of those with all `smaller` ones. `bounds` of places and
+    reaches are those of these rows."""
+    cells = _cells(bounds[:3], 2 * bounds[3][1])
     if smaller is None and order is None and compiled.wanted(len(reach) if rows is None else len(rows)):
-        found = _by_loop(place, reach, rows, cell)
+        found = _by_loop(place, reach, rows, cells)
         if found is not None:
             return found
-    grid = _Grid.of(place, cell, np.arange(len(reach)) if rows is None else rows, order)
+    grid = _Grid.of(place, cells, np.arange(len(reach)) if rows is None else rows, order)
     i, j, whole = grid.among_themselves()
     i, j = _near(place, reach, i, j)
     if smaller is None:
@@ -99,12 +116,12 @@ def _of_class(
     return Pairs(np.concatenate([i, near]), np.concatenate([j, far]), whole and entire)
 
 
-def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows | None, cell: float) -> Pairs | None:
+def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows | None, cells: Cells) -> Pairs | None:
     """The pairs among some rows, as `_of_class`; None where there are too many cells for a table."""
     from antdsl.senses.touching_compiled import pairs
 
     x, y, z, wide = (v if rows is None else v[rows] for v in (*place, reach))
-    found = pairs((x, y, z), wide, _cells((x, y, z), cell), _limit(len(wide)), _SHEET, _MOST)
+    found = pairs((x, y, z), wide, cells, _limit(len(wide)), _SHEET, _MOST)
     if isinstance(found, tuple):
         i, j = found
         return Pairs(i, j, True) if rows is None else Pairs(rows.take(i), rows.take(j), True)
@@ -112,11 +129,10 @@ def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows | N
     return Pairs(none, none, False) if found == -2 else None
 
 
-def _cells(own: Sequence[Floats], cell: float) -> tuple[list[int], list[float], float, list[int]]:
-    """Axes from the longest to the shortest, and along them where cells begin, how wide (mm) and how many they are: about agents
-    at places, for cells of a width at least."""
-    low = [float(p.min()) for p in own]
-    extent = [float(p.max()) - least for p, least in zip(own, low, strict=True)]
+def _cells(bounds: Bounds, cell: float) -> Cells:
+    """Axes from the longest to the shortest, and along them where cells begin, how wide (mm) and how many they are: about places
+    of these bounds along x, y and z, for cells of a width at least."""
+    low, extent = [low for low, _ in bounds], [high - low for low, high in bounds]
     axes = sorted(range(3), key=lambda axis: -extent[axis])
     cell = max(cell, extent[axes[0]] / _ALONG, 1e-9)
     size = [int(extent[axis] / cell) + 3 for axis in axes]  # one is free at either end
@@ -149,13 +165,13 @@ class _Grid:
     starts: NDArray[np.intp] | None
 
     @staticmethod
-    def of(place: tuple[Floats, Floats, Floats], cell: float, rows: Rows, order: NDArray[np.int64] | None) -> _Grid:
+    def of(place: tuple[Floats, Floats, Floats], cells: Cells, rows: Rows, order: NDArray[np.int64] | None) -> _Grid:
         """The grid of some rows, of which those in one cell are in an order."""
         if order is not None:
             rows = rows[stable_order(order[rows])]
         every = len(rows) == len(place[0]) and order is None
         own = [p if every else p[rows] for p in place]
-        axes, low, cell, size = _cells(own, cell)
+        axes, low, cell, size = cells[0], cells[1], cells[2], list(cells[3])
         number = [((own[axis] - b) * (1 / cell)).astype(np.int64) + 1 for axis, b in zip(axes, low, strict=True)]
         keys = number[1] * size[0] + number[0]
         if size[0] * size[1] <= _limit(len(rows)):
@@ -169,11 +185,11 @@ class _Grid:
             keys += number[2] * (size[0] * size[1])
         order_of_keys = stable_order(keys)
         keys, rows = keys.take(order_of_keys), rows.take(order_of_keys)
-        cells = size[0] * size[1] * size[2]
+        count = size[0] * size[1] * size[2]
         starts = None
-        if cells <= _limit(len(rows)):
-            starts = np.zeros(cells + 1, np.intp)
-            np.cumsum(np.bincount(keys, minlength=cells), out=starts[1:])
+        if count <= _limit(len(rows)):
+            starts = np.zeros(count + 1, np.intp)
+            np.cumsum(np.bincount(keys, minlength=count), out=starts[1:])
         return _Grid(axes, low, cell, size, rows, keys, starts)
 
     def among_themselves(self) -> tuple[Rows, Rows, bool]:

@@ -7,13 +7,16 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, kernel
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, four, independent, kernel
 from antdsl.numerics.compiled import plain
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Column: TypeAlias = Array1[F64]
 Indices: TypeAlias = Array1[I64]
+Cells: TypeAlias = Array1[I32]
+_TOGETHER = 64  # agents whose candidates are listed before these are measured
+_WRITTEN = 4  # candidates of a span that are always written
 
 
 def pairs(
@@ -29,83 +32,102 @@ def pairs(
     fast, middle, slow = (columns[axis] for axis in axes)
     if layer > limit:
         return -1
-    keys, counts = np.empty(count, np.int64), np.zeros(layer + 1, np.int64)
+    keys, counts = np.empty(count, np.int32), np.zeros(layer + 1, np.int32)
     flat = _in_columns(fast, middle, low[0], low[1], rate, size[0], keys, counts) <= sheet * count
     if not flat:
         if layer * size[2] > limit:
             return -1
-        counts = np.zeros(layer * size[2] + 1, np.int64)
+        counts = np.zeros(layer * size[2] + 1, np.int32)
         _in_layers(slow, low[2], rate, layer, keys, counts)
-    starts, rows, ordered = np.empty(len(counts), np.int64), np.empty(count, np.int64), np.empty((count, 4))
-    _sorted(keys, counts, *columns, starts, rows, ordered)
+    ordered, rows, cell_of = np.empty(4 * count), *np.empty((2, count), np.int32)
+    _sorted(keys, counts, *columns, rows, cell_of, ordered)
+    spans = 2 if flat else 5
+    listed = np.empty((3, _TOGETHER * spans * most + _WRITTEN), np.int32)
     used, most_pairs = -3, 2 * count + 256
     while used == -3:
         i, j = np.empty((2, most_pairs), np.int64)
-        used, most_pairs = _filled(ordered, rows, keys, starts, size[0], layer, flat, most, i, j), 4 * most_pairs
+        used = _filled(ordered, rows, cell_of, counts, size[0], layer, spans, most, *listed, i, j)
+        most_pairs *= 4
     return used if used < 0 else (i[:used], j[:used])
 
 
 @kernel
-def _in_columns(
-    fast: Column, middle: Column, first: F64, second: F64, rate: F64, across: I64, keys: Indices, counts: Indices
-) -> I64:
+def _in_columns(fast: Column, middle: Column, first: F64, second: F64, rate: F64, across: I64, keys: Cells, counts: Cells) -> I64:
     """The cell of each agent in a layer, and how many are in each; gives how many pairs of cell mates there are, either way."""
     mates = 0
     for k in range(fast.size):
         a, b = np.int64((fast[k] - first) * rate) + 1, np.int64((middle[k] - second) * rate) + 1
-        keys[k] = b * across + a
-        mates += 2 * counts[keys[k]] + 1
-        counts[keys[k]] += 1
+        at = b * across + a
+        keys[k] = at
+        mates += 2 * counts[at] + 1
+        counts[at] += 1
     return mates
 
 
 @kernel
-def _in_layers(slow: Column, low: F64, rate: F64, layer: I64, keys: Indices, counts: Indices) -> None:
+def _in_layers(slow: Column, low: F64, rate: F64, layer: I64, keys: Cells, counts: Cells) -> None:
     """The cell of each agent, from that in its layer, and how many are in each."""
     for k in range(slow.size):
-        keys[k] += (np.int64((slow[k] - low) * rate) + 1) * layer
-        counts[keys[k]] += 1
+        at = keys[k] + (np.int64((slow[k] - low) * rate) + 1) * layer
+        keys[k] = at
+        counts[at] += 1
 
 
 @kernel
 def _sorted(
-    keys: Indices, counts: Indices, x: Column, y: Column, z: Column, reach: Column, starts: Indices, rows: Indices,
-    ordered: Array2[F64],
+    keys: Cells, counts: Cells, x: Column, y: Column, z: Column, reach: Column, rows: Cells, cell_of: Cells,
+    ordered: Column,
 ) -> None:  # fmt: skip
-    """Where agents of each cell begin, and rows, places and reaches in this order; `counts` become where they end."""
+    """Rows by their cells, and in this order the cells, places and reaches; `counts` become where the agents of each cell begin,
+    which is where those of the one before end."""
     total = 0
     for k in range(counts.size):
-        starts[k] = total
-        total += counts[k]
-        counts[k] = starts[k]
+        count = counts[k]
+        counts[k] = total
+        total += count
     for k in range(keys.size):
-        at = counts[keys[k]]
-        rows[at], ordered[at, 0], ordered[at, 1], ordered[at, 2], ordered[at, 3] = k, x[k], y[k], z[k], reach[k]
-        counts[keys[k]] = at + 1
+        key = keys[k]
+        at = counts[key]
+        rows[at], cell_of[at] = k, key
+        ordered[4 * at], ordered[4 * at + 1], ordered[4 * at + 2], ordered[4 * at + 3] = x[k], y[k], z[k], reach[k]
+        counts[key] = at + 1
+    for k in range(counts.size - 1, 0, -1):
+        counts[k] = counts[k - 1]
+    counts[0] = 0
 
 
 @kernel
 def _filled(
-    ordered: Array2[F64], rows: Indices, keys: Indices, starts: Indices, across: I64, layer: I64, flat: BOOL, most: I64,
-    i: Indices, j: Indices,
+    ordered: Column, rows: Cells, cell_of: Cells, starts: Cells, across: I64, layer: I64, spans: I64, most: I64,
+    one: Cells, other: Cells, near: Cells, i: Indices, j: Indices,
 ) -> I64:  # fmt: skip
-    """Fill `i` and `j` with pairs and give how many there are; -3 where these are too short, -2 as `pairs`."""
-    spans, used, cells = 2 if flat else 5, 0, starts.size - 1
-    for at in range(rows.size):
-        key, x, y, z, far = keys[rows[at]], ordered[at, 0], ordered[at, 1], ordered[at, 2], ordered[at, 3]
-        for span in range(spans):
-            first, last = at + 1, starts[min(key + 2, cells)]
-            if span > 0:
-                shift = across if span == 1 else layer + (span - 3) * across
-                first, last = starts[min(key + shift - 1, cells)], starts[min(key + shift + 2, cells)]
-            if last - first > most:
-                return -2
-            if used + last - first > i.size:
-                return -3
-            # Written whatever it is, and written over where it was too far: no branch that is hard to foretell.
-            for other in range(first, last):
-                ux, uy, uz = ordered[other, 0] - x, ordered[other, 1] - y, ordered[other, 2] - z
-                room = far + ordered[other, 3]
-                i[used], j[used] = rows[at], rows[other]
-                used += (ux * ux + uy * uy) + uz * uz <= room * room
+    """Fill `i` and `j` with pairs and give how many there are; -3 where these are too short, -2 as `pairs`. `one` and `other` are
+    room for work: candidates of some agents, listed without a branch that is hard to foretell, and who is `near`."""
+    used, cells, count = 0, starts.size - 1, rows.size
+    for begin in range(0, count, _TOGETHER):
+        listed = 0
+        for at in range(begin, min(begin + _TOGETHER, count)):
+            key = cell_of[at]
+            for span in range(spans):
+                first, last = at + 1, starts[min(key + 2, cells)]
+                if span > 0:
+                    shift = across if span == 1 else layer + (span - 3) * across
+                    first, last = starts[min(key + shift - 1, cells)], starts[min(key + shift + 2, cells)]
+                if last - first > most:
+                    return -2
+                for k in range(4):  # written whatever it is, and written over where these were fewer
+                    one[listed + k], other[listed + k] = at, first + k
+                for k in range(4, last - first):
+                    one[listed + k], other[listed + k] = at, first + k
+                listed += last - first
+        if used + listed > i.size:
+            return -3
+        for n in independent(0, listed):
+            p, q = one[n], other[n]
+            (x, y, z, wide), (u, v, w, far) = four(ordered, 4 * p), four(ordered, 4 * q)
+            x, y, z, room = u - x, v - y, w - z, wide + far
+            near[n] = (x * x + y * y) + z * z <= room * room
+        for n in range(listed):
+            i[used], j[used] = rows[one[n]], rows[other[n]]
+            used += near[n]
     return used

@@ -127,23 +127,31 @@ class Near:
     gap: Floats
     way: Floats
 
+    def before(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
+        """Gaps and ways of all pairs before rows `walked` (3, k) mm, as these face now, and how deep (k) mm each was in the worst
+        of the others."""
+        pairs, rows = len(self.i), len(self.rows)
+        if compiled.wanted(pairs):
+            from antdsl.runtime.moving.capsules_compiled import before
+
+            gap, way, deep, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
+            capsules = (self.ahead, self.up, self.half, self.radius)
+            count = before(self.middle, walked, *capsules, self.i, self.j, gap, way, deep, lost)
+            if count:
+                way[:, lost[:count]] = self.measured(-walked, lost[:count])[1]
+            return gap, way, deep
+        gap, way = self.measured(-walked, np.arange(pairs))
+        return gap, way, deepest(rows, self.i, self.j, gap)
+
     def measure(self, gone: Floats, changed: Flags) -> None:
         """Measure anew the pairs of which a row has `changed` (k), once rows have gone by (3, k) mm."""
-        self._measure(gone, changed, self.gap, self.way)
-
-    def before(self, walked: Floats) -> tuple[Floats, Floats]:
-        """Gaps and ways of all pairs before rows `walked` (3, k) mm, as these face now."""
-        gap, way = np.empty_like(self.gap), np.empty_like(self.way)
-        self._measure(-walked, np.ones(len(self.rows), np.bool_), gap, way)
-        return gap, way
-
-    def _measure(self, gone: Floats, changed: Flags, gap: Floats, way: Floats) -> None:
+        gap, way = self.gap, self.way
         if compiled.wanted(len(self.i)):
             from antdsl.runtime.moving.capsules_compiled import measured
 
-            lost = np.empty(len(self.i), np.intp)
+            some, lost = np.empty((2, len(self.i)), np.intp)
             capsules = (self.ahead, self.up, self.half, self.radius)
-            count = measured(self.middle, gone, *capsules, self.i, self.j, changed, gap, way, lost)
+            count = measured(self.middle, gone, *capsules, self.i, self.j, changed, gap, way, some, lost)
             which = lost[:count]
         else:
             which = np.flatnonzero(changed.take(self.i) | changed.take(self.j))

@@ -87,14 +87,34 @@ def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untype
 
 
 @inlined
-def _count(flags):  # type: ignore[no-untyped-def]
-    """How many flags are set, whose numbers come first now."""
-    count = 0
-    for pair in range(flags.size):
-        if flags[pair] != 0:
-            flags[count] = pair
-            count += 1
-    return count
+def listed(flags, count):  # type: ignore[no-untyped-def]
+    """How many of the first flags are 1, not 0, whose numbers come first now."""
+    found = 0
+    for k in range(count):
+        flag = flags[k]
+        flags[found] = k  # written whatever it is: no branch that is hard to foretell
+        found += flag
+    return found
+
+
+@called
+def measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, some, lost):  # type: ignore[no-untyped-def]
+    """As `measured`; gives first how many pairs have been measured, which are the first of `some`."""
+    for pair in independent(0, i.size):
+        some[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
+    count = listed(some, i.size)
+    for n in independent(0, count):
+        pair = some[n]
+        p, q = i[pair], j[pair]
+        away = minus(plus(_of(middle, p), _of(gone, p)), plus(_of(middle, q), _of(gone, q)))
+        gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+            away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
+        )
+        lost[n] = 1 if nowhere else 0
+    without = listed(lost, count)
+    for n in range(without):
+        lost[n] = some[lost[n]]
+    return count, without
 
 
 @kernel
@@ -110,19 +130,45 @@ def measured(
     changed: Array1[BOOL],
     gap: Array1[F64],
     way: Array2[F64],
+    some: Array1[I64],
     lost: Array1[I64],
 ) -> I64:
     """As `capsules.Near.measure`, into `gap` and `way`; gives how many pairs have no way of their own, which are the first of
-    `lost`."""
+    `lost`. `some` is room for work."""
+    _, without = measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, some, lost)
+    return without
+
+
+@kernel
+def before(
+    middle: Strided2[F64],
+    walked: Strided2[F64],
+    ahead: Strided2[F64],
+    up: Strided2[F64],
+    half: Array1[F64],
+    radius: Array1[F64],
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    deep: Array1[F64],
+    lost: Array1[I64],
+) -> I64:
+    """As `capsules.Near.before`, into `gap`, `way` and `deep`; gives how many pairs have no way of their own, which are the first
+    of `lost`."""
     for pair in independent(0, i.size):
-        p, q, nowhere = i[pair], j[pair], False
-        if changed[p] or changed[q]:
-            away = minus(plus(_of(middle, p), _of(gone, p)), plus(_of(middle, q), _of(gone, q)))
-            gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
-                away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
-            )
+        p, q = i[pair], j[pair]
+        away = minus(minus(_of(middle, p), _of(walked, p)), minus(_of(middle, q), _of(walked, q)))
+        gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+            away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
+        )
         lost[pair] = 1 if nowhere else 0
-    return _count(lost)
+    deep[:] = 0.0
+    for pair in range(i.size):
+        if gap[pair] < 0:
+            p, q = i[pair], j[pair]
+            deep[p], deep[q] = max(deep[p], -gap[pair]), max(deep[q], -gap[pair])
+    return listed(lost, i.size)
 
 
 @kernel

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot
-from antdsl.runtime.moving import cutting
-from antdsl.runtime.moving.capsules import Crowd, Near, deepest, find, part_of
+from antdsl.runtime.moving import cutting, rounds
+from antdsl.runtime.moving.capsules import Crowd, Near, find, part_of
 from antdsl.runtime.moving.corrections import Corrections
 from antdsl.runtime.world import AXES, PUSHED, World
 
@@ -32,7 +32,6 @@ Flags = NDArray[np.bool_]
 
 _F = np.float32
 _DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
-_SEEN = 0.05  # of the room of two: an overlap for which more is walked
 _FINE = 40  # digits of a term in a sum, below the widest overlap
 _MAGIC = 1.5 * 2.0 ** (52 - _FINE)
 _SHARES = 1 << 20  # a share is a multiple of one in so many
@@ -42,8 +41,6 @@ _PRESSED = 1.0  # the same among those who are hardly in each other: there a cro
 _LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
 _EAGER = 1.5  # times the mean of its contacts, by which one in a heap is moved
 _STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
-_MISSED = 0.05  # of a radius: who ends so far from where it was to is looked at again
-_HELD = 0.5  # of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
 _HEAP = 0.4  # radii: who was half as deep in another begins to be in a heap, who was one and a half times as deep is
 _RESTS = 0.01  # of the way that it may walk: who goes less rests, and presses nobody
 _YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
@@ -95,43 +92,45 @@ def resolve(world: World, began: Stood, dt: float) -> None:
         return
     share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
     agents, walked = _Agents.of(crowd, near, began, dt)
-    cut = np.zeros_like(near.middle)
-    gap, way = near.before(walked)
-    deep = deepest(len(near.rows), near.i, near.j, gap)
+    gap, way, deep = near.before(walked)
     if world.setting.contacts == "hard":
-        cut, stopped = cutting.cut(near, _came(crowd, near.rows, dt), agents.mass, walked, gap, way)
+        cut, stopped, changed = cutting.cut(near, _came(crowd, near.rows, dt), agents.mass, walked, gap, way)
         _face_as_before(crowd, near, stopped, began.headings)
-        changed = _moved(cut)
-        changed[stopped] = True
         near.measure(cut, changed)
+    else:
+        cut = np.zeros_like(near.middle)
     which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
     for left in range(effort.rounds - 1, -1, -1):
         asked = _apart(near, agents, which, held, walked, deep, effort, share, cut)
-        some = np.flatnonzero(_moved(asked))
-        rows, wanted = near.rows.take(some), asked.take(some, axis=1)
+        some, wanted = rounds.led(asked)
+        rows = near.rows.take(some)
         got = walking.walk(rows, wanted)
         _note_pushes(crowd, rows, cut, some, wanted, got)
         if not left:
             break
-        short = wanted - got
-        missed = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
-        if not missed.any():
-            break
-        near.middle[:, some] += got
         cut, held = np.zeros_like(cut), held.copy()
-        held[some[missed & (dot(got, wanted) < _HELD * dot(wanted, wanted))]] = True
-        touched = np.zeros(len(held), np.bool_)
-        touched[some[missed]] = True
-        which = touched.take(near.i) | touched.take(near.j)
-        near.measure(cut, touched)
-        visible = (near.radius.take(near.i) + near.radius.take(near.j)) * _SEEN
-        if not (which & (near.gap < -visible)).any():
+        touched = rounds.missed(near, some, wanted, got, held)
+        if not touched.any():
             break
-        walked[:, some] = crowd.of(lambda p: p.position.T, 1).take(rows, axis=1) - agents.start.take(some, axis=1)
+        near.measure(cut, touched)
+        seen = rounds.visible(near, touched)
+        if seen is None:
+            break
+        which = seen
+        at = [population.position[own].T for population, own in crowd.parts(rows)]
+        walked[:, some] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start.take(some, axis=1)
 
 
 def _came(crowd: Crowd, rows: Rows, dt: float) -> Floats:
     """The way (3, k) mm that rows of a crowd came in a time as long as this substep before it."""
+    if compiled.wanted(len(rows)):
+        from antdsl.runtime.moving.corrections_compiled import came
+
+        first, way = 0, np.empty((3, len(rows)))
+        for population, own in crowd.parts(rows):
+            came(own, first, vec.named(population.start, "velocity"), dt, way)
+            first += len(own)
+        return way
     velocity = (crowd.of(lambda p, axis=axis: p.start[f"velocity.{axis}"]) for axis in AXES)  # type: ignore[misc]
     return np.stack([component.take(rows) * dt for component in velocity]).astype(np.float64)
 
@@ -200,12 +199,6 @@ def _stands(crowd: Crowd, rows: Rows, began: Stood, dt: float) -> tuple[Floats, 
     return *vectors, *numbers
 
 
-def _moved(gone: Floats) -> Flags:
-    """Who goes (3, k) anywhere."""
-    moved: Flags = (gone[0] != 0) | (gone[1] != 0) | (gone[2] != 0)
-    return moved
-
-
 def _apart(
     near: Near,
     agents: _Agents,
@@ -244,7 +237,7 @@ def _apart(
     for left in range(effort.looks - 1, -1, -1):
         before = gone.copy()
         _look(near, which, least, light, heap, agents.normal, walked, most, room, cut, gone, magic, effort.sweeps, share)
-        changed = _moved(gone - before)
+        changed = rounds.moved(gone - before)
         if not left or not changed.any():
             break
         near.measure(gone, changed)

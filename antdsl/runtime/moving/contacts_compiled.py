@@ -22,9 +22,10 @@ from antdsl.machine_code.kernels import (
     kernel,
 )
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
-from antdsl.runtime.moving.capsules_compiled import measured
+from antdsl.runtime.moving.capsules_compiled import listed, measured_some
+from antdsl.runtime.moving.cutting_compiled import add, negative, of, put
 
-_FINE, _SHARES, _SPREADS, _BENDS = 40, 1 << 20, 3, 3  # as `contacts` and `cutting`
+_FINE, _SHARES, _SPREADS = 40, 1 << 20, 3  # as `contacts`
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
 _YIELD, _HEAP, _RESTS = 0.3, 0.4, 0.01
 _ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
@@ -38,111 +39,27 @@ Stand = tuple[
     Array1[F64], Array1[F64], Array1[F64], Array1[F64], Array1[BOOL], Strided2[F64], Strided2[F64], Strided2[F64]
 ]  # fmt: skip
 # Room for work, of rows: two vectors, seven numbers, three whole numbers and a condition; of pairs: six numbers, two vectors and
-# three whole numbers
+# four whole numbers
 Room = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64]]
 
 _WEIGHT, _LOCKED, _SPREAD, _LIGHT, _HEAPED, _MOST, _ROOM = range(7)  # numbers of rows
 _NUMBER, _SOME, _CONTACTS = 0, 1, 2  # whole numbers of rows
+_NONE, _MET = -1, -2  # numbers of rows that are in no pair of a look, and that touch another
 _DEAD_ZONE, _DEEP, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
-_CHOSEN, _FIRST, _SECOND = 0, 1, 2  # whole numbers of pairs
+_CHOSEN, _FIRST, _SECOND, _COUNTED = range(4)  # whole numbers of pairs
 
 
 def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
     """Arrays for `parted` to work in."""
     return (
         np.empty((3, rows)), np.empty((3, rows)), np.empty((7, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
-        np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((3, pairs), np.int64),
+        np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((4, pairs), np.int64),
     )  # fmt: skip
-
-
-@inlined
-def _of(vectors, i):  # type: ignore[no-untyped-def]
-    """One of vectors (3, k)."""
-    return vectors[0, i], vectors[1, i], vectors[2, i]
-
-
-@inlined
-def _put(vectors, i, v):  # type: ignore[no-untyped-def]
-    vectors[0, i], vectors[1, i], vectors[2, i] = v
-
-
-@inlined
-def _add(sums, i, v, magic):  # type: ignore[no-untyped-def]
-    """Add to a sum of terms that are rounded to the quantum of `magic`."""
-    for axis in range(3):
-        sums[axis, i] += (v[axis] + magic) - magic
 
 
 @inlined
 def _rounded(term):  # type: ignore[no-untyped-def]
     return (term + _MAGIC) - _MAGIC
-
-
-@inlined
-def _negative(v):  # type: ignore[no-untyped-def]
-    return -v[0], -v[1], -v[2]
-
-
-@kernel
-def bent(
-    i: Array1[I64],
-    j: Array1[I64],
-    gap: Array1[F64],
-    way: Array2[F64],
-    came: Array2[F64],
-    mass: Array1[F64],
-    walked: Array2[F64],
-    magic: F64,
-    free: Array2[F64],
-    sums: Array2[F64],
-    part: Array1[F64],
-    met: Array1[I64],
-    step: Array2[F64],
-) -> None:
-    """As `cutting._bent` with what `cutting._free` says, into `step` (3, k); `free` (2, m), `sums` (3, k), `part` and `met` (k)
-    are room for work."""
-    count, m = walked.shape[1], i.size
-    for pair in independent(0, m):
-        ways = _of(way, pair)
-        for side in range(2):
-            own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
-            far = max(gap[pair], 0.0) * 0.5 + max(-dot(ways, _of(came, other)), 0.0)
-            heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
-            free[side, pair] = far + heavier * max(-dot(ways, _of(walked, own)) - far, 0.0)
-            ways = _negative(ways)
-    part[:] = 1.0
-    for k in range(count):
-        _put(step, k, _of(walked, k))
-    for _ in range(_BENDS):
-        sums[:] = 0.0
-        met[:] = 0
-        found = False
-        for pair in range(m):
-            ways = _of(way, pair)
-            for side in range(2):
-                k = j[pair] if side else i[pair]
-                over = -dot(ways, _of(step, k)) - free[side, pair]
-                if over > 0:
-                    _add(sums, k, times(ways, over), magic)
-                    met[k] += 1
-                    found = True
-                ways = _negative(ways)
-        if not found:
-            break
-        for k in range(count):
-            if met[k]:
-                for axis in range(3):
-                    step[axis, k] += sums[axis, k] / met[k]
-    for pair in range(m):
-        ways = _of(way, pair)
-        for side in range(2):
-            k = j[pair] if side else i[pair]
-            towards = -dot(ways, _of(step, k))
-            if towards > free[side, pair]:
-                part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
-            ways = _negative(ways)
-    for k in range(count):
-        _put(step, k, times(_of(step, k), part[k]))
 
 
 @kernel
@@ -183,8 +100,8 @@ def _greatest(numbers, count):  # type: ignore[no-untyped-def]
 
 
 @called
-def _share(m, some, count, room, light, heap):  # type: ignore[no-untyped-def]
-    """As `contacts._shares`, for the first `m` pairs of `room`, among the first `count` of `some` rows."""
+def _share(m, count, room, light, heap):  # type: ignore[no-untyped-def]
+    """As `contacts._shares`, for the first `m` pairs of `room`, among the first `count` rows."""
     locked, spread = room[2][_LOCKED], room[2][_SPREAD]
     numbers, first, second = room[5], room[7][_FIRST], room[7][_SECOND]
     deep = numbers[_DEEP]
@@ -208,11 +125,11 @@ def _share(m, some, count, room, light, heap):  # type: ignore[no-untyped-def]
             locked[k] = _rounded(spread[k] / highest)
     for n in range(m):
         p, q = first[n], second[n]
-        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap[some[p]], heap[some[q]])
+        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap[p], heap[q])
         outer = 0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300)
         outer = min(max(outer, _LEAST), 1 - _LEAST)
-        one = light[some[p]] * outer * numbers[_LEVEL, n]
-        total = one + light[some[q]] * (1 - outer) * numbers[_LEVEL + 1, n]
+        one = light[p] * outer * numbers[_LEVEL, n]
+        total = one + light[q] * (1 - outer) * numbers[_LEVEL + 1, n]
         part = np.rint(one / max(total, 1e-300) * _SHARES) / _SHARES
         numbers[_SHARE, n], numbers[_SHARE + 1, n] = part, 1 - part if total > 0 else 0.0
 
@@ -244,112 +161,127 @@ def parted(
     Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
     middle, ahead, up, half, radius = bodies
     i, j, gap, way, which = pairs
-    least, changed = room[5][_DEAD_ZONE], room[4]
+    number, some, changed, counted = room[3][_NUMBER], room[3][_SOME], room[4], room[7][_COUNTED]
     for pair in independent(0, i.size):
-        least[pair] = (radius[i[pair]] + radius[j[pair]]) * _DEAD
-    _limit(radius, stand, room[2])
+        counted[pair] = 1 if which[pair] else 0
+    those = listed(counted, i.size)
+    number[:] = _NONE
+    changed[:] = False
     for left in range(looks - 1, -1, -1):
-        changed[:] = False
-        if not _look(pairs, stand, gone, magic, sweeps, slow, room) or not left:
+        moved, rows = _look(radius, pairs, those, stand, gone, magic, sweeps, slow, room)
+        if not moved or not left:
             break
-        count = measured(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, lost)
-        for pair in range(i.size):
-            which[pair] |= changed[i[pair]] or changed[j[pair]]
-        if count:
-            return left, count
+        chosen = room[7][_CHOSEN]
+        count, without = measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, chosen, lost)
+        for n in range(count):
+            if not which[chosen[n]]:
+                which[chosen[n]] = True
+                counted[those] = chosen[n]
+                those += 1
+        if without:
+            return left, without
+        for k in range(rows):
+            changed[some[k]] = False
     return 0, 0
 
 
 @called
-def _limit(radius, stand, of_rows):  # type: ignore[no-untyped-def]
-    """As `contacts._apart`: how easily each row is moved, how much it is in a heap, how far it may get and how far be pushed."""
+def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
+    """As `contacts._apart`: how easily each of some rows is moved, how much it is in a heap, how far it may get and how far be
+    pushed."""
     mass, yields, reach, deep, held, _, walked, _ = stand
     light, heap, most, room = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
-    for k in independent(0, mass.size):
-        way = _of(walked, k)
+    for k in independent(0, count):
+        row = some[k]
+        way = of(walked, row)
         size = np.sqrt(dot(way, way))
-        far = max(reach[k], size)
-        most[k], room[k] = far, min(far * _YIELD + deep[k], far) * yields[k]
-        heap[k] = 1.0 if size <= _RESTS * far else min(max(deep[k] / (radius[k] * _HEAP) - 0.5, 0.0), 1.0)
-        light[k] = 0.0 if held[k] else 1 / mass[k]
+        far = max(reach[row], size)
+        most[k], room[k] = far, min(far * _YIELD + deep[row], far) * yields[row]
+        heap[k] = 1.0 if size <= _RESTS * far else min(max(deep[row] / (radius[row] * _HEAP) - 0.5, 0.0), 1.0)
+        light[k] = 0.0 if held[row] else 1 / mass[row]
 
 
 @called
-def _look(pairs, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
-    """As `contacts._look`; says who has changed, and whether anybody has."""
-    i, j, gap, way, which = pairs
+def _look(radius, pairs, those, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
+    """As `contacts._look`, of the pairs that are the first of `counted`; says who has changed, and whether anybody has; and
+    how many rows it has looked at, which are the first of `some`."""
+    i, j, gap, way, _ = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
     led, sums, of_rows, wholes, changed, numbers, ways, indices = room
     light, heap, most, far = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
     number, some, contacts = wholes[_NUMBER], wholes[_SOME], wholes[_CONTACTS]
     weight, least = of_rows[_WEIGHT], numbers[_DEAD_ZONE]
-    chosen, first, second = indices[_CHOSEN], indices[_FIRST], indices[_SECOND]
-    number[:] = 0  # of who touches 1, then of who is in a pair with one of these
-    m, count = 0, 0
-    for pair in range(i.size):
-        if which[pair] and gap[pair] < -least[pair]:
-            number[i[pair]] = number[j[pair]] = 1
-            m += 1
+    chosen, first, second, counted = indices[_CHOSEN], indices[_FIRST], indices[_SECOND], indices[_COUNTED]
+    for n in independent(0, those):
+        it = counted[n]
+        chosen[n] = 1 if gap[it] < -((radius[i[it]] + radius[j[it]]) * _DEAD) else 0
+    m, count = listed(chosen, those), 0
     if not m:
-        return False
-    m = 0
-    for pair in range(i.size):
-        if which[pair] and (number[i[pair]] == 1 or number[j[pair]] == 1):
-            chosen[m] = pair
-            m += 1
-    number[:] = -1
+        return False, count
     for n in range(m):
+        pair = counted[chosen[n]]
+        number[i[pair]], number[j[pair]] = _MET, _MET
+    for n in independent(0, those):
+        that = counted[n]
+        chosen[n] = 1 if (number[i[that]] == _MET) | (number[j[that]] == _MET) else 0
+    m = listed(chosen, those)
+    for n in range(m):
+        pair = counted[chosen[n]]
+        chosen[n], least[n] = pair, (radius[i[pair]] + radius[j[pair]]) * _DEAD
         for side in range(2):
             k = j[chosen[n]] if side else i[chosen[n]]
             if number[k] < 0:
                 number[k], some[count] = count, k
                 count += 1
         first[n], second[n] = number[i[chosen[n]]], number[j[chosen[n]]]
+    for k in range(count):
+        number[some[k]] = _NONE
+    _limit(radius, stand, some, count, of_rows)
     for n in range(m):
         pair = chosen[n]
-        numbers[_DEEP, n] = -gap[pair] if gap[pair] < -least[pair] else 0.0
-        v = _of(way, pair)
+        numbers[_DEEP, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
+        v = of(way, pair)
         for side in range(2):
-            up = _of(normal, j[pair] if side else i[pair])
+            up = of(normal, j[pair] if side else i[pair])
             along = minus(v, times(up, dot(v, up)))
             ways[side, n, 0], ways[side, n, 1], ways[side, n, 2] = along
             numbers[_LEVEL + side, n] = dot(along, along)
-            v = _negative(v)
-    _share(m, some, count, room, light, heap)
+            v = negative(v)
+    _share(m, count, room, light, heap)
     for side in range(2):
         for n in range(m):
             factor = numbers[_SHARE + side, n] / max(numbers[_LEVEL + side, n], _STEEPEST)
             for axis in range(3):
                 ways[side, n, axis] *= factor
     for k in range(count):
-        _put(led, k, _of(gone, some[k]))
+        put(led, k, of(gone, some[k]))
     for _ in range(sweeps):
         for k in range(count):
             sums[0, k], sums[1, k], sums[2, k], weight[k], contacts[k] = 0.0, 0.0, 0.0, 0.0, 0
         touching = False
         for n in range(m):
             pair, p, q = chosen[n], first[n], second[n]
-            one, other = minus(_of(led, p), _of(gone, i[pair])), minus(_of(led, q), _of(gone, j[pair]))
-            left = gap[pair] + dot(_of(way, pair), minus(one, other))
-            if left < -least[pair]:
+            one, other = minus(of(led, p), of(gone, i[pair])), minus(of(led, q), of(gone, j[pair]))
+            left = gap[pair] + dot(of(way, pair), minus(one, other))
+            if left < -least[n]:
                 touching = True
                 for side in range(2):
                     k = q if side else p
-                    _add(sums, k, times((ways[side, n, 0], ways[side, n, 1], ways[side, n, 2]), left * -slow), magic)
+                    add(sums, k, times((ways[side, n, 0], ways[side, n, 1], ways[side, n, 2]), left * -slow), magic)
                     weight[k] += numbers[_SHARE + side, n]
                     contacts[k] += 1
         if not touching:
             break
         for k in range(count):
             at = some[k]
-            part = (1 + (_EAGER - 1) * heap[at] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
-            asked = plus(_of(led, k), times(_of(sums, k), part))
-            asked = _within(asked, _negative(_of(cut, at)), far[at])
-            _put(led, k, _within(asked, _of(walked, at), most[at]))
+            part = (1 + (_EAGER - 1) * heap[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
+            asked = plus(of(led, k), times(of(sums, k), part))
+            asked = _within(asked, negative(of(cut, at)), far[k])
+            put(led, k, _within(asked, of(walked, at), most[k]))
     moved = False
     for k in range(count):
         for axis in range(3):
             changed[some[k]] |= led[axis, k] != gone[axis, some[k]]
         moved |= changed[some[k]]
-        _put(gone, some[k], _of(led, k))
-    return moved
+        put(gone, some[k], of(led, k))
+    return moved, count

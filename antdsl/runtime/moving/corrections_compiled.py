@@ -58,6 +58,14 @@ def stands(
 
 
 @kernel
+def came(rows: Array1[I64], first: I64, velocity: Three, dt: F32, way: Array2[F64]) -> None:
+    """As `contacts._came`, of some rows of a species, from the number `first` on among all rows."""
+    for n in independent(0, rows.size):
+        for axis in range(3):
+            way[axis, first + n] = velocity[axis][rows[n]] * dt
+
+
+@kernel
 def asked(
     rows: Array1[I64],
     gone: Strided2[F64],

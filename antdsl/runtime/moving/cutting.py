@@ -11,31 +11,36 @@ from antdsl.runtime.moving.capsules import Near
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 _FINE = 40  # digits of a term in a sum, below the widest overlap
 _GOES = 0.5  # of its way: who goes less is stopped
 _BENDS = 3  # times that a step is bent along those in its way, before it is cut
 
 
-def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way: Floats) -> tuple[Floats, Rows]:
-    """By what (3, k) mm steps of rows that `walked` (3, k) mm are cut and bent so that nobody enters another, and who goes less
-    than half of its way. They `came` (3, k) mm in a time as long before this one; `gap` (m) and `way` (3, m) of pairs are those
-    from before the steps.
+def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way: Floats) -> tuple[Floats, Rows, Flags]:
+    """By what (3, k) mm steps of rows that `walked` (3, k) mm are cut and bent so that nobody enters another; who goes less than
+    half of its way, and so is stopped; and who of all (k) is cut or stopped. They `came` (3, k) mm in a time as long before this
+    one; `gap` (m) and `way` (3, m) of pairs are those from before the steps.
 
     As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent by itself keeps to half-planes: towards
     each other one it goes no farther than half of the gap, and than what that one withdraws if it goes on as it came. What all
     share in is so found without anybody waiting for others, and a crowd that presses stands still. Of two masses the heavier is
     cut less."""
-    magic = np.ldexp(1.5, int(np.frexp(max(np.abs(walked).max(), 1e-30))[1]) + 2 - _FINE + 52)
+    most = max(walked.max(), -walked.min(), 1e-30)
+    magic = np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _FINE + 52)
     if compiled.wanted(len(gap)):
-        from antdsl.runtime.moving.contacts_compiled import bent
+        from antdsl.runtime.moving.cutting_compiled import bent
 
-        count, free, met = len(near.rows), np.empty((2, len(gap))), np.empty(len(near.rows), np.int64)
-        step = np.empty((3, count))
-        bent(near.i, near.j, gap, way, came, mass, walked, magic, free, np.empty((3, count)), np.empty(count), met, step)
-    else:
-        step = _bent(near, _free(near, came, mass, walked, gap, way), walked, way, magic)
-    return step - walked, np.flatnonzero(dot(step, step) < _GOES**2 * dot(walked, walked))
+        rows, pairs = len(near.rows), len(gap)
+        (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
+        met, some, stopped = np.empty((3, rows), np.intp)
+        room = (np.empty((2, pairs)), sums, part, met, some, np.empty(pairs, np.intp))
+        count = bent(near.i, near.j, gap, way, came, mass, walked, magic, *room, short, stopped, changed)
+        return short, stopped[:count], changed
+    step = _bent(near, _free(near, came, mass, walked, gap, way), walked, way, magic)
+    short, halted = step - walked, dot(step, step) < _GOES**2 * dot(walked, walked)
+    return short, np.flatnonzero(halted), halted | (short != 0).any(axis=0)
 
 
 def _free(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way: Floats) -> Floats:
