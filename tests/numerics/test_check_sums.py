@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -12,19 +13,28 @@ from antdsl.machine_code import machine
 from antdsl.numerics import check_sums, compiled
 from antdsl.numerics.check_sums import crc32
 
-LENGTHS = [*range(64, 200), 255, 256, 257, 1000, 4095, 4096, 4097, 65_537]
+LENGTHS = [*range(64, 200), 255, 256, 257, 400, 511, 512, 513, 767, 768, 769, 1000, 4095, 4096, 4097, 65_537]
 
 
-@pytest.fixture
-def products(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(params=[1, 4], ids=["16 bytes at once", "64 bytes at once"])
+def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """The bytes of a stride."""
     need_llvmlite()
-    if not check_sums.has_products(machine.host()):
-        pytest.skip("this processor has no products without carry")
+    host = machine.host()
+    if not check_sums.has_products(host) or check_sums.blocks(host) < request.param:
+        pytest.skip("this processor has no such products without carry")
+    features = host.features + (",-vpclmulqdq" if request.param == 1 else "")
+    if request.param == 1:
+        features = features.replace("+vpclmulqdq,", "")
+    monkeypatch.setattr(machine, "host", lambda: machine.Target(host.triple, host.cpu, features))
     monkeypatch.setattr(compiled, "running", lambda: True)
-    monkeypatch.setattr(check_sums, "LEAST", 64)
+    monkeypatch.setattr(check_sums, "LEAST", 64 * request.param)
+    check_sums._fold.cache_clear()
+    yield 64 * request.param
+    check_sums._fold.cache_clear()
 
 
-def test_it_is_that_of_zlib(products: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_that_of_zlib(products: int, monkeypatch: pytest.MonkeyPatch) -> None:
     data = np.random.default_rng(1).bytes(70_000)
     finished: list[int] = []
     plain = zlib.crc32
@@ -34,16 +44,16 @@ def test_it_is_that_of_zlib(products: None, monkeypatch: pytest.MonkeyPatch) -> 
             start = length % 17  # also where eight bytes do not begin
             assert crc32(memoryview(data)[start : start + length], before) == plain(data[start : start + length], before)
             assert crc32(bytes(length), before) == plain(bytes(length), before)
-    assert max(finished) < 64  # all but the rest went the other way
+    assert max(finished) < products  # all but the rest went the other way
 
 
-def test_parts_one_after_the_other_are_the_whole(products: None) -> None:
+def test_parts_one_after_the_other_are_the_whole(products: int) -> None:
     data = np.random.default_rng(2).bytes(5000)
     for cut in (0, 1, 63, 64, 65, 700, 4999):
         assert crc32(data[cut:], crc32(data[:cut])) == zlib.crc32(data)
 
 
-def test_every_bit_counts(products: None) -> None:
+def test_every_bit_counts(products: int) -> None:
     data = bytearray(np.random.default_rng(3).bytes(300))
     seen = {crc32(bytes(data))}
     for place in range(len(data)):
@@ -55,15 +65,12 @@ def test_every_bit_counts(products: None) -> None:
 
 
 @pytest.mark.parametrize("features", ["+avx2,-pclmul", "+avx2,+vpclmulqdq", ""])
-def test_a_processor_without_such_products(features: str, products: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_processor_without_such_products(features: str, products: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The instruction would end the process."""
     target = machine.host()
     monkeypatch.setattr(machine, "host", lambda: machine.Target(target.triple, "x86-64", features))
     check_sums._fold.cache_clear()
-    try:
-        assert check_sums._fold() is None and crc32(b"abc" * 99) == zlib.crc32(b"abc" * 99)
-    finally:
-        check_sums._fold.cache_clear()
+    assert check_sums._fold() is None and crc32(b"abc" * 99) == zlib.crc32(b"abc" * 99)
 
 
 def test_an_arm_has_none() -> None:

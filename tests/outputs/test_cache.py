@@ -29,9 +29,9 @@ from antdsl.cli import _run as run_in_process
 from antdsl.cli import app
 from antdsl.cli.exits import Stop
 from antdsl.cli.new import ground
+from antdsl.outputs.cache.agent_arrays import orientation
 from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
 from antdsl.outputs.cache.cache_writer import ForeignFolder, prepare_folder
-from antdsl.outputs.cache.frames import orientation
 from antdsl.outputs.cache.hashes import HASHES, read_lines
 from antdsl.outputs.cache.lock import FolderLock, Locked
 from antdsl.outputs.cache.npz import ArrayFileError, parse_npy, read_npz, to_bytes, write_whole

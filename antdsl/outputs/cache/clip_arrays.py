@@ -5,13 +5,14 @@ the like float32. What concerns `earlier` is in a frame only where anybody has s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS, MachineClips
+from antdsl.numerics import compiled
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.runtime.world import Population
 
@@ -24,6 +25,8 @@ _REGISTERS = {
     "earlier": ("clip_earlier", np.int16), "earlier_turns": ("clip_earlier_turns", np.float32),
     "earlier_weight": ("clip_earlier_weight", np.float32), "earlier_fade": ("clip_earlier_fade", np.float32),
 }  # fmt: skip
+_USUAL = tuple(field for field in FIELDS if field not in EARLIER)
+_CLIPS, _SHARES = ("clip", "before"), ("turns", "weight", "before_turns", "before_weight", "fade")
 
 
 def playing(population: Population) -> Iterator[str]:
@@ -31,18 +34,30 @@ def playing(population: Population) -> Iterator[str]:
     return (machine.name for machine in population.plan.machines if f"{machine.name}.clip" in population.plan.registers)
 
 
-def clips_playing(population: Population, rows: NDArray[np.intp]) -> dict[str, NDArray[Any]]:
-    """The arrays of a species: of its agents at some rows."""
+def clips_playing(population: Population, rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
+    """The arrays of a species: of its agents at some rows, of all by id where none are given."""
     found: dict[str, NDArray[Any]] = {}
     for machine in playing(population):
         now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTERS.items()}
         early = now["earlier_fade"] > 0
-        three = bool(early.any() and (early & (now["fade"] > 0)).any())
-        found |= {
-            f"clips.{population.name}.{machine}.{field}": now[field].take(rows).astype(_REGISTERS[field][1], copy=False)
-            for field in FIELDS
-            if three or field not in EARLIER
-        }
+        fields = FIELDS if early.any() and (early & (now["fade"] > 0)).any() else _USUAL
+        named = f"clips.{population.name}.{machine}."
+        found |= {named + field: array for field, array in _told(population, rows, now, fields).items()}
+    return found
+
+
+def _told(population: Population, rows: NDArray[np.intp] | None, now: Arrays, fields: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """The first of the fields, the usual ones or more."""
+    found: dict[str, NDArray[Any]] = {}
+    if rows is None and compiled.wanted(len(population)):
+        from antdsl.outputs.cache import frames_compiled as kernels
+
+        found = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
+        of = [tuple([arrays[field] for field in some]) for arrays in (now, found) for some in (_CLIPS, _SHARES)]
+        kernels.playing(of[0], of[1], population.ranks(), of[2], of[3])
+    rows = population.in_id_order() if rows is None else rows
+    for field in fields[len(found) :]:
+        found[field] = now[field].take(rows).astype(_REGISTERS[field][1], copy=False)
     return found
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.numerics import compiled
+from antdsl.outputs.cache.agent_arrays import AgentArrays
 from antdsl.outputs.cache.clip_arrays import clips_playing, playing
 from antdsl.outputs.cache.event_arrays import events_of
 from antdsl.outputs.cache.foot_arrays import placed_feet
@@ -38,7 +39,7 @@ from antdsl.program.model import Dim, Kind, Program
 from antdsl.runtime.emitted import event_names
 from antdsl.runtime.hashing import STATE_HASH
 from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import Setting
 
 Arrays = dict[str, NDArray[Any]]
@@ -64,24 +65,22 @@ class FrameMaker:
         only = {each for slots in self.pairs.values() for each in slots} - _plain_numbers(program)
         told = tuple(each for each in attributes if each not in only)
         self.attributes = told if len(world.populations) == 1 or "species" in told else (*told, "species")
-        self.colours = {name: _colours(p) for name, p in world.populations.items()}
         self.factors = {
             (species.name, a.name): self.scale ** _length_power(a.type.dim)
             for species in program.species.values()
             for a in species.attributes
             if a.type.kind is Kind.NUMBER
         }
+        self.agents = AgentArrays(world, self.scale, self.factors, self.pairs)
 
     def frame(self, world: World) -> Arrays:
         """All arrays of the frame that the world stands at."""
         arrays: Arrays = {"frame": np.array(world.frame, np.int64)}
         rows = {name: world.populations[name].in_id_order() for name in sorted(world.populations)}
-        for attribute in self.attributes:
-            parts = [self._attribute(world, attribute, number, name, rows[name]) for number, name in enumerate(rows)]
-            arrays[attribute] = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        arrays |= self.agents.arrays(world, self.attributes)
         for name in rows:
-            arrays |= clips_playing(world.populations[name], rows[name])
-            arrays |= shown(world.populations[name], rows[name], world.setting)
+            arrays |= clips_playing(world.populations[name])
+            arrays |= shown(world.populations[name], world.setting)
             arrays |= self._pairs(world.populations[name], rows[name])
             arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
@@ -126,38 +125,6 @@ class FrameMaker:
             arrays["v_ground"] = (np.concatenate(parts) * self.scale).astype(np.float32)
         return arrays
 
-    def _coloured(self, population: Population, rows: NDArray[np.intp]) -> NDArray[np.float32]:
-        """The colours of the states of the agents at some rows, float32[k, 3]. IndexError for a state that is none."""
-        colours, machines = self.colours[population.name], population.plan.machines
-        if machines and compiled.wanted(len(rows)):
-            from antdsl.outputs.cache import frames_compiled as kernels
-
-            out = np.empty((len(rows), 3), np.float32)
-            if kernels.coloured(colours, population.now[f"{machines[0].name}.state"], rows, out):
-                return out
-        return colours.take(_states(population, rows), axis=0)
-
-    def _attribute(self, world: World, attribute: str, number: int, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
-        population = world.populations[name]
-        if attribute in ("P", "v", "orient"):
-            made = _made_compiled if compiled.wanted(len(rows)) else _made
-            return made(population, attribute, world.origin, self.scale)
-        if attribute == "id":
-            return population.sorted_ids()[0]
-        if attribute == "pscale":
-            return _register(population, "size", rows) * np.float32(self.scale)
-        if attribute == "Cd":
-            return self._coloured(population, rows)
-        if attribute == "state":
-            return _states(population, rows).astype(np.int16)
-        if attribute == "species":
-            return np.full(len(rows), number, np.int16)
-        if attribute == "age":
-            return ((world.frame - population.born[rows]) * world.dt).astype(np.float32)
-        if attribute not in population.plan.registers or attribute in self.pairs[name]:
-            return np.full(len(rows), np.nan, np.float32)
-        return _register(population, attribute, rows) * np.float32(self.factors.get((name, attribute), 1.0))
-
 
 def _not_zero(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The cells of a field that have something in them, and how much."""
@@ -171,59 +138,9 @@ def _not_zero(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[n
     return found.astype(np.int32), values[found].astype(np.float32)
 
 
-def _made(population: Population, attribute: str, origin: NDArray[np.float64], scale: float) -> NDArray[np.float32]:
-    """`P`, `v` or `orient` of agents by id, float32[n, 3 or 4]."""
-    rows = population.in_id_order()
-    if attribute == "P":
-        return ((population.position[rows] + origin) * scale).astype(np.float32)
-    if attribute == "v":
-        return _vector(population, "velocity", rows) * np.float32(scale)
-    return orientation(_vector(population, "heading", rows), _vector(population, "up", rows))
-
-
-def _made_compiled(population: Population, attribute: str, origin: NDArray[np.float64], scale: float) -> NDArray[np.float32]:
-    """The same by kernels."""
-    from antdsl.outputs.cache import frames_compiled as kernels
-
-    ranks, out = population.ranks(), np.empty((len(population), 4 if attribute == "orient" else 3), np.float32)
-    if attribute == "P":
-        kernels.places(population.position, ranks, *origin, scale, out)
-    elif attribute == "v":
-        kernels.vectors(_columns(population, "velocity"), ranks, scale, out)
-    else:
-        kernels.orientations(_columns(population, "heading"), _columns(population, "up"), ranks, out)
-    return out
-
-
 def _plain_numbers(program: Program) -> set[str]:
     """Names of numbers that some species has one of for each agent."""
     return {a.name for species in program.species.values() for a in species.attributes if a.each is None}
-
-
-def orientation(heading: NDArray[np.float32], up: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Quaternions (n, 4) x, y, z, w that turn +x to the heading and +y to the part of `up` across it. (n, 3) float32 each.
-
-    A turn of +x to the heading by the shortest way, then one about the heading. A heading of nothing counts as +x, an `up` along
-    the heading as some direction across it."""
-    hx, hy, hz = heading.astype(np.float64).T
-    length = np.sqrt(hx * hx + hy * hy + hz * hz)
-    still = length < 1e-12
-    inverse = 1 / np.where(still, 1.0, length)
-    hx, hy, hz = np.where(still, 1.0, hx * inverse), hy * inverse, hz * inverse
-    # the shortest way: half way between +x and the heading; straight back is half a turn about z
-    back = hx < -1 + 1e-12
-    half = 1 / np.sqrt(np.where(back, 1.0, 2 * (1 + hx)))
-    aw, ay, az = np.where(back, 0.0, (1 + hx) * half), np.where(back, 0.0, -hz * half), np.where(back, 1.0, hy * half)
-    # where that turn brings +y and +z, and how `up` lies between them
-    ux, uy, uz = up.astype(np.float64).T
-    above = 2 * -az * aw * ux + (1 - 2 * az * az) * uy + 2 * ay * az * uz
-    beside = 2 * ay * aw * ux + 2 * ay * az * uy + (1 - 2 * ay * ay) * uz
-    size = np.sqrt(above * above + beside * beside)
-    cosine = np.where(size > 1e-12, above / np.maximum(size, 1e-30), 1.0)
-    bw = np.sqrt(np.maximum(0.5 + 0.5 * cosine, 0.0))
-    other = np.sqrt(np.maximum(0.5 - 0.5 * cosine, 0.0))
-    bx = np.where(np.signbit(beside) & (beside == beside), -other, other)  # what is no number may have any sign
-    return np.stack([aw * bx, ay * bw + az * bx, az * bw - ay * bx, aw * bw], axis=1).astype(np.float32)
 
 
 def static_arrays(world: World, setting: Setting) -> Arrays:
@@ -357,28 +274,6 @@ def _species(
         feelers=feelers,
         machines=machines,
     )
-
-
-def _colours(population: Population) -> NDArray[np.float32]:
-    machines = population.plan.machines
-    return np.array(machines[0].colours if machines else ((1.0, 1.0, 1.0),), np.float32)
-
-
-def _states(population: Population, rows: NDArray[np.intp]) -> NDArray[np.int32]:
-    machines = population.plan.machines
-    return population.now[f"{machines[0].name}.state"].take(rows) if machines else np.zeros(len(rows), np.int32)
-
-
-def _register(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float32]:
-    return population.now[name].take(rows).astype(np.float32, copy=False)
-
-
-def _vector(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float32]:
-    return np.stack([column.take(rows) for column in _columns(population, name)], axis=1)
-
-
-def _columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:
-    return tuple(population.now[f"{name}.{axis}"] for axis in AXES)
 
 
 def _length_power(dim: Dim) -> float:

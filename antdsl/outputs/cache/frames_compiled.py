@@ -1,4 +1,5 @@
-"""The compiled half of `frames`, `shown_arrays` and `surface_error`: one pass over the agents for each array, the same bits.
+"""The compiled half of `frames`, `agent_arrays`, `clip_arrays`, `shown_arrays` and `surface_error`, the same bits: one pass over
+the agents for an array, or for all that a machine plays.
 
 What takes several numbers of an agent goes by rows, as they lie in memory, and writes to the place of the agent's rank by id: one
 such write costs less than several reads here and there.
@@ -9,9 +10,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, as_bits, independent, inlined, kernel
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I16,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    Strided2,
+    as_bits,
+    independent,
+    inlined,
+    kernel,
+)  # fmt: skip
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+Clips = tuple[Array1[I32], Array1[I32]]
+ClipsOut = tuple[Array1[I16], Array1[I16]]
+Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 
 @kernel
@@ -36,10 +55,24 @@ def vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32]) -> None
 
 
 @kernel
-def coloured(colours: Array2[F32], state: Array1[I32], rows: Array1[I64], out: Array2[F32]) -> BOOL:
-    """Colours of the states of the agents at some rows; whether all states have one."""
-    for k in range(rows.size):
-        number = state[rows[k]]
+def numbers(of: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32]) -> None:
+    """Numbers of agents times a factor, each to the place of its rank."""
+    for i in range(ranks.size):
+        out[ranks[i]] = of[i] * scale
+
+
+@kernel
+def wholes(of: Array1[I32], ranks: Array1[I32], out: Array1[I16]) -> None:
+    """Whole numbers of agents, each to the place of its rank."""
+    for i in range(ranks.size):
+        out[ranks[i]] = of[i]
+
+
+@kernel
+def coloured(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32]) -> BOOL:
+    """Colours of the states of agents, each to the place of its rank; whether all states have one."""
+    for i in range(ranks.size):
+        number, k = state[i], ranks[i]
         if number < 0 or number >= colours.shape[0]:
             return False
         out[k, 0], out[k, 1], out[k, 2] = colours[number, 0], colours[number, 1], colours[number, 2]
@@ -47,10 +80,24 @@ def coloured(colours: Array2[F32], state: Array1[I32], rows: Array1[I64], out: A
 
 
 @kernel
-def worn(on: Array1[BOOL], rows: Array1[I64], bit: I64, mask: Array1[I64]) -> None:
-    """Put a bit into the masks of those at some rows who have it on."""
-    for k in range(rows.size):
-        mask[k] |= bit if on[rows[k]] else 0
+def playing(clips: Clips, shares: Shares, ranks: Array1[I32], clips_out: ClipsOut, shares_out: Shares) -> None:
+    """What a machine of agents plays, each to the place of its rank: clips, and turns, weights and the fade."""
+    clip, before = clips
+    clip_out, before_out = clips_out
+    turns, weight, before_turns, before_weight, fade = shares
+    turns_out, weight_out, before_turns_out, before_weight_out, fade_out = shares_out
+    for i in range(ranks.size):
+        k = ranks[i]
+        clip_out[k], before_out[k] = clip[i], before[i]
+        turns_out[k], weight_out[k], fade_out[k] = turns[i], weight[i], fade[i]
+        before_turns_out[k], before_weight_out[k] = before_turns[i], before_weight[i]
+
+
+@kernel
+def worn(on: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
+    """Put a bit into the masks, by rank, of those who have it on."""
+    for i in range(ranks.size):
+        mask[ranks[i]] |= bit if on[i] else 0
 
 
 @kernel
@@ -72,12 +119,12 @@ def _signed(size, sign):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]) -> None:
-    """As `frames.orientation`, each to the place of its rank."""
+def orientations(heading: Three, up: Three, out: Four) -> None:
+    """As `agent_arrays.orientation`, of agents as rows lie, component by component."""
     px, py, pz = heading
     qx, qy, qz = up
-    for i in independent(0, ranks.size):
-        k = ranks[i]
+    ox, oy, oz, ow = out
+    for i in independent(0, px.size):
         hx, hy, hz = np.float64(px[i]), np.float64(py[i]), np.float64(pz[i])
         ux, uy, uz = np.float64(qx[i]), np.float64(qy[i]), np.float64(qz[i])
         length = np.sqrt(hx * hx + hy * hy + hz * hz)
@@ -96,10 +143,19 @@ def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]
         cosine = cosine if size > 1e-12 else 1.0
         bw = np.sqrt(max(0.5 + 0.5 * cosine, 0.0))
         bx = _signed(np.sqrt(max(0.5 - 0.5 * cosine, 0.0)), beside)
-        out[k, 0] = np.float32(aw * bx)
-        out[k, 1] = np.float32(ay * bw + az * bx)
-        out[k, 2] = np.float32(az * bw - ay * bx)
-        out[k, 3] = np.float32(aw * bw)
+        ox[i] = np.float32(aw * bx)
+        oy[i] = np.float32(ay * bw + az * bx)
+        oz[i] = np.float32(az * bw - ay * bx)
+        ow[i] = np.float32(aw * bw)
+
+
+@kernel
+def turned(of: Four, ranks: Array1[I32], out: Array2[F32]) -> None:
+    """Quaternions of agents, each to the place of its rank."""
+    x, y, z, w = of
+    for i in range(ranks.size):
+        k = ranks[i]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = x[i], y[i], z[i], w[i]
 
 
 @kernel

@@ -51,12 +51,15 @@ def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 def npz_file(arrays: Mapping[str, NDArray[Any]]) -> Stored:
     """The same in parts. Those of arrays are the arrays' own memory, nothing of which may change until they have been used."""
-    return stored(_member(name, np.asarray(array, order="C")) for name, array in arrays.items())
+    return stored(_member(name, array) for name, array in arrays.items())
 
 
 def _member(name: str, array: NDArray[Any]) -> tuple[str, bytes, memoryview]:
-    kind = _kind(name, array.dtype)
-    return f"{name}.npy", _header(kind, array.shape), array.astype(kind, copy=False).reshape(-1).view(_BYTE).data
+    (kind, as_it_is), of = _kind(name, array.dtype), array.data
+    if as_it_is and of.nbytes and of.c_contiguous:
+        return f"{name}.npy", _header(kind, array.shape), of.cast("B")
+    data = np.asarray(array, order="C").astype(kind, copy=False).reshape(-1).view(_BYTE).data
+    return f"{name}.npy", _header(kind, array.shape), data
 
 
 def to_member(
@@ -64,23 +67,25 @@ def to_member(
 ) -> None:
     """Add an array of a type and shape to an open NPZ file, from parts that are it end to end, one in memory at a time."""
     entry = zipfile.ZipInfo(f"{name}.npy", _STAMP)
-    kind = _kind(name, dtype)
+    kind, _ = _kind(name, dtype)
     with file.open(entry, "w", force_zip64=True) as member:
         member.write(_header(kind, shape))
         for part in parts:
             member.write(np.asarray(part, order="C").astype(kind, copy=False).tobytes())
 
 
-def _kind(name: str, dtype: np.dtype[Any]) -> str:
-    kind = _little(dtype)
+def _kind(name: str, dtype: np.dtype[Any]) -> tuple[str, bool]:
+    kind, as_it_is = _little(dtype)
     if kind not in DTYPES:
         raise ValueError(f"array `{name}` of type {dtype} cannot be kept")
-    return kind
+    return kind, as_it_is
 
 
 @lru_cache(64)
-def _little(dtype: np.dtype[Any]) -> str:
-    return dtype.newbyteorder("<").str
+def _little(dtype: np.dtype[Any]) -> tuple[str, bool]:
+    """What a type is in a file, and whether arrays have these bytes here, by which memory is known as numbers of the system."""
+    kind = dtype.newbyteorder("<").str
+    return kind, dtype.isnative and dtype.str == kind
 
 
 @lru_cache(1024)  # a frame's arrays are mostly of the shapes that they had before

@@ -32,15 +32,16 @@ def layers_worn(population: Population, setting: Setting) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*population.plan.wears, *by_scene)))[: limits.LAYERS_WORN]
 
 
-def shown(population: Population, rows: NDArray[np.intp], setting: Setting) -> dict[str, NDArray[Any]]:
-    """The arrays of a species: of its agents at some rows."""
+def shown(population: Population, setting: Setting, some: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
+    """The arrays of a species: of its agents at some rows, of all by id where none are given."""
     name, now, plan = population.name, population.now, population.plan
+    rows = population.in_id_order() if some is None else some
     arrays: dict[str, NDArray[Any]] = {}
     layers = layers_worn(population, setting)
     if layers:
         mask = np.zeros(len(rows), np.uint64)
         for layer in plan.wears:
-            _put_on(now[f"wear#{layer}"], rows, _bit(layers, layer), mask)
+            _put_on(population, now[f"wear#{layer}"], some, _bit(layers, layer), mask)
         for worn in _by_scene(population, rows, setting, layers):
             mask |= worn
         arrays[f"wears.{name}"] = mask
@@ -55,14 +56,16 @@ def shown(population: Population, rows: NDArray[np.intp], setting: Setting) -> d
     return arrays
 
 
-def _put_on(on: NDArray[np.bool_], rows: NDArray[np.intp], bit: np.uint64, mask: NDArray[np.uint64]) -> None:
-    """Put a bit into the masks of the agents at some rows who have it on."""
-    if compiled.wanted(len(rows)):
+def _put_on(
+    population: Population, on: NDArray[np.bool_], some: NDArray[np.intp] | None, bit: np.uint64, mask: NDArray[np.uint64]
+) -> None:
+    """Put a bit into the masks of the agents who have it on: of those at some rows, of all by id where none are given."""
+    if some is None and compiled.wanted(len(mask)):
         from antdsl.outputs.cache.frames_compiled import worn
 
-        worn(on, rows, bit.view(np.int64), mask.view(np.int64))
+        worn(on, population.ranks(), bit.view(np.int64), mask.view(np.int64))
     else:
-        mask |= np.where(on[rows], bit, np.uint64(0))
+        mask |= np.where(on[population.in_id_order() if some is None else some], bit, np.uint64(0))
 
 
 def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:

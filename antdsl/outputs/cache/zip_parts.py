@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from struct import Struct
 
 from antdsl.numerics.check_sums import crc32
@@ -28,6 +29,7 @@ _ATTRIBUTES = 0o600 << 16
 _MEMBER = b"PK\3\4"
 _LOCAL = Struct("<4s5H3L2H")
 _CENTRAL = Struct("<4s4B4H3L5H2L")
+_LOCAL_CHECK, _CENTRAL_CHECK, _PLACE = 14, 16, 42  # where the CRC-32 stands, and where a member begins in its entry
 _TWO_LONGS = Struct("<2H2Q")
 _END = Struct("<4s4H2LH")
 _LONG_END = Struct("<4sQ2H2L4Q")
@@ -54,18 +56,43 @@ def stored(members: Iterable[tuple[str, bytes, memoryview]]) -> Stored:
     entries: list[bytes] = []
     at = 0
     for name, head, rest in members:
-        words, size, check = name.encode(), len(head) + len(rest), crc32(rest, crc32(head))
-        flags = 0 if name.isascii() else _UTF8
-        told, version, extra = (size, _PLAIN, b"") if size <= LIMIT else (_ELSEWHERE, _LONG, _longs(size, size))
-        local = _LOCAL.pack(
-            _MEMBER, version, flags, 0, _TIME, _DATE, check, told, told, len(words), len(extra)
-        )  # fmt: skip
-        headers.append(local + words + extra)
-        parts += (headers[-1] + head, rest)
-        entries.append(_entry(words, flags, check, size, at))
-        at += len(parts[-2]) + len(rest)
+        form = _form(name, head, len(rest), LIMIT)
+        check = crc32(rest, form.check)
+        header = check.to_bytes(4, "little").join(form.header)
+        headers.append(header)
+        parts += (header + head, rest)
+        entries.append(_entry(form, check, at))
+        at += len(header) + form.size
     headers.append(b"".join(entries) + _end(len(entries), sum(map(len, entries)), at))
     return Stored([*parts, headers[-1]], headers)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Form:
+    """What is the same of all members of a name, a head and a size: the CRC-32 of the head, and what stands before and after that
+    of the whole in their header and in their entry of the directory, of one that begins at 0."""
+
+    size: int
+    check: int
+    words: bytes
+    flags: int
+    header: tuple[bytes, bytes]
+    entry: tuple[bytes, bytes]
+
+
+@lru_cache(1024)
+def _form(name: str, head: bytes, rest: int, limit: int) -> _Form:
+    """The form of members with `rest` bytes behind the head; `limit`: how large a size is told in four bytes."""
+    words, size = name.encode(), len(head) + rest
+    flags = 0 if name.isascii() else _UTF8
+    told, version, extra = (size, _PLAIN, b"") if size <= limit else (_ELSEWHERE, _LONG, _longs(size, size))
+    local = _LOCAL.pack(_MEMBER, version, flags, 0, _TIME, _DATE, 0, told, told, len(words), len(extra)) + words + extra
+    central = _central(words, flags, size, 0, limit)
+    return _Form(size, crc32(head), words, flags, _around(local, _LOCAL_CHECK), _around(central, _CENTRAL_CHECK))
+
+
+def _around(record: bytes, at: int) -> tuple[bytes, bytes]:
+    return record[:at], record[at + 4 :]
 
 
 def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
@@ -131,15 +158,24 @@ class _Pieces:
         yield from self._blocks
 
 
-def _entry(words: bytes, flags: int, check: int, size: int, at: int) -> bytes:
+def _entry(form: _Form, check: int, at: int) -> bytes:
     """What the directory says of a member that begins at a place."""
-    longs = [size, size] if size > LIMIT else []
+    before, after = form.entry if at <= LIMIT else _around(_central(form.words, form.flags, form.size, at, LIMIT), _CENTRAL_CHECK)
+    if at <= LIMIT:
+        place = _PLACE - _CENTRAL_CHECK - 4
+        after = after[:place] + at.to_bytes(4, "little") + after[place + 4 :]
+    return before + check.to_bytes(4, "little") + after
+
+
+def _central(words: bytes, flags: int, size: int, at: int, limit: int) -> bytes:
+    """The same without the CRC-32."""
+    longs = [size, size] if size > limit else []
     told, place = (_ELSEWHERE if longs else size), at
-    if at > LIMIT:
+    if at > limit:
         longs, place = [*longs, at], _ELSEWHERE
     version, extra = (_LONG, _longs(*longs)) if longs else (_PLAIN, b"")
     return _CENTRAL.pack(
-        b"PK\1\2", version, _SYSTEM, version, 0, flags, 0, _TIME, _DATE, check, told, told,
+        b"PK\1\2", version, _SYSTEM, version, 0, flags, 0, _TIME, _DATE, 0, told, told,
         len(words), len(extra), 0, 0, 0, _ATTRIBUTES, place,
     ) + words + extra  # fmt: skip
 

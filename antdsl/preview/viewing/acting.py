@@ -79,7 +79,7 @@ def _shown(world: World, population: Population, rows: NDArray[np.intp], worn: O
     arrays: Arrays = {}
     if not worn.layers and not worn.looks and not worn.leans:
         return arrays
-    told = shown(population, rows, world.setting)
+    told = shown(population, world.setting, rows)
     if worn.layers:
         known = layers_worn(population, world.setting)
         mask, found = told[f"wears.{population.name}"], np.zeros(len(rows), np.uint32)
@@ -106,7 +106,7 @@ def _differing(
     parts += [place_of(varied, name, draws) for name in differ.materials]
     first = len(differ.targets)
     if first:
-        told = shown(population, rows, world.setting)
+        told = shown(population, world.setting, rows)
         said = {each: told[f"channels.{population.name}.{each}"] for each in population.plan.channels}
         found[:, :first] = blended_by(worn, differ, machines, len(rows), said, told.get(f"leans.{population.name}"))
     for k, part in enumerate(parts, first):
