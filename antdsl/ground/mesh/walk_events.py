@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,27 @@ from antdsl.ground.mesh.topology import Topology
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
-# Of a part of the agents: floats and whole numbers of those who wait, and how many are left.
-Waiting = tuple[Floats, NDArray[np.int64], int]
 _WAITING = 64  # agents who look out for other surfaces, for whom a thread pays
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """Of agents after the first loop: floats and whole numbers of those who wait, a column each, and how many are left."""
+
+    reals: Floats
+    wholes: NDArray[np.int64]
+    left: int
+
+    @staticmethod
+    def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> Waiting:
+        """What kernels have found that have done the loop in parts."""
+        columns = [slice(begin, begin + waiting) for begin, waiting, _ in parts if waiting]
+        left = sum([each[2] for each in parts])
+        if len(columns) < 2:
+            own = columns[0] if columns else slice(0)
+            return Waiting(reals[:, own], wholes[:, own], left)
+        joined = [np.concatenate([each[:, own] for own in columns], axis=1) for each in (reals, wholes)]
+        return Waiting(joined[0], joined[1], left)
 
 
 class Walk:
@@ -65,19 +84,15 @@ class CrowdWalk:
         n = body.size
         how = np.empty(n, np.uint8)
         placed, moved, blocked = to[:5], to[5:10], to[10]
-        tables = self.tables()
-
-        def part(begin: int, end: int) -> Waiting:
-            reals, wholes = np.empty((loop.REALS, end - begin)), np.empty((loop.WHOLES, end - begin), np.int64)
-            waiting, left = loop.walk_all(*tables, at, body, vectors, reals, wholes, how, placed, moved, begin, end)
-            return reals[:, :waiting], wholes[:, :waiting], left
-
-        _, left = self.on(compiled.in_parts(part, n, threads), how, placed, moved, blocked, threads, straight)
+        reals, wholes = np.empty((loop.REALS, n)), np.empty((loop.WHOLES, n), np.int64)
+        work = partial(loop.walk_all, *self.tables(), at, body, vectors, reals, wholes, how, placed, moved)
+        waiting = Waiting.of(compiled.in_parts(work, n, threads), reals, wholes)
+        _, left = self.on(waiting, how, placed, moved, blocked, threads, straight)
         return np.flatnonzero(how != loop.DONE) if left else None
 
     def on(
         self,
-        parted: list[Waiting],
+        some: Waiting,
         how: NDArray[np.uint8],
         placed: tuple[Any, ...],
         moved: tuple[Any, ...],
@@ -85,12 +100,9 @@ class CrowdWalk:
         threads: int,
         straight: bool = False,
     ) -> tuple[NDArray[np.int64], int]:
-        """Move those who wait, part by part, to footings `placed`, to `moved` as `walk_compiled.Moved` has it, and say who is
+        """Move those who wait to footings `placed`, to `moved` as `walk_compiled.Moved` has it, and say who is
         `blocked`: their rows, and of how many of all agents `how` does not say that they have moved."""
-        left = sum(each[2] for each in parted)
-        reals, wholes, _ = parted[0]
-        if len(parted) > 1:
-            reals, wholes = (np.concatenate([each[half] for each in parted], axis=1) for half in (0, 1))
+        reals, wholes, left = some.reals, some.wholes, some.left
         if not wholes.size:
             return wholes[loop.AGENT], left
         table, boxes, scale = self.walk.table, self.boxes, self.scale

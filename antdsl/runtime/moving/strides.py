@@ -163,17 +163,11 @@ class _Crowd:
         at, placed = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (p.footing, to))
         place, normals = np.empty((3, n)), np.empty((n, 3), np.float32)
         (how,) = p.room("how", 1, (n,), np.uint8)
-        (reals,), (wholes,) = p.room("reals", 1, (loop.REALS * n,), np.float64), p.room("wholes", 1, (loop.WHOLES * n,), np.int64)
+        (reals,), (wholes,) = p.room("reals", 1, (loop.REALS, n), np.float64), p.room("wholes", 1, (loop.WHOLES, n), np.int64)
         given = (at, p.now["size"], p.normal, self.velocity, self.step, self.looking, *there)
-
-        def part(begin: int, end: int) -> Waiting:
-            floats = reals[begin * loop.REALS : end * loop.REALS].reshape(loop.REALS, -1)
-            numbers = wholes[begin * loop.WHOLES : end * loop.WHOLES].reshape(loop.WHOLES, -1)
-            waiting, left = stride(*tables, *given, floats, numbers, how, placed, place, p.position, normals, begin, end)
-            return floats[:, :waiting], numbers[:, :waiting], left
-
-        parted = compiled.in_parts(part, n, self.threads)
-        self._later(ground, there, walk, parted, to, place, normals, how)
+        work = partial(stride, *tables, *given, reals, wholes, how, placed, place, p.position, normals)
+        waiting = Waiting.of(compiled.in_parts(work, n, self.threads), reals, wholes)
+        self._later(ground, there, walk, waiting, to, place, normals, how)
         p.footing, p.position, p.normal = to, place.T, normals
         return True
 
@@ -182,7 +176,7 @@ class _Crowd:
         ground: MeshGround,
         there: tuple[Any, ...],
         walk: CrowdWalk,
-        parted: list[Waiting],
+        waiting: Waiting,
         to: Footing,
         place: NDArray[np.float64],
         normals: NDArray[np.float32],
@@ -196,7 +190,7 @@ class _Crowd:
         above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
         (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
         placed, moved = (to.mesh, to.face, to.b1, to.b2, to.over), (place, above, ahead, direction, gone)
-        rows, left = walk.on(parted, how, placed, moved, blocked, self.threads)
+        rows, left = walk.on(waiting, how, placed, moved, blocked, self.threads)
         if left:
             others = np.flatnonzero(how != DONE)
             result = Move(to, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))

@@ -122,7 +122,7 @@ def stride(
     normals: Array2[F32],
     begin: I64,
     end: I64,
-) -> tuple[I64, I64]:
+) -> tuple[I64, I64, I64]:
     """`walk_all` over triangles by steps and headings in float32, from footings `at` to `placed` and `place` (3, n); those
     who are there arrive as by `arrive`."""
     mesh, face, b1s, b2s, overs = at
@@ -162,8 +162,8 @@ def stride(
             if event:
                 how[i] = WAITS
                 keep(
-                    reals, wholes, i - begin, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s,
-                    left, gone, over, turn, event, edge, length,
+                    reals, wholes, i, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s, left, gone,
+                    over, turn, event, edge, length,
                 )  # fmt: skip
                 continue
             how[i] = DONE
@@ -176,7 +176,7 @@ def stride(
                 place[k, i] = found[0][k]
             arrived(i, found, False, old, step, velocity, limits, bodies, times_of, facing, registers, normals)
     waiting, left = counted(how, reals, wholes, begin, end)
-    return waiting, left
+    return begin, waiting, left
 
 
 @kernel
