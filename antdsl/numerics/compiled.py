@@ -12,7 +12,7 @@ bounded by that cost (A. Karlin et al., Competitive Snoopy Caching, Algorithmica
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from typing import Any, TypeVar
 
@@ -140,11 +140,11 @@ def side_by_side(work: Callable[[int], object], threads: int) -> None:
     workers.side_by_side(work, threads, _running)
 
 
-def listed(function: Callable[[int, int, int], None], parts: Sequence[tuple[int, int, int]], threads: int) -> None:
-    """Call a function of machine code with each of these (address, begin, end), side by side."""
+def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
+    """Call a function of machine code with each row of `parts` [k,3]: address, begin, end; side by side."""
     threads = min(threads, cores())
     if threads < 2 or len(parts) < 2:
-        for part in parts:
+        for part in parts.tolist():
             function(*part)
         return
     from antdsl.numerics import workers

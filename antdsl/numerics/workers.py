@@ -9,7 +9,7 @@ from __future__ import annotations
 import atexit
 import ctypes
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache, partial
 from threading import Lock, Thread
@@ -97,10 +97,10 @@ class Workers:
         found: list[T] = run(*work.args, 0, count, max(1, min(parts, PARTS, count // words.EVEN)), self.address)
         return found
 
-    def call(self, function: Callable[[int, int, int], None], listed: Sequence[tuple[int, int, int]]) -> None:
-        """Call a function of machine code with each of these."""
+    def call(self, function: Callable[[int, int, int], None], listed: NDArray[np.int64]) -> None:
+        """Call a function of machine code with each row of an array [k,3]."""
         for first in range(0, len(listed), PARTS):
-            some = np.array(listed[first : first + PARTS], np.int64)
+            some = np.ascontiguousarray(listed[first : first + PARTS])
             self._job(function, some, len(some))
             self._all(self.address, 0, 0)
 
@@ -193,9 +193,7 @@ def side_by_side(work: Callable[[int], object], threads: int, by_kernels: bool) 
         pool.lock.release()
 
 
-def listed(
-    function: Callable[[int, int, int], None], parts: Sequence[tuple[int, int, int]], threads: int, by_kernels: bool
-) -> None:
+def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int, by_kernels: bool) -> None:
     """As `compiled.listed`."""
     pool = _kept_for(threads, by_kernels)
     taken = pool.lock.acquire(blocking=False)
@@ -203,7 +201,7 @@ def listed(
         if taken and isinstance(pool, Workers):
             pool.call(function, parts)
         else:
-            for part in parts:
+            for part in parts.tolist():
                 function(*part)
     finally:
         if taken:

@@ -176,7 +176,7 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool
 def test_functions_of_machine_code_are_called_with_each_row() -> None:
     room = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
     for count in (1, 3, PARTS, 3 * PARTS + 5):
-        compiled.listed(workers_text.code().function("turns"), [(room.ctypes.data, 3, 0)] * count, 3)
+        compiled.listed(workers_text.code().function("turns"), np.array([(room.ctypes.data, 3, 0)] * count, np.int64), 3)
     pool = workers._kept[3, True]
     assert isinstance(pool, workers.Workers)
     assert pool._words[workers_text.DONE] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT]
