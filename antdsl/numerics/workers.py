@@ -24,10 +24,10 @@ from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct_text import PARTS
 from antdsl.machine_code.memory import address
+from antdsl.numerics.compiled import EACH
 from antdsl.numerics.float_environment import be_standard
 
 T = TypeVar("T")
-_EACH = 4  # parts of a kernel for each that pays: who comes late, or has slow ones, takes fewer
 _LOCKS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")
 # Seconds that one without work looks out for it before it sleeps: about what it costs to fall asleep and be woken, so that no
 # more than twice of that is spent (A. Karlin et al., Empirical Studies of Competitive Spinning, SOSP 1991).
@@ -155,7 +155,7 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, parts: int
     if not pool.lock.acquire(blocking=False):
         return [work(0, count)]
     try:
-        found = pool.kernel(work, count, _EACH * min(parts, threads)) if isinstance(pool, Workers) else None
+        found = pool.kernel(work, count, EACH * min(parts, threads)) if isinstance(pool, Workers) else None
         return _pulled(pool, work, count, min(parts, threads)) if found is None else found
     finally:
         pool.lock.release()

@@ -29,8 +29,6 @@ from antdsl.runtime.requests import FaultEntry
 from antdsl.runtime.sensing import IN_PLACE, SENSES
 from antdsl.runtime.world import Population, World
 
-_PART = 1_024  # agents for whom a part of their own pays
-_EACH = 4  # parts for each of several threads
 _GRAIN = 64  # rows: parts are of whole ones, so that some births change the length of none
 # Calls at the end of a stage, those of one sense with one name together: whether what they give is answered where it is left, and
 # each with its number among `needs`.
@@ -74,7 +72,7 @@ class Block:
         threads = max(1, min(threads, cores()))
         size = _part(count, chunk, threads)
         bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
-        lanes = self.tables.ready(min(len(bounds), _EACH * threads if threads > 1 else 1), size, others)
+        lanes = self.tables.ready(min(len(bounds), compiled.EACH * threads if threads > 1 else 1), size, others)
         chunks = [Chunk(self, lane) for lane in lanes]
         firsts = range(0, len(bounds), len(lanes))
         self._rounds = [Round(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
@@ -110,7 +108,7 @@ def _in_place(each: Instruction) -> bool:
 
 def _part(count: int, chunk: int, threads: int) -> int:
     """Rows of a part: as many as a chunk has at most, and where that pays several parts for each thread, to even them out."""
-    parts = max(-(-count // max(WIDTH, chunk)), min(_EACH * threads, count // _PART) if threads > 1 else 1)
+    parts = max(-(-count // max(WIDTH, chunk)), min(compiled.EACH * threads, count // compiled.PART) if threads > 1 else 1)
     most = _GRAIN * parts
     return _GRAIN * max(1, -(-count // most))
 
