@@ -38,12 +38,12 @@ _ENTRY = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
 
 class Workers:
-    """So many threads besides the one that asks, who holds `lock` meanwhile: others do not wait for it, but work alone."""
+    """So many threads besides the one that asks, who is noted in `asks` meanwhile: others do not wait for it, but work alone."""
 
     def __init__(self, count: int) -> None:
         code = words.code()
         room = np.zeros(words.SLEEPS + words.LINE * (count + 1) + _LINE // 8, np.int64)
-        self.lock = Lock()
+        self.asks: dict[None, object] = {}
         self.address = -(-address(room) // _LINE) * _LINE
         self._words: NDArray[np.int64] = room[(self.address - address(room)) // 8 :]
         self._start = ctypes.PYFUNCTYPE(*_ENTRY)(code.place("start"))  # which keeps the interpreter's lock
@@ -126,7 +126,7 @@ class Executed:
     """The same by an executor, without machine code."""
 
     def __init__(self, count: int) -> None:
-        self.lock = Lock()
+        self.asks: dict[None, object] = {}
         self._executor = ThreadPoolExecutor(count, "kernels", be_standard)
 
     def do(self, work: Callable[[int], object], helpers: int) -> None:
@@ -152,13 +152,25 @@ class Executed:
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, parts: int, by_kernels: bool) -> list[T]:
     """As `compiled.in_parts`, where so many parts pay."""
     pool = _kept_for(threads, by_kernels)
-    if not pool.lock.acquire(blocking=False):
-        return [work(0, count)]
-    try:
+
+    def together() -> list[T]:
         found = pool.kernel(work, count, EACH * min(parts, threads)) if isinstance(pool, Workers) else None
         return _pulled(pool, work, count, min(parts, threads)) if found is None else found
+
+    return _asked(pool, together, lambda: [work(0, count)])
+
+
+def _asked(pool: Workers | Executed, together: Callable[[], T], alone: Callable[[], T]) -> T:
+    """What `together` gives, while nobody else asks the pool for anything; or `alone`, where somebody does already."""
+    own = object()
+    try:
+        if pool.asks.setdefault(None, own) is own:  # one call notes who asks: an interrupt comes before it or after it
+            return together()
     finally:
-        pool.lock.release()
+        # No calls: an interrupt that comes once one is over would leave the pool taken for ever.
+        if pool.asks == {None: own}:
+            del pool.asks[None]
+    return alone()
 
 
 def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
@@ -184,28 +196,18 @@ def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int,
 def side_by_side(work: Callable[[int], object], threads: int, by_kernels: bool) -> None:
     """As `compiled.side_by_side`."""
     pool = _kept_for(threads, by_kernels)
-    if not pool.lock.acquire(blocking=False):
-        work(0)
-        return
-    try:
-        pool.do(work, threads - 1)
-    finally:
-        pool.lock.release()
+    _asked(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
 
 
 def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int, by_kernels: bool) -> None:
     """As `compiled.listed`."""
     pool = _kept_for(threads, by_kernels)
-    taken = pool.lock.acquire(blocking=False)
-    try:
-        if taken and isinstance(pool, Workers):
-            pool.call(function, parts)
-        else:
-            for part in parts.tolist():
-                function(*part)
-    finally:
-        if taken:
-            pool.lock.release()
+
+    def alone() -> None:
+        for part in parts.tolist():
+            function(*part)
+
+    _asked(pool, partial(pool.call, function, parts) if isinstance(pool, Workers) else alone, alone)
 
 
 @cache
