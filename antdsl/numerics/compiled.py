@@ -12,7 +12,7 @@ bounded by that cost (A. Karlin et al., Competitive Snoopy Caching, Algorithmica
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any, TypeVar
 
@@ -127,6 +127,15 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int
     from antdsl.numerics import workers
 
     return workers.in_parts(work, count, threads, parts, _running)
+
+
+def joined(parts: Iterable[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
+    """What parts have written to arrays [.., n], each from where it begins on: `parts` tell of each where that is, and how many
+    it has written."""
+    own = [slice(begin, begin + count) for begin, count, *_ in parts if count]
+    if len(own) < 2:
+        return [each[..., own[0] if own else slice(0)] for each in arrays]
+    return [np.concatenate([each[..., some] for some in own], axis=-1) for each in arrays]
 
 
 def side_by_side(work: Callable[[int], object], threads: int) -> None:

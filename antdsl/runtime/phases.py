@@ -37,7 +37,7 @@ def sense(world: World) -> None:
         flow.begin(world)
     for population in world.populations.values():
         lifecycle.find_cells(world, population)
-        tilting.lay(population)
+        tilting.lay(population, world.options.threads)
         population.clear_temps()
     if world.detail is not None:
         world.detail.observe(world)
@@ -94,7 +94,7 @@ def fields(world: World) -> None:
     """Fields spread and fade; then deposits land."""
     for name, field in world.fields.items():
         keep, diffusion = world.field_rates[name]
-        field.step(float(keep), diffusion, world.dt)
+        field.step(float(keep), diffusion, world.dt, world.options.threads)
 
 
 def move(world: World) -> None:

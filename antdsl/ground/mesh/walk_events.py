@@ -32,13 +32,8 @@ class Waiting:
     @staticmethod
     def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> Waiting:
         """What kernels have found that have done the loop in parts."""
-        columns = [slice(begin, begin + waiting) for begin, waiting, _ in parts if waiting]
-        left = sum([each[2] for each in parts])
-        if len(columns) < 2:
-            own = columns[0] if columns else slice(0)
-            return Waiting(reals[:, own], wholes[:, own], left)
-        joined = [np.concatenate([each[:, own] for own in columns], axis=1) for each in (reals, wholes)]
-        return Waiting(joined[0], joined[1], left)
+        own = compiled.joined(parts, reals, wholes)
+        return Waiting(own[0], own[1], sum([left for _, _, left in parts]))
 
 
 class Walk:

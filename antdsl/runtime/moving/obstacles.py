@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +23,7 @@ def slide(world: World, population: Population, step: Vector, up: Vector, radius
     """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
     names = _names(world)
     if names:
-        place, began = vec.named(population.now, "position"), _where_they_were(population)
+        place, began = vec.named(population.now, "position"), _where_they_were(population, world.options.threads)
     for name in names:
         scene = mesh_of(world, name)
         clear = clearance(world, population, name) if began else scene.clearance(*place)
@@ -66,14 +68,13 @@ def mesh_of(world: World, name: str) -> RayScene:
     return scene
 
 
-def _where_they_were(population: Population) -> bool:
+def _where_they_were(population: Population, threads: int) -> bool:
     """Whether everybody is still where the step began; not so after a first substep."""
     now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
     if compiled.wanted(len(population)):
         from antdsl.runtime.moving.obstacles_compiled import same
 
-        found: bool = same(now, start)
-        return found
+        return all(compiled.in_parts(partial(same, now, start), len(population), threads, compiled.LIGHT))
     return all((one == other).all() for one, other in zip(now, start, strict=True))
 
 
@@ -117,10 +118,11 @@ def _along_fast(
     from antdsl.runtime.moving.obstacles_compiled import kept_off, touching
 
     rows, found = np.empty(len(radius), np.int64), np.empty((9, len(radius)), np.float32)
-    count = touching(place, step, radius, clear, rows, found)
+    parts = compiled.in_parts(partial(touching, place, step, radius, clear, rows, found), len(radius), threads)
+    rows, found = compiled.joined(parts, rows, found)
+    count, found = len(rows), np.ascontiguousarray(found)
     if not count:
         return step
-    rows, found = rows[:count], np.ascontiguousarray(found[:, :count])
     above = vec.take(up, rows)
     size, margin, _, x, y, z, _, _, _ = found
     gap, out = scene.apart(x, y, z, size + margin, threads)

@@ -122,7 +122,7 @@ def rises(
     if meshes is None:
         return Rises.none()
     half, reach = lengths
-    rows = meshes.rising(population.footing, population.position, reach)
+    rows = meshes.rising(population.footing, population.position, reach, world.options.threads)
     if not len(rows):
         return Rises.none()
     faced = _faced(population.now)
@@ -161,7 +161,7 @@ def rises_by_kernels(
     meshes = world.ground.meshes
     if meshes is None:
         return Rises.none()
-    rows = meshes.rising(population.footing, population.position, reach)
+    rows = meshes.rising(population.footing, population.position, reach, world.options.threads)
     if not len(rows):
         return Rises.none()
     from antdsl.runtime.moving.rises_compiled import look, walls

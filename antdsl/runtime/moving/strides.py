@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from math import inf, nan
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from antdsl.runtime.moving.walks import led, walks_of
 from antdsl.runtime.world import Population, World
 
 _F = np.float32
+_ARRIVING = 256  # agents who are let arrive by themselves, for whom a thread pays
 
 
 def move(world: World, population: Population, dt: np.float32, substep: int) -> None:
@@ -45,14 +47,17 @@ def move(world: World, population: Population, dt: np.float32, substep: int) -> 
     _, _, heading, up = crowd.registers
     found = rises_by_kernels(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
     walls = (found.wall, found.ahead, found.angle, found.far, found.over)
-    pace(crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, walls, WAITING)
+    n, threads = len(population), crowd.threads
+    work = partial(pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, walls, WAITING)
+    compiled.in_parts(work, n, threads)
     came_from = population.position
     crowd.walk(world.ground)
     if before is not None:
         orient(world, population, *before)
     ways = (*crowd.kept, came_from, population.position)
-    (rows,) = population.room("following", 1, (len(population),), np.int64)
-    follow(crowd.state, *ways, crowd.most, population.now["max_turn"], dt, walls, found.half, RAISED, up, heading, rows)
+    (rows,) = population.room("following", 1, (n,), np.int64)
+    turns = (crowd.most, population.now["max_turn"], dt)
+    compiled.in_parts(partial(follow, crowd.state, *ways, *turns, walls, found.half, RAISED, up, heading, rows), n, threads)
 
 
 @dataclass(slots=True)
@@ -75,6 +80,8 @@ class _Crowd:
     most: NDArray[np.float32]
     reach: NDArray[np.float64]
     state: NDArray[np.int32]
+    longest: float = 0.0  # step (mm) that is finite
+    widest: float = nan  # size (mm) that is a number
 
     @staticmethod
     def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _Crowd:
@@ -104,13 +111,17 @@ class _Crowd:
         to = (self.velocity, self.step, self.looking, (self.long, self.most, self.reach), self.state)
         does = (vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times, WIDEST)
         work = partial(set_out, *does, *to)
-        compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+        found = compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+        self.longest, self.widest = (max(each) for each in zip(*found, strict=True))
+        if self.widest == -inf:
+            self.widest = nan
         if walks_of(self.world, p):
             velocity = led(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
             zero = np.zeros(len(p), np.float32)
             self.velocity = vec.choose(p.quarantined, (zero, zero, zero), velocity)
             self.step = vec.scale(self.velocity, self.dt)
             self.long = vec.length(self.step)
+            self.longest = float(self.long.max(initial=0.0, where=np.isfinite(self.long)))
 
     def pass_obstacles(self) -> None:
         """Steps along the obstacles in their way, and velocities of those who would have gone otherwise."""
@@ -155,7 +166,7 @@ class _Crowd:
         from antdsl.runtime.moving.strides_compiled import stride
 
         p, n = self.population, len(self.population)
-        walk = ground.crowd_walk(self.long, p.now["size"])
+        walk = ground.crowd_walk(self.longest, self.widest)
         if walk is None:
             return False
         tables = walk.tables()
@@ -226,4 +237,4 @@ class _Crowd:
         from antdsl.runtime.moving.advance_compiled import arrive
 
         work = partial(arrive, rows, self.velocity, self.step, self.population.position, walked, *there, normals)
-        compiled.in_parts(work, len(rows), self.threads, compiled.LIGHT)
+        compiled.in_parts(work, len(rows), self.threads, _ARRIVING)

@@ -66,14 +66,14 @@ def set_out(
     state: Array1[I32],
     begin: I64,
     end: I64,
-) -> None:
+) -> tuple[F64, F64]:
     """What agents from `begin` to before `end` are about to do: velocities after the push `to` three arrays, the `step` (mm) that
     is their way in `dt`, and how bodies stand: their `state`, and of those who lean the heading along the ground, `looking`.
 
     `limits`: `max_speed`, `max_force`, `mass`, `response` and `max_turn`; `keeps`: whether `min_speed` counts. `times_of`: the
     longest response that takes its whole time in one substep, that time, and `dt`, that of others. Into `lengths`: how long the
     step is, by what angle (radians) a body tilts at most, and how far before it (mm), `widest` times half of its size, it looks
-    out for walls.
+    out for walls. Gives the longest step that is finite and the greatest size, -inf where none is a number.
     """
     max_speed, max_turn, dt = limits[0], limits[4], times_of[2]
     long, most, reach = lengths
@@ -88,6 +88,11 @@ def set_out(
         long[i] = np.sqrt(dot(way, way))
         stood(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
         reach[i] = widest * half_of(size[i])
+    longest, greatest = _ZERO, _F(-np.inf)
+    for i in range(begin, end):
+        longest = long[i] if long[i] > longest and np.isfinite(long[i]) else longest
+        greatest = size[i] if size[i] > greatest else greatest
+    return np.float64(longest), np.float64(greatest)
 
 
 @inlined
