@@ -119,7 +119,7 @@ class Nearby:
             t, normal = self._touched((x, y, z, dx, dy, dz), reach, threads)
         return FeelerHits(t < np.inf, t, *normal)
 
-    def felt(self, places: Arrays, asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
+    def felt(self, places: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
         """As `feelers`, several times at once, for those of n agents who are asking. `places`: x y z and how far they have no
         face, [n] each; ways (x y z) of any length and how far they reach, [n] each; what is found, whether, distance and normal
         (x y z), [n] each, which says until then that nothing is touched; all float32 in one piece. Gives back who has still to
@@ -129,7 +129,7 @@ class Nearby:
             return everybody(asks)
         left = []
         for number, (asking, ways, found) in enumerate(asks):
-            if grid.felt(places, asking, ways, found):
+            if grid.felt(places, asking, ways, found, threads):
                 asked = np.flatnonzero(asking & np.isnan(found[1]))
                 found[1][asked] = np.inf
                 left.append((number, asked))

@@ -32,7 +32,7 @@ class Obstacle(Protocol):
     ) -> FeelerHits:
         """What lies within `reach` (one or float[n]) of places along unit directions."""
 
-    def felt(self, places: Arrays, asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
+    def felt(self, places: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
         """What feelers touch of those of n agents who are asking, several times at once. `places`: x y z, and within how many mm
         there is no surface; ways (x y z) of any length and how far they reach; into whether, the distance and the normal (x y z),
         which say until then that nothing is touched. Gives back who has still to ask by `feelers`, with the number of what they

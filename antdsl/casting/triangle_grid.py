@@ -170,12 +170,12 @@ class TriangleGrid:
         found = np.empty((4, len(reach)), np.float32)
         return found, _kernels().feelers(self.tables, _plain(*place, *direction, reach), found)
 
-    def felt(self, places: Arrays, asking: NDArray[np.bool_], ways: Arrays, found: Arrays) -> int:
+    def felt(self, places: Arrays, asking: NDArray[np.bool_], ways: Arrays, found: Arrays, threads: int = 1) -> int:
         """As `feelers`, for those of n places (x y z and how far these have no face) who are `asking`, along `ways` of any
         length, the last of which is how far they reach; into `found` (whether, distance, normal x y z) of those who touch
         something or have to ask elsewhere. Compiled."""
-        count: int = _kernels().felt(self.tables, places, asking, ways, found)
-        return count
+        work = partial(_kernels().felt, self.tables, places, asking, ways, found)
+        return sum(compiled.in_parts(work, len(asking), threads))
 
     # ---- nearest faces
 

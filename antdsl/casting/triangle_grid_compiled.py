@@ -107,13 +107,14 @@ def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
 
 
 @kernel
-def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt) -> I64:
-    """As `TriangleGrid.felt`, into the last arrays; the distance is NaN for who has to ask elsewhere; how many have."""
+def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt, begin: I64, end: I64) -> I64:
+    """As `TriangleGrid.felt`, for agents from `begin` to before `end`, into the last arrays; the distance is NaN for who has to
+    ask elsewhere; how many have."""
     x, y, z, clear = places
     wx, wy, wz, reach = ways
     hit, t, nx, ny, nz = found
     count = 0
-    for i in range(asking.size):
+    for i in range(begin, end):
         if not asking[i]:
             continue
         far = reach[i]

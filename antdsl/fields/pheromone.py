@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -125,7 +125,7 @@ class PheromoneField:
         """Of each cell, named once, so much is left when the field steps: the rest was taken."""
         self._left.append((cells, amounts))
 
-    def step(self, keep: float, diffusion: float, dt: float) -> None:
+    def step(self, keep: float, diffusion: float, dt: float, threads: int = 1) -> None:
         """One step of `dt` s: what was taken is gone, then spread by `diffusion` (mm²/s), keep the share `keep`, then let the
         deposits land; or those before it spreads.
 
@@ -139,7 +139,7 @@ class PheromoneField:
         if diffusion > most * (1 + 1e-9):
             raise ValueError(f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s")
         if compiled.wanted(len(values)):
-            self._stepped(float(np.float32(keep)), diffusion * dt / self.cells.cell**2)
+            self._stepped(float(np.float32(keep)), diffusion * dt / self.cells.cell**2, threads)
             return
         if self.deposits_first:
             self._land()
@@ -151,16 +151,20 @@ class PheromoneField:
             self._land()
         values[values < FLUSH] = 0.0
 
-    def _stepped(self, keep: float, spread: float) -> None:
+    def _stepped(self, keep: float, spread: float, threads: int) -> None:
         """The rest of a step by kernels."""
         stepped = _kernels().stepped
+
+        def step(*how: Any) -> None:
+            compiled.in_parts(partial(stepped, self._padded, *how), len(self._pending), threads, compiled.LIGHT)
+
         lands = 0 if not self._touched else 1 if self.combine == "add" else 2
         self._touched = False
         if self.deposits_first:
-            stepped(self._padded, _NONE, self._pending, 0.0, 1.0, UNIT, self.limit, -np.inf, lands)
-        change = self._laplacian.of(self._padded) if spread > 0 else _NONE
+            step(_NONE, self._pending, 0.0, 1.0, UNIT, self.limit, -np.inf, lands)
+        change = self._laplacian.of(self._padded, threads) if spread > 0 else _NONE
         last = (0.0, np.inf, 0) if self.deposits_first else (UNIT, self.limit, lands)
-        stepped(self._padded, change, self._pending, spread, keep, *last[:2], FLUSH, last[2])
+        step(change, self._pending, spread, keep, *last[:2], FLUSH, last[2])
 
     def _land(self) -> None:
         """Deposits become part of what the cells hold, up to the limit."""
@@ -317,11 +321,12 @@ class _Flow:
         flow -= self._out * values
         return flow
 
-    def of(self, held: NDArray[np.float64]) -> NDArray[np.float64]:
+    def of(self, held: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
         """The same by a kernel, in an array that is written anew by the next call; `held` may have more behind the cells."""
         if not len(self._change):
             self._change = np.empty(len(self._out))
-        _kernels().flowed(held, *self._links, self._out, self._change)
+        work = partial(_kernels().flowed, held, *self._links, self._out, self._change)
+        compiled.in_parts(work, len(self._out), threads)
         return self._change
 
 

@@ -7,11 +7,18 @@ from antdsl.machine_code.kernels import F64, I32, I64, Array1, independent, kern
 
 @kernel
 def flowed(
-    held: Array1[F64], data: Array1[F64], cell: Array1[I32], start: Array1[I64], out: Array1[F64], change: Array1[F64]
+    held: Array1[F64],
+    data: Array1[F64],
+    cell: Array1[I32],
+    start: Array1[I64],
+    out: Array1[F64],
+    change: Array1[F64],
+    begin: I64,
+    end: I64,
 ) -> None:
-    """Write what flows into each cell less what flows out: from its linked cells `cell[start[n]:start[n+1]]`, of whose amounts
-    comes the share `data`; `out` is the share of its own that leaves it."""
-    for n in range(out.size):
+    """Write what flows into each cell from `begin` to before `end` less what flows out: from its linked cells
+    `cell[start[n]:start[n+1]]`, of whose amounts comes the share `data`; `out` is the share of its own that leaves it."""
+    for n in range(begin, end):
         total = 0.0
         for k in range(start[n], start[n + 1]):
             total += data[k] * held[cell[k]]
@@ -29,12 +36,14 @@ def stepped(
     limit: F64,
     least: F64,
     lands: I64,
+    begin: I64,
+    end: I64,
 ) -> None:
-    """Take cells through a step: `spread` of the `change` is added (an empty array: none), the share `keep` stays, then deposits
-    `pending`, in units, are added (`lands` 1) or are the least that is there (2), and what is no more than the `least`
-    is nothing. `pending` is 0 afterwards."""
+    """Take cells from `begin` to before `end` through a step: `spread` of the `change` is added (an empty array: none), the share
+    `keep` stays, then deposits `pending`, in units, are added (`lands` 1) or are the least that is there (2), and what is no more
+    than the `least` is nothing. `pending` is 0 afterwards."""
     spreads = change.size > 0
-    for n in independent(0, pending.size):
+    for n in independent(begin, end):
         value = held[n]
         if spreads:
             value += spread * change[n]

@@ -146,11 +146,11 @@ class Terrain:
                 normal[rows] = normals(volume, self.position(footing.take(rows)))
         return normal
 
-    def sides(self, footing: Footing) -> NDArray[np.int8]:
+    def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Which of six ways the normals point most, as `MeshGround.sides`."""
         rows = self._mesh_rows(footing)
         if rows.size == len(footing) and self.meshes is not None:
-            return self.meshes.sides(footing.faces(rows))
+            return self.meshes.sides(footing.faces(rows), threads)
         return np.where(footing.mesh >= 0, facing(self.normal(footing)), np.int8(0))
 
     def upright(self, footing: Footing, up: Floats) -> Floats:

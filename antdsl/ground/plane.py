@@ -60,7 +60,7 @@ class Plane:
         """Up, float64[n,3]."""
         return np.broadcast_to(self._up, footing.point.shape)
 
-    def sides(self, footing: Footing) -> NDArray[np.int8]:
+    def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Which of six ways up points most, int8[n], as `Ground.sides`."""
         return facing(self.normal(footing))
 

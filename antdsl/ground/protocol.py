@@ -231,7 +231,7 @@ class Ground(Protocol):
     def normal(self, footing: Footing) -> Floats:
         """Unit normals, float64[n,3], of faces by how they are wound, out of solids; zero for footings nowhere."""
 
-    def sides(self, footing: Footing) -> NDArray[np.int8]:
+    def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Which of six ways the normals point most, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
 
     def upright(self, footing: Footing, up: Floats) -> Floats:
@@ -284,6 +284,6 @@ class Meshes(Ground, Protocol):
         """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface: their numbers, ascending, after what part of it,
         and the face's unit normal (3, k), by how it is wound."""
 
-    def rising(self, footing: Footing, place: Floats, reach: Floats) -> Index:
+    def rising(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
         """The rows, ascending, of agents at places [n,3] for whom a surface may rise within `reach` [n] mm, if that is over 0: at
         an inner crease, another piece, or a mesh that moves. All for whom one does, and the same whoever else is asked for."""

@@ -90,7 +90,7 @@ class SolidFeelers:
         normal[:, hit] = self._normals(origin[hit] + t[hit, None] * way[hit])
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 
-    def felt(self, places: Arrays, asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
+    def felt(self, places: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
         """Everybody asks by `feelers`."""
         return everybody(asks)
 

@@ -25,10 +25,16 @@ def roomy(array: NDArray[Any]) -> NDArray[Any]:
 
 def roomy_rows(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
     """Some of the numbers of an array [n], with eight spare ones behind them, zeros."""
-    whole = np.empty(len(rows) + WIDTH, array.dtype)
-    array.take(rows, out=whole[: len(rows)], mode="clip")
-    whole[len(rows) :] = 0
-    found: NDArray[Any] = whole[: len(rows)]
+    found = roomy_space(len(rows), array.dtype)
+    array.take(rows, out=found, mode="clip")
+    return found
+
+
+def roomy_space(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """An array [count] of no values yet, with eight spare zeros behind it."""
+    whole = np.empty(count + WIDTH, dtype)
+    whole[count:] = 0
+    found: NDArray[Any] = whole[:count]
     return found
 
 

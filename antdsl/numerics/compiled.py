@@ -12,7 +12,7 @@ bounded by that cost (A. Karlin et al., Competitive Snoopy Caching, Algorithmica
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any, TypeVar
 
@@ -26,6 +26,7 @@ T = TypeVar("T")
 VARIABLE = "ANTDSL_KERNELS"
 PART = 1_024  # agents for whom a thread pays
 LIGHT = 4_096  # the same, of work that is a few operations each
+EACH = 4  # parts of machine code for each of several threads: who comes late, or has slow ones, takes fewer
 LEAST = 2_000  # agents; a step of these without kernels takes so long that a few make up for loading them
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _AT_ONCE = 50_000  # numbers, worked on before any step: then a world is made ready that is large
@@ -127,6 +128,15 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int
     return workers.in_parts(work, count, min(threads, cores()), count // max(1, least), _running)
 
 
+def joined(parts: Iterable[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
+    """What parts have written to arrays [.., n], each from where it begins on: `parts` tell of each where that is, and how many
+    it has written."""
+    own = [slice(begin, begin + count) for begin, count, *_ in parts if count]
+    if len(own) < 2:
+        return [each[..., own[0] if own else slice(0)] for each in arrays]
+    return [np.concatenate([each[..., some] for some in own], axis=-1) for each in arrays]
+
+
 def side_by_side(work: Callable[[int], object], threads: int) -> None:
     """Call `work(0)`, and meanwhile `work(1)` to before `work(threads)` as far as somebody is free for them: each is to take of
     what there is to do until nothing is left. All have ended then, whatever interrupts it."""
@@ -139,11 +149,11 @@ def side_by_side(work: Callable[[int], object], threads: int) -> None:
     workers.side_by_side(work, threads, _running)
 
 
-def listed(function: Callable[[int, int, int], None], parts: Sequence[tuple[int, int, int]], threads: int) -> None:
-    """Call a function of machine code with each of these (address, begin, end), side by side."""
+def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
+    """Call a function of machine code with each row of `parts` [k,3]: address, begin, end; side by side."""
     threads = min(threads, cores())
     if threads < 2 or len(parts) < 2:
-        for part in parts:
+        for part in parts.tolist():
             function(*part)
         return
     from antdsl.numerics import workers

@@ -9,7 +9,7 @@ from __future__ import annotations
 import atexit
 import ctypes
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache, partial
 from threading import Lock, Thread
@@ -24,10 +24,10 @@ from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct_text import PARTS
 from antdsl.machine_code.memory import address
+from antdsl.numerics.compiled import EACH
 from antdsl.numerics.float_environment import be_standard
 
 T = TypeVar("T")
-_EACH = 4  # parts of a kernel for each that pays: who comes late, or has slow ones, takes fewer
 _LOCKS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")
 # Seconds that one without work looks out for it before it sleeps: about what it costs to fall asleep and be woken, so that no
 # more than twice of that is spent (A. Karlin et al., Empirical Studies of Competitive Spinning, SOSP 1991).
@@ -38,12 +38,12 @@ _ENTRY = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
 
 class Workers:
-    """So many threads besides the one that asks, who holds `lock` meanwhile: others do not wait for it, but work alone."""
+    """So many threads besides the one that asks, who is noted in `asks` meanwhile: others do not wait for it, but work alone."""
 
     def __init__(self, count: int) -> None:
         code = words.code()
         room = np.zeros(words.SLEEPS + words.LINE * (count + 1) + _LINE // 8, np.int64)
-        self.lock = Lock()
+        self.asks: dict[None, object] = {}
         self.address = -(-address(room) // _LINE) * _LINE
         self._words: NDArray[np.int64] = room[(self.address - address(room)) // 8 :]
         self._start = ctypes.PYFUNCTYPE(*_ENTRY)(code.place("start"))  # which keeps the interpreter's lock
@@ -97,10 +97,10 @@ class Workers:
         found: list[T] = run(*work.args, 0, count, max(1, min(parts, PARTS, count // words.EVEN)), self.address)
         return found
 
-    def call(self, function: Callable[[int, int, int], None], listed: Sequence[tuple[int, int, int]]) -> None:
-        """Call a function of machine code with each of these."""
+    def call(self, function: Callable[[int, int, int], None], listed: NDArray[np.int64]) -> None:
+        """Call a function of machine code with each row of an array [k,3]."""
         for first in range(0, len(listed), PARTS):
-            some = np.array(listed[first : first + PARTS], np.int64)
+            some = np.ascontiguousarray(listed[first : first + PARTS])
             self._job(function, some, len(some))
             self._all(self.address, 0, 0)
 
@@ -126,7 +126,7 @@ class Executed:
     """The same by an executor, without machine code."""
 
     def __init__(self, count: int) -> None:
-        self.lock = Lock()
+        self.asks: dict[None, object] = {}
         self._executor = ThreadPoolExecutor(count, "kernels", be_standard)
 
     def do(self, work: Callable[[int], object], helpers: int) -> None:
@@ -152,13 +152,25 @@ class Executed:
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, parts: int, by_kernels: bool) -> list[T]:
     """As `compiled.in_parts`, where so many parts pay."""
     pool = _kept_for(threads, by_kernels)
-    if not pool.lock.acquire(blocking=False):
-        return [work(0, count)]
-    try:
-        found = pool.kernel(work, count, _EACH * min(parts, threads)) if isinstance(pool, Workers) else None
+
+    def together() -> list[T]:
+        found = pool.kernel(work, count, EACH * min(parts, threads)) if isinstance(pool, Workers) else None
         return _pulled(pool, work, count, min(parts, threads)) if found is None else found
+
+    return _asked(pool, together, lambda: [work(0, count)])
+
+
+def _asked(pool: Workers | Executed, together: Callable[[], T], alone: Callable[[], T]) -> T:
+    """What `together` gives, while nobody else asks the pool for anything; or `alone`, where somebody does already."""
+    own = object()
+    try:
+        if pool.asks.setdefault(None, own) is own:  # one call notes who asks: an interrupt comes before it or after it
+            return together()
     finally:
-        pool.lock.release()
+        # No calls: an interrupt that comes once one is over would leave the pool taken for ever.
+        if pool.asks == {None: own}:
+            del pool.asks[None]
+    return alone()
 
 
 def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
@@ -184,30 +196,18 @@ def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int,
 def side_by_side(work: Callable[[int], object], threads: int, by_kernels: bool) -> None:
     """As `compiled.side_by_side`."""
     pool = _kept_for(threads, by_kernels)
-    if not pool.lock.acquire(blocking=False):
-        work(0)
-        return
-    try:
-        pool.do(work, threads - 1)
-    finally:
-        pool.lock.release()
+    _asked(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
 
 
-def listed(
-    function: Callable[[int, int, int], None], parts: Sequence[tuple[int, int, int]], threads: int, by_kernels: bool
-) -> None:
+def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int, by_kernels: bool) -> None:
     """As `compiled.listed`."""
     pool = _kept_for(threads, by_kernels)
-    taken = pool.lock.acquire(blocking=False)
-    try:
-        if taken and isinstance(pool, Workers):
-            pool.call(function, parts)
-        else:
-            for part in parts:
-                function(*part)
-    finally:
-        if taken:
-            pool.lock.release()
+
+    def alone() -> None:
+        for part in parts.tolist():
+            function(*part)
+
+    _asked(pool, partial(pool.call, function, parts) if isinstance(pool, Workers) else alone, alone)
 
 
 @cache

@@ -26,7 +26,7 @@ _CARRIED = (*(f"{vector}.{axis}" for vector in ("up", "heading", "velocity") for
 def find_cells(world: World, population: Population) -> None:
     """Each agent's own cell of every field."""
     if world.fields and len(population):
-        sides = world.ground.sides(population.footing)
+        sides = world.ground.sides(population.footing, world.options.threads)
         place = rest_places(world, population)
         found: dict[int, Cells] = {}  # fields may share their cells
         for name, field in world.fields.items():

@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
 from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
@@ -23,7 +21,6 @@ from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, w
 from antdsl.runtime.world import PUSHED, Population, World, begin_anew
 
 _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
-_COPIED = 32_768  # agents: copies of fewer are over before a thread has begun
 
 
 def sense(world: World) -> None:
@@ -41,7 +38,7 @@ def sense(world: World) -> None:
         flow.begin(world)
     for population in world.populations.values():
         lifecycle.find_cells(world, population)
-        tilting.lay(population)
+        tilting.lay(population, world.options.threads)
         population.clear_temps()
     if world.detail is not None:
         world.detail.observe(world)
@@ -98,7 +95,7 @@ def fields(world: World) -> None:
     """Fields spread and fade; then deposits land."""
     for name, field in world.fields.items():
         keep, diffusion = world.field_rates[name]
-        field.step(float(keep), diffusion, world.dt)
+        field.step(float(keep), diffusion, world.dt, world.options.threads)
 
 
 def move(world: World) -> None:
@@ -134,25 +131,11 @@ def commit(world: World) -> None:
     world.frame, world.stepping = world.shown, False
     by_place = (world.frame - world.setting.first_frame - 1) % _SORT_EVERY == 0  # after the first step, too
     for population in world.populations.values():
-        start, now = population.start, population.now
         for name in population.events:
             population.events[name], population.raised[name] = population.raised[name], population.events[name]
             population.raised[name].fill(False)
-        if by_place and len(population) >= _SORT_FROM:
-            begin_anew(population, _by_place(population))
-            continue
-        changed = [(start[name], array) for name, array in now.items() if start[name] is not array]
-        if len(population) < 2 * _COPIED:
-            for to, array in changed:
-                to[:] = array
-            continue
-        compiled.in_parts(partial(_copied, changed), len(population), world.options.threads, _COPIED)
-
-
-def _copied(pairs: list[tuple[NDArray[Any], NDArray[Any]]], begin: int, end: int) -> None:
-    part = slice(begin, end)
-    for to, array in pairs:
-        to[part] = array[part]
+        sorts = by_place and len(population) >= _SORT_FROM
+        begin_anew(population, world.options.threads, _by_place(population) if sorts else None)
 
 
 def _by_place(population: Population) -> NDArray[np.intp]:

@@ -170,7 +170,7 @@ def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks:
         boxes = np.where(levels == 1, world.detail.clearance(world, population, name), far)
         which = [(world.obstacles[name], np.where(levels == 0, clear, far)[rows]), (world.detail.boxes(name), boxes[rows])]
     for scene, near in which:
-        left = scene.felt((*place, near), asks)
+        left = scene.felt((*place, near), asks, world.options.threads)
         if left:
             _feel(scene, (*place, near), left, asks, world.options.threads)
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing, Ground
-from antdsl.machine_code.memory import roomy_rows
+from antdsl.machine_code.memory import roomy_rows, roomy_space
+from antdsl.numerics.row_copies import RowCopies, pick
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
 from antdsl.runtime.requests import Effects
@@ -107,6 +108,7 @@ class Population:
     normal: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), np.float32))  # of what the feet are on, its side
     laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
     rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
+    copies: RowCopies = field(default_factory=RowCopies)  # of registers, once what was written becomes what all see
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
     _ranks: tuple[int, NDArray[np.int32]] | None = None
     _temps: tuple[ir.SpeciesPlan, list[tuple[str, Any]]] | None = None  # of a plan, with their zeros
@@ -320,17 +322,24 @@ def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     _remake(population, lambda array, _: roomy_rows(array, rows))
 
 
-def begin_anew(population: Population, rows: NDArray[np.intp]) -> None:
-    """What has been written becomes what everybody sees, with the rows in another order. Registers stay in their arrays."""
+def begin_anew(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
+    """What has been written becomes what everybody sees; with `rows`, a permutation, in another order. Registers stay in their
+    arrays, unless one array does for the start of a step and now."""
     start, now = population.start, population.now
-    _pick(population, rows)
-    for name, array in now.items():
-        if start[name] is array:
-            start[name] = now[name] = roomy_rows(array, rows)
-        else:
-            array.take(rows, out=start[name], mode="clip")
-            array[:] = start[name]
-    population.version += 1
+    if rows is not None:
+        _pick(population, rows)
+        picked = [
+            (start[name] if start[name] is not array else roomy_space(len(rows), array.dtype), array)
+            for name, array in now.items()
+        ]
+        pick(picked, rows, threads)
+        for name, (to, array) in zip(now, picked, strict=True):
+            if start[name] is array:
+                start[name] = now[name] = to
+        population.version += 1
+        population.copies.copy([(now[name], array) for name, array in start.items() if now[name] is not array], threads)
+    else:
+        population.copies.copy([(start[name], array) for name, array in now.items() if start[name] is not array], threads)
 
 
 def _pick(population: Population, rows: NDArray[np.intp]) -> None:

@@ -77,20 +77,6 @@ def crowd(ground: MeshGround, rng: np.random.Generator) -> Move:
     return ground.move(footing, np.zeros((N, 3)), rng.normal(size=(N, 3)), up, 4.0)
 
 
-@pytest.mark.parametrize("odd", [[], [np.nan], [np.inf, -1.0], [np.nan, -np.inf]])
-def test_the_reach_of_a_crowd_is_that_of_arrays(odd: list[float]) -> None:
-    need_kernels()
-    from antdsl.ground.mesh.reach_compiled import longest
-
-    few = np.array([*odd, *odd], np.float32)
-    many = np.concatenate([few, np.random.default_rng(2).normal(size=50).astype(np.float32)])
-    for ways, bodies in ((many, many[::-1].copy()), (few, many), (many, few)):
-        if len(bodies):
-            way, body = longest(ways, bodies)
-            assert way == float(ways.max(initial=0.0, where=np.isfinite(ways)))
-            assert np.array_equal(body, float(np.fmax.reduce(bodies)), equal_nan=True)
-
-
 @pytest.mark.parametrize("name", sampled(GROUNDS, GROUNDS.keys() - {"slivers", "soup", "book", "layers", "bows"}))
 def test_the_compiled_walk_gives_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     need_kernels()

@@ -176,7 +176,7 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool
 def test_functions_of_machine_code_are_called_with_each_row() -> None:
     room = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
     for count in (1, 3, PARTS, 3 * PARTS + 5):
-        compiled.listed(workers_text.code().function("turns"), [(room.ctypes.data, 3, 0)] * count, 3)
+        compiled.listed(workers_text.code().function("turns"), np.array([(room.ctypes.data, 3, 0)] * count, np.int64), 3)
     pool = workers._kept[3, True]
     assert isinstance(pool, workers.Workers)
     assert pool._words[workers_text.DONE] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT]
@@ -242,3 +242,35 @@ def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.Monk
         with pytest.raises(ZeroDivisionError):
             compiled.in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
     assert (times == len(THREADS)).all() and isinstance(workers._kept[2, False], workers.Executed)
+
+
+@pytest.mark.parametrize("pool", [workers.Workers, workers.Executed])
+def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> None:
+    """CPython raises it where a function begins, and in a call that is over: also in the one that takes the pool."""
+    asked, code = workers._asked, workers._asked.__code__
+    pool, came = pool(1), 0
+
+    def interrupted(at: int) -> bool:
+        passed = iter(range(10_000))
+
+        def look(frame: Any, event: str, _: Any) -> None:
+            own, called = frame.f_code is code, frame.f_back is not None and frame.f_back.f_code is code
+            if ((own and event in ("call", "c_return")) or (called and event == "return")) and next(passed) == at:
+                raise KeyboardInterrupt
+
+        before = sys.getprofile()
+        sys.setprofile(look)
+        try:
+            assert asked(pool, lambda: "together", lambda: "alone") == "together"
+        except KeyboardInterrupt:
+            return True
+        finally:
+            sys.setprofile(before)
+        return False
+
+    while interrupted(came):
+        came += 1
+        assert asked(pool, lambda: "together", lambda: "alone") == "together"
+    assert came >= 3  # as it begins, once it is noted who asks, and after the work
+    assert asked(pool, lambda: asked(pool, lambda: "together", lambda: "alone"), lambda: "nobody") == "alone"
+    pool.end()

@@ -342,7 +342,7 @@ def test_arrays_of_cells_that_nobody_asks_for_any_more_are_let_go() -> None:
 def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
     for count, chunk, threads, parts in (
         (15_000, 16_384, 1, 1),
-        (15_000, 16_384, 2, 4),
+        (15_000, 16_384, 2, 8),
         (2_200, 16_384, 4, 2),
         (125, 16_384, 8, 1),
         (300, 100, 2, 3),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial, reduce
+from operator import or_
 from typing import Any
 
 import numpy as np
@@ -99,13 +100,14 @@ class Creases:
                 found[rows] = near[i, j, k]
         return found
 
-    def keep(self, rows: Index, rungs: Index, asked: int, place: Floats) -> Index:
+    def keep(self, rows: Index, rungs: Index, asked: int, place: Floats, threads: int) -> Index:
         """Of some rows at places (n, 3), those near: of rung -1, or by the grid of their rung over that of a cell; `asked` has a
         bit for each such rung that there is."""
         close = _kernels().close
         for rung in range(asked.bit_length()):
             if asked >> rung & 1:
-                close(rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
+                work = partial(close, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
+                compiled.in_parts(work, len(rows), threads)
         kept: Index = rows[rungs == -1]
         return kept
 
@@ -175,15 +177,24 @@ class RiseMap:
         self._creases = Creases(corners, table, still)
 
     def rising(
-        self, mesh: Ints, local: Ints, first: Index, place: Floats, reach: Floats, moving: Sequence[tuple[Floats, Floats]]
+        self,
+        mesh: Ints,
+        local: Ints,
+        first: Index,
+        place: Floats,
+        reach: Floats,
+        moving: Sequence[tuple[Floats, Floats]],
+        threads: int = 1,
     ) -> Index:
         """As `MeshGround.rising`, for agents on a face of a mesh (-1: nowhere), which count from the `first` of each on, with the
         lowest and highest corner of each mesh that moves."""
         if compiled.wanted(len(reach)) and not moving:
-            rows, rungs = np.empty(len(reach), np.int64), np.empty(len(reach), np.int64)
+            rows, rungs = np.empty((2, len(reach)), np.int64)
             on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
-            count, asked = _kernels().candidates(*on, rows, rungs)
-            return self._creases.keep(rows[:count], rungs[:count], asked, place) if count else rows[:0]
+            parts = compiled.in_parts(partial(_kernels().candidates, *on, rows, rungs), len(reach), threads)
+            rows, rungs = compiled.joined(parts, rows, rungs)
+            asked = reduce(or_, [each for _, _, each in parts])
+            return self._creases.keep(rows, rungs, asked, place, threads) if len(rows) else rows
         known = (local >= 0) & (mesh >= 0) & (mesh < len(first) - 1) & (reach > 0)
         face = np.where(known, first.take(np.where(known, mesh, 0)) + local, 0)
         rows = np.flatnonzero(known & (self._clear.take(face) <= reach))

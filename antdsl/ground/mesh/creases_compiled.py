@@ -27,12 +27,15 @@ def candidates(
     whole: F64,
     rows: Array1[I64],
     rungs: Array1[I64],
-) -> tuple[I64, I64]:
-    """How many stand on a face that is no further than `reach` from a rise, and which rungs of `Creases` are asked, by bits from
-    that of `width` on: their rows, and the rung of those whose face is larger than their reach (-1 for others)."""
-    count, asked = 0, 0
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64, I64]:
+    """Gives `begin`, how many from there to before `end` stand on a face that is no further than `reach` from a rise, and which
+    rungs of `Creases` are asked, by bits from that of `width` on; from `begin` on their rows, and the rung of those whose face is
+    larger than their reach (-1 for others)."""
+    count, asked = begin, 0
     lowest = _rung(width, width, whole)
-    for i in range(reach.size):
+    for i in range(begin, end):
         if mesh[i] < 0 or mesh[i] >= first.size - 1 or face[i] < 0 or not reach[i] > 0:
             continue
         f = first[mesh[i]] + face[i]
@@ -44,7 +47,7 @@ def candidates(
             asked = asked | (1 << rung)
         rows[count], rungs[count] = i, rung
         count += 1
-    return count, asked
+    return begin, count - begin, asked
 
 
 @kernel
@@ -56,9 +59,12 @@ def close(
     low: Array1[F64],
     width: F64,
     near: Array3[BOOL],
+    begin: I64,
+    end: I64,
 ) -> None:
-    """Those of a rung who are in a cell that is `near` something become of rung -1, others of -2."""
-    for k in range(rows.size):
+    """Those of a rung, from `begin` to before `end`, who are in a cell that is `near` something become of rung -1, others of
+    -2."""
+    for k in range(begin, end):
         if rungs[k] != rung:
             continue
         i = rows[k]

@@ -50,9 +50,11 @@ def places(
 
 
 @kernel
-def faced(mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], found: Array1[I8]) -> None:
-    """Write the side of each face, of those of its mesh, which begin at `first`; 0 for nowhere."""
-    for n in range(found.size):
+def faced(
+    mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], found: Array1[I8], begin: I64, end: I64
+) -> None:
+    """Write the side of each face from `begin` to before `end`, of those of its mesh, which begin at `first`; 0 for nowhere."""
+    for n in range(begin, end):
         if mesh[n] >= 0 and face[n] >= 0:
             found[n] = side[first[mesh[n]] + face[n]]
         else:

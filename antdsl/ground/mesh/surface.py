@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import cache
+from functools import cache, partial
 from math import sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -144,13 +144,14 @@ class MeshGround:
             return np.zeros((len(footing), 3))
         return np.ascontiguousarray(np.where(known, self._table.normal.take(face, axis=1), 0.0).T)
 
-    def sides(self, footing: Footing) -> NDArray[np.int8]:
+    def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Which of six ways the faces' normals point most, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
         if not self._faces.size:
             return np.zeros(len(footing), np.int8)
         if compiled.wanted(len(footing)):
             found = np.empty(len(footing), np.int8)
-            _kernels().faced(footing.mesh, footing.face, self._first, self._side, found)
+            on = (footing.mesh, footing.face, self._first, self._side)
+            compiled.in_parts(partial(_kernels().faced, *on, found), len(footing), threads, compiled.LIGHT)
             return found
         face, known = self._faces_of(footing)
         return np.where(known, self._side.take(face), np.int8(0))
@@ -182,13 +183,13 @@ class MeshGround:
         known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
-    def rising(self, footing: Footing, place: Floats, reach: Floats) -> Index:
+    def rising(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
         """The rows, ascending, of agents at places [n,3] for whom a surface may rise within `reach` [n] mm, if that is over 0: at
         an inner crease, another piece, or a mesh that moves. All for whom one does, and the same whoever else is asked for."""
         if self._rises is None:
             self._rises = RiseMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
         moving = [(low, high) for _, low, high in self.boxes()]
-        return self._rises.rising(footing.mesh, footing.face, self._first, place, reach, moving)
+        return self._rises.rising(footing.mesh, footing.face, self._first, place, reach, moving, threads)
 
     def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
         """Meshes that move, where they are now: which faces are theirs, lowest and highest corner."""
@@ -224,8 +225,7 @@ class MeshGround:
         n = len(footing)
         if not self._faces.size or not n:
             return _unmoved(footing, up, heading)
-        body = np.asarray(body, np.float64)
-        body = np.ascontiguousarray(body if body.shape == (n,) else np.broadcast_to(body, (n,)))
+        body = np.ascontiguousarray(np.broadcast_to(np.asarray(body, np.float64), (n,)))
         wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
         if self._by_rays:
             return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)
@@ -235,12 +235,12 @@ class MeshGround:
                 return self._moved_fast(footing, wish, heading_t, up_t, body, parts, threads, straight)
             return self._moved(footing, wish, heading_t, up_t, body, parts, threads, straight)
 
-    def crowd_walk(self, ways: NDArray[np.float32], body: NDArray[np.float32]) -> CrowdWalk | None:
-        """The compiled walk over triangles, for kernels that go on from it, of agents with ways and bodies so long (mm, [n]);
+    def crowd_walk(self, longest: float, widest: float) -> CrowdWalk | None:
+        """The compiled walk over triangles, for kernels that go on from it, of agents with ways and bodies so long (mm) at most;
         None where they are put where rays hit, or where there is nothing to walk on."""
         if self._by_rays or not self._faces.size:
             return None
-        return self._compiled().of_crowd(self._clearances, self._boxes, self._scale, ways, body)
+        return self._compiled().of_crowd(self._clearances, self._boxes, self._scale, longest, widest)
 
     def _compiled(self) -> Walk:
         if self._fast is None:

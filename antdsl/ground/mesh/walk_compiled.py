@@ -95,17 +95,17 @@ def walked(surface, near, f, b1, b2, over, size, wish, heading, up):  # type: ig
 
 @inlined
 def counted(how, reals, wholes, begin, end):  # type: ignore[no-untyped-def]
-    """How many of the agents from `begin` to before `end` wait, whose columns of `reals` and `wholes` are brought together, and
-    how many are left."""
+    """How many of the agents from `begin` to before `end` wait, whose columns of `reals` and `wholes` are brought together from
+    `begin` on, and how many are left."""
     waiting, left = 0, 0
-    for k in range(0, end - begin):
-        if how[begin + k] == WAITS:
+    for k in range(begin, end):
+        if how[k] == WAITS:
             for row in range(0, REALS):
-                reals[row, waiting] = reals[row, k]
+                reals[row, begin + waiting] = reals[row, k]
             for row in range(0, WHOLES):
-                wholes[row, waiting] = wholes[row, k]
+                wholes[row, begin + waiting] = wholes[row, k]
             waiting += 1
-        elif how[begin + k] == LEFT_OUT:
+        elif how[k] == LEFT_OUT:
             left += 1
     return waiting, left
 
@@ -124,9 +124,9 @@ def walk_all(
     moved: Moved,
     begin: I64,
     end: I64,
-) -> tuple[I64, I64]:
+) -> tuple[I64, I64, I64]:
     """One step of the agents from `begin` to before `end`: says in `how` whether one was moved (DONE), or WAITS, in `reals` and
-    `wholes` (.., end - begin), or is left as it is (LEFT_OUT), and returns how many wait and how many are left.
+    `wholes` (.., n) from `begin` on, or is left as it is (LEFT_OUT), and returns `begin`, how many wait and how many are left.
 
     `at`: where agents stand; then their body, wish, heading and up (3, n), and where the results go.
     """
@@ -154,8 +154,8 @@ def walk_all(
             if event:
                 how[i] = WAITS
                 keep(
-                    reals, wholes, i - begin, i, high > 0, body[i], f, b1, b2, side, c, s, heading_c, heading_s, left, way, over,
-                    turn, event, edge, length,
+                    reals, wholes, i, i, high > 0, body[i], f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn,
+                    event, edge, length,
                 )  # fmt: skip
                 continue
             how[i] = DONE
@@ -165,7 +165,7 @@ def walk_all(
             to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
             _put(i, finish(surface[0], row, b1, b2, side, c, s, heading_c, heading_s, over), place, above, ahead, direction)
     waiting, left = counted(how, reals, wholes, begin, end)
-    return waiting, left
+    return begin, waiting, left
 
 
 @kernel

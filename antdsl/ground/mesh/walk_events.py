@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,16 +12,28 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh import walk_compiled as loop
 from antdsl.ground.mesh.boxes import Boxes
 from antdsl.ground.mesh.face_table import pack, packed
-from antdsl.ground.mesh.reach_compiled import longest
 from antdsl.ground.mesh.surface_clearance import Clearances, Parts
 from antdsl.ground.mesh.surroundings import LIFT, Scale
 from antdsl.ground.mesh.topology import Topology
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
-# Of a part of the agents: floats and whole numbers of those who wait, and how many are left.
-Waiting = tuple[Floats, NDArray[np.int64], int]
 _WAITING = 64  # agents who look out for other surfaces, for whom a thread pays
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """Of agents after the first loop: floats and whole numbers of those who wait, a column each, and how many are left."""
+
+    reals: Floats
+    wholes: NDArray[np.int64]
+    left: int
+
+    @staticmethod
+    def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> Waiting:
+        """What kernels have found that have done the loop in parts."""
+        own = compiled.joined(parts, reals, wholes)
+        return Waiting(own[0], own[1], sum([left for _, _, left in parts]))
 
 
 class Walk:
@@ -36,12 +49,9 @@ class Walk:
         """Some faces have another shape in the table."""
         pack(self.packed, self.table, self._mesh, faces)
 
-    def of_crowd(
-        self, clearances: Clearances, boxes: Boxes, scale: Scale, ways: NDArray[np.float32], bodies: NDArray[np.float32]
-    ) -> CrowdWalk:
-        """That of agents with ways and bodies so long (mm), which says how far the surfaces about them are."""
-        way, body = longest(ways, bodies)
-        parts, known = clearances.within(way + LIFT * body + 3 * scale.noise), self._crowd
+    def of_crowd(self, clearances: Clearances, boxes: Boxes, scale: Scale, longest: float, widest: float) -> CrowdWalk:
+        """That of agents with ways and bodies so long (mm) at most, which says how far the surfaces about them are."""
+        parts, known = clearances.within(longest + LIFT * widest + 3 * scale.noise), self._crowd
         if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
             known = self._crowd = CrowdWalk(self, parts, boxes, scale)
         return known
@@ -77,19 +87,15 @@ class CrowdWalk:
         n = body.size
         how = np.empty(n, np.uint8)
         placed, moved, blocked = to[:5], to[5:10], to[10]
-        tables = self.tables()
-
-        def part(begin: int, end: int) -> Waiting:
-            reals, wholes = np.empty((loop.REALS, end - begin)), np.empty((loop.WHOLES, end - begin), np.int64)
-            waiting, left = loop.walk_all(*tables, at, body, vectors, reals, wholes, how, placed, moved, begin, end)
-            return reals[:, :waiting], wholes[:, :waiting], left
-
-        _, left = self.on(compiled.in_parts(part, n, threads), how, placed, moved, blocked, threads, straight)
+        reals, wholes = np.empty((loop.REALS, n)), np.empty((loop.WHOLES, n), np.int64)
+        work = partial(loop.walk_all, *self.tables(), at, body, vectors, reals, wholes, how, placed, moved)
+        waiting = Waiting.of(compiled.in_parts(work, n, threads), reals, wholes)
+        _, left = self.on(waiting, how, placed, moved, blocked, threads, straight)
         return np.flatnonzero(how != loop.DONE) if left else None
 
     def on(
         self,
-        parted: list[Waiting],
+        some: Waiting,
         how: NDArray[np.uint8],
         placed: tuple[Any, ...],
         moved: tuple[Any, ...],
@@ -97,12 +103,9 @@ class CrowdWalk:
         threads: int,
         straight: bool = False,
     ) -> tuple[NDArray[np.int64], int]:
-        """Move those who wait, part by part, to footings `placed`, to `moved` as `walk_compiled.Moved` has it, and say who is
+        """Move those who wait to footings `placed`, to `moved` as `walk_compiled.Moved` has it, and say who is
         `blocked`: their rows, and of how many of all agents `how` does not say that they have moved."""
-        left = sum(each[2] for each in parted)
-        reals, wholes, _ = parted[0]
-        if len(parted) > 1:
-            reals, wholes = (np.concatenate([each[half] for each in parted], axis=1) for half in (0, 1))
+        reals, wholes, left = some.reals, some.wholes, some.left
         if not wholes.size:
             return wholes[loop.AGENT], left
         table, boxes, scale = self.walk.table, self.boxes, self.scale

@@ -31,7 +31,7 @@ def slide(world: World, population: Population, step: Vector, up: Columns, radiu
     """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
     names = _names(world)
     if names:
-        place, began = vec.named(population.now, "position"), _where_they_were(population)
+        place, began = vec.named(population.now, "position"), _where_they_were(population, world.options.threads)
     for name in names:
         scene = mesh_of(world, name)
         clear = clearance(world, population, name) if began else scene.clearance(*place)
@@ -74,12 +74,11 @@ def mesh_of(world: World, name: str) -> RayScene:
     return scene
 
 
-def _where_they_were(population: Population) -> bool:
+def _where_they_were(population: Population, threads: int) -> bool:
     """Whether everybody is still where the step began; not so after a first substep."""
     now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
     if compiled.wanted(len(population)):
-        found: bool = _kernels().same(now, start)
-        return found
+        return all(compiled.in_parts(partial(_kernels().same, now, start), len(population), threads, compiled.LIGHT))
     return all((one == other).all() for one, other in zip(now, start, strict=True))
 
 
@@ -130,10 +129,11 @@ def _along_fast(
         if not any([left for _, _, _, left in parts]):
             return _turned(scene, step, rows, found, met, faces, parts, threads)
     rows, found = np.empty(n, np.int64), np.empty((9, n), np.float32)
-    count = kernels.touching(place, step, radius, clear, rows, found)
+    parts = compiled.in_parts(partial(kernels.touching, place, step, radius, clear, rows, found), n, threads)
+    rows, found = compiled.joined(parts, rows, found)
+    count, found = len(rows), np.ascontiguousarray(found)
     if not count:
         return step
-    rows, found = rows[:count], np.ascontiguousarray(found[:, :count])
     above = vec.take(up, rows)
     size, margin, _, x, y, z, _, _, _ = found
     gap, out = scene.apart(x, y, z, size + margin, threads)

@@ -20,10 +20,10 @@ _LONGER = _F(1) + _F(1e-6)  # as `obstacles`
 
 
 @kernel
-def same(one: Three, other: Three) -> BOOL:
-    """Whether vectors are all equal, none of them NaN."""
+def same(one: Three, other: Three, begin: I64, end: I64) -> BOOL:
+    """Whether vectors from `begin` to before `end` are all equal, none of them NaN."""
     found = True
-    for i in range(one[0].size):
+    for i in range(begin, end):
         found = found and one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]
     return found
 
@@ -115,18 +115,27 @@ def put(step: Three, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> 
 
 
 @kernel
-def touching(place: Three, step: Three, radius: Array1[F32], clear: Array1[F32], rows: Array1[I64], found: Array2[F32]) -> I64:
-    """How many may touch an obstacle on their step, which is `clear` of them: their rows, and of each `found` [9, ..]: how long
-    its step is, its margin (mm) and `clear`, then the two vectors."""
-    count = 0
-    for i in range(radius.size):
+def touching(
+    place: Three,
+    step: Three,
+    radius: Array1[F32],
+    clear: Array1[F32],
+    rows: Array1[I64],
+    found: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Gives `begin` and how many from there to before `end` may touch an obstacle on their step, which is `clear` of them: from
+    `begin` on their rows, and of each `found` [9, ..]: how long its step is, its margin (mm) and `clear`, then both vectors."""
+    count = begin
+    for i in range(begin, end):
         size, margin, asked = _asked(step, radius, clear, i)
         if asked:
             rows[count], found[0, count], found[1, count], found[2, count] = i, size, margin, clear[i]
             for k in range(3):
                 found[3 + k, count], found[6 + k, count] = place[k][i], step[k][i]
             count += 1
-    return count
+    return begin, count - begin
 
 
 @kernel

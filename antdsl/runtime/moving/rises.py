@@ -131,7 +131,7 @@ def rises(
     if meshes is None:
         return Rises.none()
     half, reach = lengths
-    rows = meshes.rising(population.footing, population.position, reach)
+    rows = meshes.rising(population.footing, population.position, reach, world.options.threads)
     if not len(rows):
         return Rises.none()
     faced = _faced(population.now)
@@ -170,7 +170,7 @@ def rises_by_kernels(
     meshes = world.ground.meshes
     if meshes is None:
         return Rises.none()
-    rows = meshes.rising(population.footing, population.position, reach)
+    rows = meshes.rising(population.footing, population.position, reach, world.options.threads)
     if not len(rows):
         return Rises.none()
     kernels, now, most = (

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from math import inf, nan
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from antdsl.runtime.moving.walks import led, walks_of
 from antdsl.runtime.world import Population, World
 
 _F = np.float32
+_ARRIVING = 256  # agents who are let arrive by themselves, for whom a thread pays
 
 
 def move(world: World, population: Population, dt: np.float32, substep: int) -> None:
@@ -48,14 +50,17 @@ def move(world: World, population: Population, dt: np.float32, substep: int) -> 
     _, _, heading, up = crowd.registers
     found = rises_by_kernels(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
     walls = (found.wall, found.ahead, found.angle, found.far, found.over)
-    pace(crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, walls, WAITING)
+    n, threads = len(population), crowd.threads
+    work = partial(pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, walls, WAITING)
+    compiled.in_parts(work, n, threads)
     came_from = population.position
     crowd.walk(world.ground)
     if before is not None:
         orient(world, population, *before)
     ways = (*crowd.kept, came_from, population.position)
-    (rows,) = population.room("following", 1, (len(population),), np.int64)
-    follow(crowd.state, *ways, crowd.most, population.now["max_turn"], dt, walls, found.half, RAISED, up, heading, rows)
+    (rows,) = population.room("following", 1, (n,), np.int64)
+    turns = (crowd.most, population.now["max_turn"], dt)
+    compiled.in_parts(partial(follow, crowd.state, *ways, *turns, walls, found.half, RAISED, up, heading, rows), n, threads)
 
 
 @dataclass(slots=True)
@@ -78,6 +83,8 @@ class _Crowd:
     most: NDArray[np.float32]
     reach: NDArray[np.float64]
     state: NDArray[np.int32]
+    longest: float = 0.0  # step (mm) that is finite
+    widest: float = nan  # size (mm) that is a number
 
     @staticmethod
     def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _Crowd:
@@ -105,13 +112,17 @@ class _Crowd:
         to = (self.velocity, self.step, self.looking, (self.long, self.most, self.reach), self.state)
         does = (vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times, WIDEST)
         work = partial(set_out, *does, *to)
-        compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+        found = compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+        self.longest, self.widest = (max(each) for each in zip(*found, strict=True))
+        if self.widest == -inf:
+            self.widest = nan
         if walks_of(self.world, p):
             velocity = led(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
             zero = np.zeros(len(p), np.float32)
             self.velocity = vec.choose(p.quarantined, (zero, zero, zero), velocity)
             self.step = vec.scale(self.velocity, self.dt)
             self.long = vec.length(self.step)
+            self.longest = float(self.long.max(initial=0.0, where=np.isfinite(self.long)))
 
     def pass_obstacles(self) -> None:
         """Steps along the obstacles in their way, and velocities of those who would have gone otherwise."""
@@ -148,7 +159,7 @@ class _Crowd:
     def _over_meshes(self, ground: MeshGround, there: tuple[Any, ...]) -> bool:
         """False where triangles are not what is walked over."""
         p, n = self.population, len(self.population)
-        walk = ground.crowd_walk(self.long, p.now["size"])
+        walk = ground.crowd_walk(self.longest, self.widest)
         if walk is None:
             return False
         tables = walk.tables()
@@ -156,17 +167,11 @@ class _Crowd:
         at, placed = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (p.footing, to))
         place, normals = np.empty((3, n)), np.empty((n, 3), np.float32)
         (how,) = p.room("how", 1, (n,), np.uint8)
-        (reals,), (wholes,) = p.room("reals", 1, (loop.REALS * n,), np.float64), p.room("wholes", 1, (loop.WHOLES * n,), np.int64)
+        (reals,), (wholes,) = p.room("reals", 1, (loop.REALS, n), np.float64), p.room("wholes", 1, (loop.WHOLES, n), np.int64)
         given = (at, p.now["size"], p.normal, self.velocity, self.step, self.looking, *there)
-
-        def part(begin: int, end: int) -> Waiting:
-            floats = reals[begin * loop.REALS : end * loop.REALS].reshape(loop.REALS, -1)
-            numbers = wholes[begin * loop.WHOLES : end * loop.WHOLES].reshape(loop.WHOLES, -1)
-            waiting, left = stride(*tables, *given, floats, numbers, how, placed, place, p.position, normals, begin, end)
-            return floats[:, :waiting], numbers[:, :waiting], left
-
-        parted = compiled.in_parts(part, n, self.threads)
-        self._later(ground, there, walk, parted, to, place, normals, how)
+        work = partial(stride, *tables, *given, reals, wholes, how, placed, place, p.position, normals)
+        waiting = Waiting.of(compiled.in_parts(work, n, self.threads), reals, wholes)
+        self._later(ground, there, walk, waiting, to, place, normals, how)
         p.footing, p.position, p.normal = to, place.T, normals
         return True
 
@@ -175,7 +180,7 @@ class _Crowd:
         ground: MeshGround,
         there: tuple[Any, ...],
         walk: CrowdWalk,
-        parted: list[Waiting],
+        waiting: Waiting,
         to: Footing,
         place: NDArray[np.float64],
         normals: NDArray[np.float32],
@@ -187,7 +192,7 @@ class _Crowd:
         above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
         (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
         placed, moved = (to.mesh, to.face, to.b1, to.b2, to.over), (place, above, ahead, direction, gone)
-        rows, left = walk.on(parted, how, placed, moved, blocked, self.threads)
+        rows, left = walk.on(waiting, how, placed, moved, blocked, self.threads)
         if left:
             others = np.flatnonzero(how != loop.DONE)
             result = Move(to, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
@@ -219,4 +224,4 @@ class _Crowd:
         self, rows: NDArray[np.intp], walked: tuple[Any, ...], there: tuple[Any, ...], normals: NDArray[np.float32]
     ) -> None:
         work = partial(arrive, rows, self.velocity, self.step, self.population.position, walked, *there, normals)
-        compiled.in_parts(work, len(rows), self.threads, compiled.LIGHT)
+        compiled.in_parts(work, len(rows), self.threads, _ARRIVING)

@@ -66,14 +66,14 @@ def set_out(
     state: Array1[I32],
     begin: I64,
     end: I64,
-) -> None:
+) -> tuple[F64, F64]:
     """What agents from `begin` to before `end` are about to do: velocities after the push `to` three arrays, the `step` (mm) that
     is their way in `dt`, and how bodies stand: their `state`, and of those who lean the heading along the ground, `looking`.
 
     `limits`: `max_speed`, `max_force`, `mass`, `response` and `max_turn`; `keeps`: whether `min_speed` counts. `times_of`: the
     longest response that takes its whole time in one substep, that time, and `dt`, that of others. Into `lengths`: how long the
     step is, by what angle (radians) a body tilts at most, and how far before it (mm), `widest` times half of its size, it looks
-    out for walls.
+    out for walls. Gives the longest step that is finite and the greatest size, -inf where none is a number.
     """
     max_speed, max_turn, dt = limits[0], limits[4], times_of[2]
     long, most, reach = lengths
@@ -88,6 +88,11 @@ def set_out(
         long[i] = np.sqrt(dot(way, way))
         stood(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
         reach[i] = widest * half_of(size[i])
+    longest, greatest = _ZERO, _F(-np.inf)
+    for i in range(begin, end):
+        longest = long[i] if long[i] > longest and np.isfinite(long[i]) else longest
+        greatest = size[i] if size[i] > greatest else greatest
+    return np.float64(longest), np.float64(greatest)
 
 
 @inlined
@@ -122,7 +127,7 @@ def stride(
     normals: Array2[F32],
     begin: I64,
     end: I64,
-) -> tuple[I64, I64]:
+) -> tuple[I64, I64, I64]:
     """`walk_all` over triangles by steps and headings in float32, from footings `at` to `placed` and `place` (3, n); those
     who are there arrive as by `arrive`."""
     mesh, face, b1s, b2s, overs = at
@@ -162,8 +167,8 @@ def stride(
             if event:
                 how[i] = WAITS
                 keep(
-                    reals, wholes, i - begin, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s,
-                    left, gone, over, turn, event, edge, length,
+                    reals, wholes, i, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s, left, gone,
+                    over, turn, event, edge, length,
                 )  # fmt: skip
                 continue
             how[i] = DONE
@@ -176,7 +181,7 @@ def stride(
                 place[k, i] = found[0][k]
             arrived(i, found, False, old, step, velocity, limits, bodies, times_of, facing, registers, normals)
     waiting, left = counted(how, reals, wholes, begin, end)
-    return waiting, left
+    return begin, waiting, left
 
 
 @kernel

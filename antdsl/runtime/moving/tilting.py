@@ -10,7 +10,7 @@ over about its own length; where it cannot tilt as fast as it walks, the feet wa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -187,16 +187,17 @@ def _laid_down(
     return _laid(*(v[:, rows].astype(np.float64) for v in (heading, up, normal.T))).astype(np.float32)
 
 
-def lay(population: Population) -> None:
+def lay(population: Population, threads: int = 1) -> None:
     """Show programs the heading and up of the feet, along the ground, while a step is made: a push ahead leads on, over whatever
     edge the body tilts just then."""
     start, now = population.start, population.now
     population.laid = None
     if compiled.wanted(n := len(population)):
         (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
-        count = _kernels().lay(population.normal, *_registers(start), *_registers(now), found, *lean)
-        if count:
-            population.laid = (found[:count], *(vectors[:, :count] for vectors in lean))
+        work = partial(_kernels().lay, population.normal, *_registers(start), *_registers(now), found, *lean)
+        rows, *own = compiled.joined(compiled.in_parts(work, n, threads), found, *lean)
+        if len(rows):
+            population.laid = (rows, *own)
         return
     rows = _leaning(population)
     if not len(rows):

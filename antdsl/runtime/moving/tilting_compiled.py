@@ -148,10 +148,13 @@ def lay(
     up: Array2[F32],
     heading: Array2[F32],
     along: Array2[F32],
-) -> I64:
-    """As `tilting.lay`: how many lean, their rows, and up, heading and the heading shown (3, n) of these in that order."""
-    count = 0
-    for i in range(rows.size):
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """As `tilting.lay`, of agents from `begin` to before `end`: gives `begin` and how many lean; from `begin` on their rows, and
+    up, heading and the heading shown (3, n) of these in that order."""
+    count = begin
+    for i in range(begin, end):
         if not _leaning(now_up, normal, i):
             continue
         found = _laid(_of(start_heading, i), _of(start_up, i), _row(normal, i))
@@ -163,7 +166,7 @@ def lay(
             start_heading[k][i] = _F(found[k])
             now_heading[k][i] = _F(found[k])
         count += 1
-    return count
+    return begin, count - begin
 
 
 @kernel
@@ -199,11 +202,14 @@ def pace(
     most: Array1[F32],
     walls: Walls,
     waiting: F32,
+    begin: I64,
+    end: I64,
 ) -> None:
-    """As `Bodies.paced`: changes steps and velocities of those who lean or have a wall before them, by their `state`."""
+    """As `Bodies.paced`, of agents from `begin` to before `end`: changes steps and velocities of those who lean or have a wall
+    before them, by their `state`."""
     wall, ahead, angle, far, over = walls
     zero = (0.0, 0.0, 0.0)
-    for i in range(state.size):
+    for i in range(begin, end):
         j = state[i]
         if j == STANDS:
             continue
@@ -244,15 +250,17 @@ def follow(
     now_up: Three,
     now_heading: Three,
     rows: Array1[I64],
+    begin: I64,
+    end: I64,
 ) -> None:
-    """As `Bodies.follow` for whom there is anything to do by its `state`, who have come from places `before` to `place`; changes
-    `now_up` and `now_heading`. `rows` is room for work."""
+    """As `Bodies.follow` for those from `begin` to before `end` for whom there is anything to do by their `state`, who have come
+    from places `before` to `place`; changes `now_up` and `now_heading`. `rows` is room for work."""
     wall, ahead, angle, far, over = walls
-    count = 0
-    for row in range(state.size):
+    count = begin
+    for row in range(begin, end):
         rows[count] = row
         count += state[row] != STANDS
-    for k in independent(0, count):
+    for k in independent(begin, count):
         i = rows[k]
         j = state[i]
         stands = _of(before_up, i)

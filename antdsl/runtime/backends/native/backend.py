@@ -129,13 +129,13 @@ class NativeBackend(NumpyBackend):
         tables.fill(world, population, values, self._lasting[name], self._kept[name], grids)
         for begin, end in code.run(world, population, values, metered):
             super().run(world, population, block, np.arange(begin, end))  # which stops, and says where
-        for lane in tables.lanes:
+        for lane in tables.lanes.every:
             for field, laid in lane.laid.items():
                 if laid[0]:
                     world.fields[field].touch()
                     laid[0] = False
         for number in range(len(near)):
-            key, widest = (name, block, number), [lane.widest[number] for lane in tables.lanes]
+            key, widest = (name, block, number), [lane.widest[number] for lane in tables.lanes.every]
             self._widest[key] = max([max(each.tolist()) for each in widest]) or self._widest[key]
             for each in widest:
                 each.fill(0)

@@ -306,7 +306,8 @@ class Grids:
         """Call a function for so many rows, by several threads where that pays."""
         threads = max(1, world.options.threads) if count >= _PARTED else 1
         part = -(-count // (WIDTH * threads)) * WIDTH
-        compiled.listed(function, [(table, begin, min(begin + part, count)) for begin in range(0, count, part)], threads)
+        parts = np.array([(table, begin, min(begin + part, count)) for begin in range(0, count, part)], np.int64)
+        compiled.listed(function, parts, threads)
 
     def _sorted(self, world: World, other: Population, size: float) -> _Crowd | None:
         """None where NumPy has to sort: where some are without a place, and of a crowd so far apart that its cells are not

@@ -1,4 +1,4 @@
-"""What a thread has of its own while it runs a block of machine code: what stages leave to each other, lists, notes, counts."""
+"""What parts of a block have of their own while machine code runs them: what stages leave to each other, lists, notes, counts."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.backends.native.search import MOST
 
 DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
+Arrays = dict[tuple[int, int], NDArray[Any]]  # by slot and part
 _OWN = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys
 
 
@@ -29,7 +30,7 @@ class Lane:
     def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
         self.code, self.pointers = code, np.zeros_like(pointers)
         self.address = address(self.pointers)
-        self.arrays: dict[tuple[int, int], NDArray[Any]] = {}
+        self.arrays: Arrays = {}
         self.columns: list[list[NDArray[Any]]] = []
         self.notes = np.zeros(1, np.int64)
         self.counts, self.needs = np.zeros(1 + len(code.lists), np.int64), np.zeros(max(len(code.needs), 1), np.uint8)
@@ -37,17 +38,12 @@ class Lane:
         self.laid: dict[str, NDArray[np.bool_]] = {}
         self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
         self._candidates = np.zeros(0, np.int32)
-        self._size = self._others = -1
         self._keys = [(key, place) for key, place in code.layout.pointers.items() if key[0] in _OWN or key[2:] == ("widest",)]
         self._own = np.array([place for _, place in self._keys], np.intp)
         self._places = np.zeros(len(self._keys), np.int64)
-        self._asks: dict[Instruction, tuple[Ask, list[tuple[ir.Node, Any]]]] = {}  # and what of it goes by values of the step
 
-    def ready(self, rows: int, others: int, pointers: NDArray[np.int64]) -> None:
-        """Have arrays for so many rows of a chunk and so many agents of the largest species, and the addresses that all lanes
-        have."""
-        if rows > self._size or others > self._others:
-            self._room(max(rows, self._size), max(others, self._others))
+    def point(self, pointers: NDArray[np.int64]) -> None:
+        """Put down the addresses that all lanes have."""
         self.pointers[:] = pointers
         self.pointers[self._own] = self._places
 
@@ -58,36 +54,19 @@ class Lane:
         if self.code.needs:
             self.needs.fill(0)
 
-    def ask(self, each: Instruction, rows: int, uniform: Mapping[int, ir.Node], values: Mapping[ir.Node, Any]) -> Ask:
-        """Who of so many rows needs a call, what it is made with, and where the next stage looks for its results. `uniform`:
-        nodes whose values are the same for all agents, by slot."""
-        known = self._asks.get(each)
-        if known is not None:
-            found, same = known
-            if len(found[0]) == rows and all([values[node] is value for node, value in same]):
-                return found
-        slots = [self.code.schedule.slot(slot) for slot in each.inputs]
-        same = [(uniform[slot], values[uniform[slot]]) for slot in slots if (slot, 0) not in self.arrays]
-        operands = [
-            self.arrays[slot, 0][:rows] if (slot, 0) in self.arrays else np.full(rows, values[uniform[slot]]) for slot in slots
-        ]
-        assert isinstance(each.what, ir.Node)
-        results = [self.arrays[each.out, part][:rows] for part in range(len(ir.TUPLES[each.what.op]))]
-        found = (self.arrays[self.code.mask_of(each), 0][:rows], tuple(operands), tuple(results))
-        self._asks[each] = (found, same)
-        return found
-
-    def _room(self, rows: int, others: int) -> None:
-        self._size, self._others = rows, others
-        self._asks.clear()
-        for (slot, part), kind in self.code.layout.arrays.items():
-            self.arrays[slot, part] = np.zeros(rows + WIDTH, DTYPES[kind])
+    def settle(self, arrays: Arrays, rows: int, others: int) -> None:
+        """Have these arrays for so many rows, with eight spare ones behind them, and room for so many agents of the largest
+        species."""
+        self.arrays = arrays
         self.columns.clear()
         for number in range(len(self.code.lists)):
             parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
             self.columns.append([self.arrays[-1 - number, part] for part in parts])
-        self.notes = np.zeros(1 + 2 * (len(self.code.faults) * (rows // WIDTH + 1)), np.int64)
-        self._candidates = np.zeros(2 * others + (WIDTH + 1) * MOST, np.int32)  # of one agent with distances beside
+        notes, candidates = 1 + 2 * (len(self.code.faults) * (rows // WIDTH + 1)), 2 * others + (WIDTH + 1) * MOST
+        if len(self.notes) < notes:
+            self.notes = np.zeros(notes, np.int64)
+        if len(self._candidates) < candidates:
+            self._candidates = np.zeros(candidates, np.int32)  # of one agent with distances beside
         for number, (key, _) in enumerate(self._keys):
             self._places[number] = address(self._array(key))
 
@@ -108,3 +87,57 @@ class Lane:
             case "ticks":
                 return self.ticks
         return self._candidates
+
+
+class Lanes:
+    """A lane for each part of a block that is under way at the same time. What stages leave of all of them lies in one piece,
+    part after part: their arrays are pieces of `arrays`."""
+
+    def __init__(self, code: BlockCode) -> None:
+        self.code = code
+        self.arrays: Arrays = {}
+        self.every: list[Lane] = []  # those of parts there are no longer, too
+        self._rows = self._others = self._parts = 0
+        self._asks: dict[Instruction, tuple[Ask, list[tuple[ir.Node, Any]]]] = {}  # and what of it goes by values of the step
+
+    def ready(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[Lane]:
+        """Have lanes for so many parts of so many rows each, whole eights where there are several, for so many agents of the
+        largest species, and with the addresses that all lanes have."""
+        while len(self.every) < parts:
+            self.every.append(Lane(self.code, pointers))
+        if rows != self._rows or parts > self._parts or others > self._others:
+            self._rows, self._parts, self._others = rows, max(parts, self._parts), max(others, self._others)
+            self._settle()
+        found = self.every[:parts]
+        for lane in found:
+            lane.point(pointers)
+        return found
+
+    def _settle(self) -> None:
+        rows, wanted = self._rows, self._parts * self._rows + WIDTH
+        self._asks.clear()
+        for key, kind in self.code.layout.arrays.items():
+            if key not in self.arrays or len(self.arrays[key]) < wanted:
+                self.arrays[key] = np.zeros(wanted, DTYPES[kind])
+        for k, lane in enumerate(self.every[: self._parts]):
+            own = {key: array[k * rows : (k + 1) * rows + WIDTH] for key, array in self.arrays.items()}
+            lane.settle(own, rows, self._others)
+
+    def ask(self, each: Instruction, rows: int, uniform: Mapping[int, ir.Node], values: Mapping[ir.Node, Any]) -> Ask:
+        """Who of so many rows of all parts together needs a call, what it is made with, and where the next stage looks for its
+        results. `uniform`: nodes whose values are the same for all agents, by slot."""
+        known = self._asks.get(each)
+        if known is not None:
+            found, same = known
+            if len(found[0]) == rows and all([values[node] is value for node, value in same]):
+                return found
+        slots = [self.code.schedule.slot(slot) for slot in each.inputs]
+        same = [(uniform[slot], values[uniform[slot]]) for slot in slots if (slot, 0) not in self.arrays]
+        operands = [
+            self.arrays[slot, 0][:rows] if (slot, 0) in self.arrays else np.full(rows, values[uniform[slot]]) for slot in slots
+        ]
+        assert isinstance(each.what, ir.Node)
+        results = [self.arrays[each.out, part][:rows] for part in range(len(ir.TUPLES[each.what.op]))]
+        found = (self.arrays[self.code.mask_of(each), 0][:rows], tuple(operands), tuple(results))
+        self._asks[each] = (found, same)
+        return found

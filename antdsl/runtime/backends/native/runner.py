@@ -1,8 +1,10 @@
-"""Runs one block of machine code: its rows in parts, perhaps in several threads, and each part through its stages, the calls
-between them, and what is asked of the world."""
+"""Runs one block of machine code: its rows in parts, perhaps in several threads, through its stages and the calls between them,
+and what is asked of the world."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import accumulate
 from time import perf_counter
 from typing import Any
@@ -23,11 +25,11 @@ from antdsl.runtime.backends.native.ready import Ready
 from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.backends.native.tables import Tables
 from antdsl.runtime.pairs import NearbySets
-from antdsl.runtime.requests import Effects, FaultEntry
+from antdsl.runtime.requests import FaultEntry
 from antdsl.runtime.sensing import IN_PLACE, SENSES
 from antdsl.runtime.world import Population, World
 
-_PART = 1_024  # agents for whom a part of their own pays
+_GRAIN = 64  # rows: parts are of whole ones, so that some births change the length of none
 # Calls at the end of a stage, those of one sense with one name together: whether what they give is answered where it is left, and
 # each with its number among `needs`.
 Calls = list[tuple[bool, list[tuple[Instruction, int]]]]
@@ -42,10 +44,8 @@ class Block:
         self.made = ready.calls
         self.uniform = {slot: node for node, slot in self.compiler.uniforms.items()}
         numbers = {each: number for number, each in enumerate(self.code.needs)}
-        self._chunks: list[Chunk] = []
         self._ready_for: tuple[int, ...] = ()
-        self._bounds: list[tuple[int, int]] = []  # parts of the rows, first and the one after the last
-        self._lanes: list[Chunk] = []  # that take them through the block side by side
+        self._rounds: list[Round] = []
         self.stages: list[tuple[Any, Calls]] = []  # function, and what is called after it
         for stage, function in enumerate(self.code.names):
             groups = ready.together[species, name, stage]
@@ -71,10 +71,11 @@ class Block:
         """Share out so many rows, and have lanes ready for them."""
         threads = max(1, min(threads, cores()))
         size = _part(count, chunk, threads)
-        self._bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
-        lanes = [self.tables.lane(k, min(size, count), others) for k in range(min(threads, len(self._bounds)))]
-        self._chunks += [Chunk(self, lane) for lane in lanes[len(self._chunks) :]]
-        self._lanes = self._chunks[: len(lanes)]
+        bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
+        lanes = self.tables.ready(min(len(bounds), compiled.EACH * threads if threads > 1 else 1), size, others)
+        chunks = [Chunk(self, lane) for lane in lanes]
+        firsts = range(0, len(bounds), len(lanes))
+        self._rounds = [Round(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
 
     def _timed(
         self,
@@ -83,31 +84,22 @@ class Block:
         values: dict[ir.Node, Any],
         timed: Metered,
     ) -> list[tuple[int, int]]:
-        lines, lanes, began = self.code.lines, self._lanes, perf_counter()
-        for each in lanes:
+        lines, chunks, began = self.code.lines, self._rounds[0].chunks, perf_counter()
+        for each in chunks:
             each.times = None if lines is None else Times(lines, each.lane.ticks, timed.lane())
         bad = self._parts(world, population, values)
-        counted = [each.times for each in lanes if each.times is not None]
+        counted = [each.times for each in chunks if each.times is not None]
         if counted:
             for spent in counted:
                 spent.end()
-            timed.take([spent.lane for spent in counted], perf_counter() - began if len(lanes) > 1 else np.inf)
+            timed.take([spent.lane for spent in counted], perf_counter() - began if len(chunks) > 1 else np.inf)
         return bad
 
     def _parts(self, world: World, population: Population, values: dict[ir.Node, Any]) -> list[tuple[int, int]]:
-        bounds, lanes = self._bounds, self._lanes
-        if len(bounds) == 1:
-            return [] if lanes[0].run(world, population, values, *bounds[0], population.effects) else bounds
-        effects, good, coming = [Effects() for _ in bounds], [False] * len(bounds), iter(range(len(bounds)))
-
-        def work(number: int) -> None:
-            for k in coming:  # the next one that nobody has
-                good[k] = lanes[number].run(world, population, values, *bounds[k], effects[k])
-
-        compiled.side_by_side(work, len(lanes))
-        for each in effects:
-            population.effects.take(each)
-        return [part for part, well in zip(bounds, good, strict=True) if not well]
+        bad: list[tuple[int, int]] = []
+        for each in self._rounds:
+            bad += each.run(world, population, values)
+        return bad
 
 
 def _in_place(each: Instruction) -> bool:
@@ -115,10 +107,77 @@ def _in_place(each: Instruction) -> bool:
 
 
 def _part(count: int, chunk: int, threads: int) -> int:
-    """Rows of a part: as many as a chunk has at most, and where that pays two parts for each thread, of whole eights."""
-    parts = max(-(-count // max(WIDTH, chunk)), min(2 * threads, count // _PART) if threads > 1 else 1)
-    most = WIDTH * parts
-    return WIDTH * max(1, -(-count // most))
+    """Rows of a part: as many as a chunk has at most, and where that pays several parts for each thread, to even them out."""
+    parts = max(-(-count // max(WIDTH, chunk)), min(compiled.EACH * threads, count // compiled.PART) if threads > 1 else 1)
+    most = _GRAIN * parts
+    return _GRAIN * max(1, -(-count // most))
+
+
+class Round:
+    """Parts of a block's rows, one behind the other, that go through its stages together: all through one, without the
+    interpreter in between, then through the calls at its end, then through the next."""
+
+    def __init__(self, block: Block, chunks: list[Chunk], bounds: list[tuple[int, int]], threads: int) -> None:
+        self._block, self._threads, self._bounds = block, threads, bounds
+        self.chunks = chunks[: len(bounds)]
+        self._begin, self._end = bounds[0][0], bounds[-1][1]
+        self._table = np.array([(each.lane.address, *part) for each, part in zip(self.chunks, bounds, strict=True)], np.int64)
+
+    def run(self, world: World, population: Population, values: dict[ir.Node, Any]) -> list[tuple[int, int]]:
+        """Take the parts through all stages; what they ask of the world is added to the population's effects. Gives those parts
+        in which some agent has too many others in a radius."""
+        chunks, timed = self.chunks, self.chunks[0].times is not None
+        for each, part in zip(chunks, self._bounds, strict=True):
+            each.begin(world, population, values, *part)
+        for function, calls in self._block.stages:
+            if timed:
+                self._each(partial(Chunk.stage, function=function))
+            else:
+                compiled.listed(function, self._table, self._threads)
+            if calls:
+                self._calls(world, population, values, calls)
+        return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]
+
+    def _each(self, work: Callable[[Chunk], object]) -> None:
+        """Have work done for each part, in threads."""
+        coming = iter(self.chunks)
+
+        def some(_: int) -> None:
+            for each in coming:  # the next one that nobody has
+                work(each)
+
+        if len(self.chunks) > 1:
+            compiled.side_by_side(some, min(self._threads, len(self.chunks)))
+        else:
+            some(0)
+
+    def _calls(self, world: World, population: Population, values: dict[ir.Node, Any], every: Calls) -> None:
+        """Make the calls at the end of a stage that somebody needs."""
+        needs = [max(each) for each in zip(*[chunk.lane.needs.tolist() for chunk in self.chunks], strict=True)]
+        others = []
+        for in_place, some in every:
+            needed = [each for each, number in some if number < 0 or needs[number]]
+            if needed and in_place:
+                self._answer(world, population, values, needed)
+            elif needed:
+                others.append(some)
+        if others:
+            self._each(partial(Chunk.calls, every=others))
+
+    def _answer(self, world: World, population: Population, values: dict[ir.Node, Any], some: list[Instruction]) -> None:
+        """Have one or several of one sense with one name answered where a stage has left who asks and what, and where the next
+        one looks for the results."""
+        began, block, node = perf_counter(), self._block, some[0].what
+        assert isinstance(node, ir.Node)
+        answer, nothing = IN_PLACE[node.op]
+        asks = [block.tables.lanes.ask(each, self._end - self._begin, block.uniform, values) for each in some]
+        for each, (_, _, found) in zip(some, asks, strict=True):
+            if each not in block.code.guarded:
+                for array, value in zip(found, nothing, strict=True):
+                    array.fill(value)
+        answer(world, population, node, slice(self._begin, self._end), asks)
+        if self.chunks[0].times is not None:
+            self.chunks[0].took(began, some, [int(np.count_nonzero(asking)) for asking, _, _ in asks])
 
 
 class Chunk:
@@ -127,9 +186,8 @@ class Chunk:
     world: World
     population: Population
     values: dict[ir.Node, Any]
-    begin: int
-    end: int
-    effects: Effects
+    first: int
+    last: int
 
     def __init__(self, block: Block, lane: Lane) -> None:
         self.block, self.lane = block, lane
@@ -137,37 +195,37 @@ class Chunk:
         self._picked: dict[int, NDArray[np.intp]] = {}
         self._slots: list[Any] | None = None
 
-    def run(
-        self, world: World, population: Population, values: dict[ir.Node, Any], begin: int, end: int, effects: Effects
-    ) -> bool:
-        """Take rows through all stages; what is asked of the world is added to the effects. Gives whether all went well: False
-        where some agent has too many others in a radius."""
+    def begin(self, world: World, population: Population, values: dict[ir.Node, Any], first: int, last: int) -> None:
+        """Have these rows (from the first to before the last) before one."""
         self.world, self.population, self.values = world, population, values
-        self.begin, self.end, self.effects = begin, end, effects
+        self.first, self.last = first, last
         self._slots = None
         self._picked.clear()
-        block, lane, times = self.block, self.lane, self.times
-        lane.begin()
-        for function, calls in block.stages:
-            if times is None:
-                function(lane.address, begin, end)
-            else:
-                began = perf_counter()
-                function(lane.address, begin, end)
-                times.seconds += perf_counter() - began
-            if calls:
-                self._calls(calls)
+        self.lane.begin()
+
+    def stage(self, function: Callable[[int, int, int], None]) -> None:
+        """Take the rows through a stage, and count its time."""
+        began = perf_counter()
+        function(self.lane.address, self.first, self.last)
+        if self.times is not None:
+            self.times.seconds += perf_counter() - began
+
+    def end(self) -> bool:
+        """The rows have been through all stages: put what they ask for to the population's effects. Gives whether all went well:
+        False where some agent has too many others in a radius."""
+        lane, effects = self.lane, self.population.effects
         crowded, *counts = lane.counts.tolist()
         if not crowded:
             for number, count in enumerate(counts):
                 if count:
-                    asked(block.code.lists[number], [column[:count].copy() for column in lane.columns[number]], effects)
+                    asked(self.block.code.lists[number], [column[:count].copy() for column in lane.columns[number]], effects)
             if lane.notes[0]:
                 self._faults()
-        del self.world, self.population, self.values, self.effects  # which are no longer needed, once nobody else has them
+        self._slots = None
+        del self.world, self.population, self.values  # which are no longer needed, once nobody else has them
         return not crowded
 
-    def _took(self, began: float, some: list[Instruction], rows: list[int]) -> None:
+    def took(self, began: float, some: list[Instruction], rows: list[int]) -> None:
         """Calls have come to their end; each has its share of the time by the rows that it was made for."""
         if self.times is not None:
             each_row = (perf_counter() - began) / max(sum(rows), 1)
@@ -181,7 +239,7 @@ class Chunk:
             row, told = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
             refused, span = self.block.code.faults[told >> WIDTH]
             rows = row + np.flatnonzero([told >> bit & 1 for bit in range(WIDTH)])
-            self.effects.faults.append(FaultEntry(self.block.compiler.name, refused, span, rows))
+            self.population.effects.faults.append(FaultEntry(self.block.compiler.name, refused, span, rows))
 
     # --- calls ---------------------------------------------------------------------------------------------------------
 
@@ -190,9 +248,9 @@ class Chunk:
         if self._slots is None:
             compiler = self.block.compiler
             v = self._slots = [None] * compiler.slots
-            v[WORLD], v[POPULATION], v[EFFECTS] = self.world, self.population, self.effects
+            v[WORLD], v[POPULATION], v[EFFECTS] = self.world, self.population, self.population.effects
             v[PAIRS], v[NEARBY] = {}, NearbySets(1)
-            v[compiler.root.rows] = slice(self.begin, self.end)
+            v[compiler.root.rows] = slice(self.first, self.last)
             for node, slot in compiler.uniforms.items():
                 v[slot] = self.values[node]
         return self._slots
@@ -200,13 +258,13 @@ class Chunk:
     def _rows_of(self, slot: int) -> NDArray[np.intp]:
         """Rows, counted within the chunk, for which a mask holds."""
         if slot not in self._picked:
-            (self._picked[slot],) = self.lane.arrays[slot, 0][: self.end - self.begin].nonzero()
+            (self._picked[slot],) = self.lane.arrays[slot, 0][: self.last - self.first].nonzero()
         return self._picked[slot]
 
     def _enter(self, scope: Scope) -> NDArray[np.intp]:
         rows, v = self._rows_of(self.block.code.schedule.slot(scope.rows)), self._known()
-        whole = len(rows) == self.end - self.begin
-        v[scope.rows], v[scope.size] = (slice(self.begin, self.end) if whole else rows + self.begin), len(rows)
+        whole = len(rows) == self.last - self.first
+        v[scope.rows], v[scope.size] = (slice(self.first, self.last) if whole else rows + self.first), len(rows)
         return rows
 
     def _operand(self, slot: int, rows: NDArray[np.intp]) -> Any:
@@ -225,31 +283,14 @@ class Chunk:
         self.block.made[each](v)
         return v[each.out]
 
-    def _calls(self, every: Calls) -> None:
-        """Make the calls at the end of a stage that somebody needs."""
+    def calls(self, every: Sequence[list[tuple[Instruction, int]]]) -> None:
+        """Make these calls, each for the rows that need it."""
         needs = self.lane.needs.tolist()
-        for in_place, some in every:
+        for some in every:
             needed = [each for each, number in some if number < 0 or needs[number]]
-            if needed and in_place:
-                self._answer(needed)
-            elif needed:
+            if needed:
                 with np.errstate(all="ignore"):
                     self._call(needed)
-
-    def _answer(self, some: list[Instruction]) -> None:
-        """Have one or several of one sense with one name answered where a stage has left who asks and what, and where the next
-        one looks for the results."""
-        began, node = perf_counter(), some[0].what
-        assert isinstance(node, ir.Node)
-        answer, nothing = IN_PLACE[node.op]
-        count, uniform = self.end - self.begin, self.block.uniform
-        asks = [self.lane.ask(each, count, uniform, self.values) for each in some]
-        for each, (_, _, found) in zip(some, asks, strict=True):
-            if each not in self.block.code.guarded:
-                for array, value in zip(found, nothing, strict=True):
-                    array.fill(value)
-        answer(self.world, self.population, node, slice(self.begin, self.end), asks)
-        self._took(began, some, [int(np.count_nonzero(asking)) for asking, _, _ in asks] if self.times is not None else [])
 
     def _call(self, some: list[Instruction]) -> None:
         """Make a call, or several of one sense with one name at once: who asks is named as often as it asks."""
@@ -258,7 +299,7 @@ class Chunk:
             rows = self._enter(some[0].scope)
             if len(rows):
                 self._leave(some[0], rows, self._made(some[0], rows))
-                self._took(began, some, [len(rows)])
+                self.took(began, some, [len(rows)])
             return
         chosen = [self._rows_of(code.mask_of(each)) for each in some]
         ends = list(accumulate(len(rows) for rows in chosen))
@@ -272,13 +313,13 @@ class Chunk:
             columns.append(np.concatenate(spread))
         node = some[0].what
         assert isinstance(node, ir.Node)
-        asking = np.concatenate(chosen) + self.begin
+        asking = np.concatenate(chosen) + self.first
         found = SENSES[node.op](self.world, self.population, node, asking, *columns)
         parts_of = found if isinstance(found, tuple) else (found,)
         for each, rows, end in zip(some, chosen, ends, strict=True):
             if len(rows):
                 self._leave(each, rows, tuple(part[end - len(rows) : end] for part in parts_of))
-        self._took(began, some, [len(rows) for rows in chosen])
+        self.took(began, some, [len(rows) for rows in chosen])
 
     def _leave(self, each: Instruction, rows: NDArray[np.intp], found: Any) -> None:
         """Put the results of a call where the next stage looks for them."""

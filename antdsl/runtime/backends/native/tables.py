@@ -20,7 +20,7 @@ from antdsl.machine_code.memory import address
 from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockCode
-from antdsl.runtime.backends.native.lane import Lane
+from antdsl.runtime.backends.native.lane import Lane, Lanes
 from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.backends.native.rooms import Copy, Rooms
 from antdsl.runtime.clip_values import clip_table
@@ -47,14 +47,14 @@ class Held:
 
 
 class Tables:
-    """What one block of one species is run with: addresses and numbers that all threads read, and for each a `Lane`."""
+    """What one block of one species is run with: addresses and numbers that all threads read, and `lanes` for its parts."""
 
     def __init__(self, code: BlockCode, rooms: Rooms) -> None:
         self.code, self._rooms = code, rooms
         self.numbers = np.zeros(max(len(code.layout.numbers), 1), np.int64)
         self.pointers = np.zeros(len(code.layout.pointers), np.int64)
         self.pointers[0] = address(self.numbers)
-        self.lanes: list[Lane] = []
+        self.lanes = Lanes(code)
         self.version = 0  # of the pointers
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
         nodes: list[tuple[ir.Node, int]] = []
@@ -124,13 +124,10 @@ class Tables:
         """Agents of the largest species, where others are searched."""
         return max([len(other) for other in world.populations.values()]) if self.code.near else 0
 
-    def lane(self, number: int, rows: int, others: int) -> Lane:
-        """That of a thread, ready to run what the tables were filled for, for so many rows at once and agents of a species."""
-        while len(self.lanes) <= number:
-            self.lanes.append(Lane(self.code, self.pointers))
-        lane = self.lanes[number]
-        lane.ready(rows, others, self.pointers)
-        return lane
+    def ready(self, parts: int, rows: int, others: int) -> list[Lane]:
+        """Lanes for so many parts of so many rows each, ready to run what the tables were filled for, with so many agents of a
+        species."""
+        return self.lanes.ready(parts, rows, others, self.pointers)
 
     def _numbers(self, world: World, values: Mapping[ir.Node, Any], lasting: Any) -> None:
         """What has not become another number since is not put down again."""

@@ -1,0 +1,150 @@
+"""Copies of the rows of many arrays at once, by threads: as they lie, or picked in another order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from itertools import chain
+from operator import is_not
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code import codes, machine
+from antdsl.machine_code.entries import entry
+from antdsl.machine_code.lanes import Module
+from antdsl.machine_code.memory import address
+from antdsl.numerics import compiled
+
+Pairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # to which array, and of which
+_SIZES = (1, 4, 8)  # bytes of a row that have a loop of their own when rows are picked
+_HEAD, _WORDS = 2, 3  # words of a table before those of the arrays, and of each array
+
+
+class RowCopies:
+    """Copies between the same arrays time after time: where they lie is looked up once."""
+
+    def __init__(self) -> None:
+        self._arrays: list[NDArray[Any]] = []
+        self._table = np.zeros(_HEAD, np.int64)
+
+    def copy(self, pairs: Pairs, threads: int) -> None:
+        """Copy arrays [n, ..], each in one piece, to others of the same length and type."""
+        if not pairs:
+            return
+        if not compiled.wanted(len(pairs[0][0])):
+            for to, of in pairs:
+                to[:] = of
+            return
+        arrays = list(chain.from_iterable(pairs))
+        if len(arrays) != len(self._arrays) or any(map(is_not, arrays, self._arrays)):
+            self._arrays, self._table = arrays, _table(pairs, None)
+        _run(self._table, len(pairs[0][0]), threads)
+
+
+def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
+    """Copy these rows of arrays [n, ..], each in one piece, to arrays [k, ..] of the same type."""
+    if not pairs:
+        return
+    if not compiled.wanted(len(rows)):
+        for to, of in pairs:
+            of.take(rows, axis=0, out=to, mode="clip")
+        return
+    _run(_table(pairs, np.ascontiguousarray(rows)), len(rows), threads)
+
+
+def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
+    """Where the rows' numbers lie (0: as they are), how many arrays there are, and of each where it lies, where its rows go, and
+    how many bytes a row has."""
+    words = [0 if rows is None else address(rows), len(pairs)]
+    for to, of in pairs:
+        words += [address(of), address(to), of.strides[0]]
+    return np.array(words, np.int64)
+
+
+def _run(table: NDArray[np.int64], count: int, threads: int) -> None:
+    most = max(1, min(compiled.EACH * threads, count // compiled.PART))
+    ends = [count * k // most for k in range(most + 1)]
+    parts = np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
+    compiled.listed(_function(), parts, threads)
+
+
+@cache
+def _function() -> Callable[[int, int, int], None]:
+    function: Callable[[int, int, int], None] = codes.code(text(machine.host())).function("rows")
+    return function
+
+
+def text(target: machine.Target) -> str:
+    """What is compiled, in LLVM's language: a function of such a table that copies rows from the first to before the last."""
+    module = Module(target)
+    cases = "".join(f"  i64 {size}, label %pick{size}\n" for size in _SIZES)
+    picking = "".join(_PICK.replace("$SIZE$", str(size)).replace("$BITS$", str(8 * size)) for size in _SIZES)
+    body = _BODY.replace("$CASES$", cases).replace("$PICKING$", picking)
+    body = body.replace("$HEAD$", str(_HEAD)).replace("$WORDS$", str(_WORDS))
+    return f"{module.text()}\ndeclare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)\n{entry(module, 'rows', body)}\n"
+
+
+_BODY = """  %rows = load ptr, ptr %t
+  %count.at = getelementptr i64, ptr %t, i64 1
+  %count = load i64, ptr %count.at
+  %first = getelementptr i64, ptr %t, i64 $HEAD$
+  %as.they.are = icmp eq ptr %rows, null
+  br label %array
+array:
+  %k = phi i64 [ 0, %entry ], [ %next, %done ]
+  %more = icmp slt i64 %k, %count
+  br i1 %more, label %one, label %over
+one:
+  %behind = mul i64 %k, $WORDS$
+  %of.at = getelementptr i64, ptr %first, i64 %behind
+  %to.at = getelementptr i64, ptr %of.at, i64 1
+  %size.at = getelementptr i64, ptr %of.at, i64 2
+  %of = load ptr, ptr %of.at
+  %to = load ptr, ptr %to.at
+  %size = load i64, ptr %size.at
+  br i1 %as.they.are, label %whole, label %picked
+whole:
+  %low = mul i64 %begin, %size
+  %high = mul i64 %end, %size
+  %bytes = sub i64 %high, %low
+  %of.low = getelementptr i8, ptr %of, i64 %low
+  %to.low = getelementptr i8, ptr %to, i64 %low
+  call void @llvm.memcpy.p0.p0.i64(ptr %to.low, ptr %of.low, i64 %bytes, i1 false)
+  br label %done
+picked:
+  switch i64 %size, label %other [
+$CASES$  ]
+$PICKING$other:
+  %i = phi i64 [ %begin, %picked ], [ %i.next, %other.one ]
+  %i.more = icmp slt i64 %i, %end
+  br i1 %i.more, label %other.one, label %done
+other.one:
+  %row.at = getelementptr i64, ptr %rows, i64 %i
+  %row = load i64, ptr %row.at
+  %of.byte = mul i64 %row, %size
+  %to.byte = mul i64 %i, %size
+  %of.i = getelementptr i8, ptr %of, i64 %of.byte
+  %to.i = getelementptr i8, ptr %to, i64 %to.byte
+  call void @llvm.memcpy.p0.p0.i64(ptr %to.i, ptr %of.i, i64 %size, i1 false)
+  %i.next = add i64 %i, 1
+  br label %other
+done:
+  %next = add i64 %k, 1
+  br label %array
+over:"""
+_PICK = """pick$SIZE$:
+  %i$SIZE$ = phi i64 [ %begin, %picked ], [ %next$SIZE$, %one$SIZE$ ]
+  %more$SIZE$ = icmp slt i64 %i$SIZE$, %end
+  br i1 %more$SIZE$, label %one$SIZE$, label %done
+one$SIZE$:
+  %row.at$SIZE$ = getelementptr i64, ptr %rows, i64 %i$SIZE$
+  %row$SIZE$ = load i64, ptr %row.at$SIZE$
+  %of$SIZE$ = getelementptr i$BITS$, ptr %of, i64 %row$SIZE$
+  %to$SIZE$ = getelementptr i$BITS$, ptr %to, i64 %i$SIZE$
+  %value$SIZE$ = load i$BITS$, ptr %of$SIZE$, align 1
+  store i$BITS$ %value$SIZE$, ptr %to$SIZE$, align 1
+  %next$SIZE$ = add i64 %i$SIZE$, 1
+  br label %pick$SIZE$
+"""

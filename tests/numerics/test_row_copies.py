@@ -1,0 +1,69 @@
+"""Rows of many arrays are copied and picked as NumPy does, by machine code in any number of threads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from antdsl.machine_code import machine
+from antdsl.numerics import compiled, row_copies
+from antdsl.numerics.row_copies import RowCopies, pick
+
+in_code = pytest.mark.skipif(not machine.available(), reason="no machine code here")
+COUNT = 9_001
+
+
+@pytest.fixture(params=[pytest.param((True, 1), marks=in_code), pytest.param((True, 3), marks=in_code), (False, 3)])
+def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """By kernels or by NumPy, in so many threads."""
+    kernels, count = request.param
+    monkeypatch.setattr(compiled, "wanted", lambda numbers: kernels and numbers > 0)
+    monkeypatch.setattr(compiled, "_running", kernels)
+    monkeypatch.setattr(compiled, "cores", lambda: 4)
+    return int(count)
+
+
+def arrays(count: int) -> list[NDArray[Any]]:
+    """With rows of 4, 8, 1, 8 and 12 bytes."""
+    rng = np.random.default_rng(count)
+    reals, wholes = rng.random(count), rng.integers(0, 1 << 40, count)
+    return [reals.astype(np.float32), reals, reals > 0.5, wholes, rng.random((count, 3)).astype(np.float32)]
+
+
+@pytest.mark.parametrize("count", [1, COUNT])
+def test_rows_are_picked(threads: int, count: int) -> None:
+    of = arrays(COUNT)
+    rows = np.random.default_rng(1).permutation(COUNT)[:count]
+    to = [np.zeros((count + 1, *each.shape[1:]), each.dtype) for each in of]
+    pick([(room[:count], each) for room, each in zip(to, of, strict=True)], rows, threads)
+    for room, each in zip(to, of, strict=True):
+        assert np.array_equal(room[:count], each[rows]) and not room[count].any()
+
+
+def test_rows_are_copied_time_after_time_and_to_other_arrays(threads: int) -> None:
+    copies, of = RowCopies(), arrays(COUNT)
+    for turn in range(3):
+        if turn < 2:
+            to = [np.zeros_like(each) for each in of]
+        for each in of:
+            each[:] = each[::-1].copy()
+        copies.copy(list(zip(to, of, strict=True)), threads)
+        assert all(np.array_equal(*pair) for pair in zip(to, of, strict=True))
+    few = [(np.zeros(3), np.arange(3.0))]
+    copies.copy(few, threads)
+    assert few[0][0].tolist() == [0, 1, 2]
+    copies.copy([], threads)
+
+
+@in_code
+def test_where_arrays_lie_is_looked_up_once(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked = []
+    monkeypatch.setattr(row_copies, "_table", lambda *given, table=row_copies._table: looked.append(given) or table(*given))
+    copies, of = RowCopies(), arrays(COUNT)
+    pairs = [(np.zeros_like(each), each) for each in of]
+    for _ in range(3):
+        copies.copy(list(pairs), threads)
+    assert len(looked) == compiled.wanted(1)
