@@ -23,8 +23,8 @@ _FUSED = ("fma", "fma4", "avx512f")  # what no instruction may come from, so tha
 # Of processors with registers of 512 bits those since 2019: from there on their use slows nothing down. They imply `fma`, which
 # nothing that is written here asks for.
 _WIDE = "avx512vbmi2"
-# A number that can be written to. llvmlite sets a page aside for such numbers where an object file has one. LLVM puts addresses of
-# functions of C there, of which llvmlite takes no account.
+# A number that can be written to. llvmlite sets a page aside for such numbers where an object file has one. LLVM puts addresses
+# of functions of C there, of which llvmlite takes no account.
 _WRITTEN = '\n@"a number" = global i64 1\n'
 
 

@@ -1,5 +1,5 @@
-"""Machine code on other hosts: without instructions, without llvmlite, at the end of memory, in memory that lies far apart, and what
-it calls from outside."""
+"""Machine code on other hosts: without instructions, without llvmlite, at the end of memory, in memory that lies far apart, and
+what it calls from outside."""
 
 from __future__ import annotations
 
