@@ -26,7 +26,6 @@ T = TypeVar("T")
 VARIABLE = "ANTDSL_KERNELS"
 PART = 1_024  # agents for whom a thread pays
 LIGHT = 4_096  # the same, of work that is a few operations each
-EACH = 4  # parts of machine code for each of several threads: who comes late, or has slow ones, takes fewer
 LEAST = 2_000  # agents; a step of these without kernels takes so long that a few make up for loading them
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _AT_ONCE = 50_000  # numbers, worked on before any step: then a world is made ready that is large

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from functools import cache
 
+EACH = 4  # parts of machine code for each of several threads: who comes late, or has slow ones, takes fewer
+
 
 @cache
 def cores() -> int:

@@ -16,6 +16,7 @@ from antdsl.machine_code.entries import entry
 from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.memory import address
 from antdsl.numerics import compiled
+from antdsl.numerics.cores import EACH
 
 Pairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # to which array, and of which
 _SIZES = (1, 4, 8)  # bytes of a row that have a loop of their own when rows are picked
@@ -64,7 +65,7 @@ def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
 
 
 def _run(table: NDArray[np.int64], count: int, threads: int) -> None:
-    most = max(1, min(compiled.EACH * threads, count // compiled.PART))
+    most = max(1, min(EACH * threads, count // compiled.PART))
     ends = [count * k // most for k in range(most + 1)]
     parts = np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
     compiled.listed(_function(), parts, threads)

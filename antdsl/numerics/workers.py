@@ -24,7 +24,7 @@ from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct_text import PARTS
 from antdsl.machine_code.memory import address
-from antdsl.numerics.compiled import EACH
+from antdsl.numerics.cores import EACH
 from antdsl.numerics.float_environment import be_standard
 
 T = TypeVar("T")

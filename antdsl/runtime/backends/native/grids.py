@@ -36,7 +36,7 @@ _FEW = 128  # agents; among fewer the cells of an agent are no fewer to go throu
 _UNUSED = 16  # steps after which arrays of a size of cells that nobody asks for are let go
 _COARSER = 2  # quarters of an octave: finding others in cells that much wider costs less than sorting them again
 _CELLS = 4  # for each agent, above which wider ones cost less
-_PARTED = 16_384  # agents for whom several threads pay
+_PARTED = 8_192  # agents for whom several threads pay
 _NO_KEYS = np.zeros(1, np.int64)  # cells are listed
 _WHOLE = 1e300  # mm: the width of a cell that has all places in it
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.lanes import WIDTH
 from antdsl.numerics import compiled
-from antdsl.numerics.cores import cores
+from antdsl.numerics.cores import EACH, cores
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, Does, Instruction, Scope
 from antdsl.runtime.backends.metering import Metered
@@ -72,7 +72,7 @@ class Block:
         threads = max(1, min(threads, cores()))
         size = _part(count, chunk, threads)
         bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
-        lanes = self.tables.ready(min(len(bounds), compiled.EACH * threads if threads > 1 else 1), size, others)
+        lanes = self.tables.ready(min(len(bounds), EACH * threads if threads > 1 else 1), size, others)
         chunks = [Chunk(self, lane) for lane in lanes]
         firsts = range(0, len(bounds), len(lanes))
         self._rounds = [Round(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
@@ -108,7 +108,7 @@ def _in_place(each: Instruction) -> bool:
 
 def _part(count: int, chunk: int, threads: int) -> int:
     """Rows of a part: as many as a chunk has at most, and where that pays several parts for each thread, to even them out."""
-    parts = max(-(-count // max(WIDTH, chunk)), min(compiled.EACH * threads, count // compiled.PART) if threads > 1 else 1)
+    parts = max(-(-count // max(WIDTH, chunk)), min(EACH * threads, count // compiled.PART) if threads > 1 else 1)
     most = _GRAIN * parts
     return _GRAIN * max(1, -(-count // most))
 
