@@ -50,7 +50,7 @@ def located(
     where that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each.
     `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are renewed."""
     listed = direct.size > 0
-    wanted, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
+    wanted, moved, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
     missed = 0
     for low in range(begin, end, _TOGETHER):
         high = min(low + _TOGETHER, end)
@@ -62,10 +62,11 @@ def located(
             if x >= 0 and y >= 0 and z >= 0:
                 key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
             wanted[n - low] = key
+            moved[n - low] = 1 if key != known[n] or here[n] < 0 else 0
         count = 0
         for n in range(low, high):
             others[count] = n
-            count += 1 if wanted[n - low] != known[n] or here[n] < 0 else 0
+            count += moved[n - low]
         for k in range(count):
             key = max(wanted[others[k] - low], 0)
             if listed:

@@ -245,14 +245,18 @@ class PheromoneField:
         if holding.size > len(self.cells) * _SPARSE or (holding.size and isinstance(self.cells, GrowingCells)):
             found[:-1] = True
         elif holding.size:
-            k = block.shape[1]
-            if k not in self._askers:
-                self._askers[k] = _askers(block, len(self.cells))
-            start, cell = self._askers[k]
+            start, cell = self.askers(block.shape[1])
             first, count = start.take(holding), start.take(holding + 1) - start.take(holding)
             each = np.arange(int(count.sum())) + np.repeat(first - (np.cumsum(count) - count), count)
             found[cell.take(each)] = True
         return found
+
+    def askers(self, k: int) -> tuple[NDArray[np.int64], Cells]:
+        """For each cell those among whose nearest `k` it is, of cells that do not grow, as rows of a table: cell a's are
+        `cell[start[a]:start[a+1]]`, ascending."""
+        if k not in self._askers:
+            self._askers[k] = _askers(self._block(k), len(self.cells))
+        return self._askers[k]
 
     def gradient(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats]:
         """Direction and strength in which scent grows along the surface, per mm: least squares over the nearest `k` cells."""
@@ -299,7 +303,7 @@ class PheromoneField:
 
 
 def _askers(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
-    """For each cell those whose block [cells, k] it is in, as rows of a table: cell a's are `cell[start[a]:start[a+1]]`."""
+    """As `PheromoneField.askers`, of a table of blocks [cells, k]."""
     flat = block.ravel()
     start = np.zeros(cells + 2, np.int64)
     np.cumsum(np.bincount(flat, minlength=cells + 1), out=start[1:])

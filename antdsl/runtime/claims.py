@@ -91,6 +91,8 @@ def _settle_one(
     draw = _joined([_draws(world, p, e) for p, e in entries])
     ids = _joined([p.ids[e.rows] for p, e in entries])
     row = _joined([e.rows for _, e in entries])
+    if len(entries) == 1 and compiled.wanted(len(item)) and _settled(rest, (ids, draw, item), row, amount, *entries[0]):
+        return
     valid = (item >= 0) & (item < len(rest)) & (amount >= 0)
     if len(entries) == 1:
         _serve(rest, np.flatnonzero(valid), (ids, draw, item), row, amount, unit, entries, None)
@@ -104,6 +106,27 @@ def _settle_one(
     for number in range(int(turn.max()) + 1):  # who asks twice in one step has changed its own register in between
         now = np.flatnonzero(valid & (turn == number))
         _serve(rest, now, (place, species, ids, draw, item), row, amount, unit, entries, source)
+
+
+def _settled(
+    rest: NDArray[np.float64],
+    keys: tuple[NDArray[Any], ...],
+    row: NDArray[np.intp],
+    amount: NDArray[np.float32],
+    population: Population,
+    entry: ClaimEntry,
+) -> bool:
+    """Serve the claims of one statement by a kernel, in the order of `keys`, where each is of some amount for a register; gives
+    whether that is so, else nothing has been done."""
+    asked = entry.statement
+    if asked.own is None or asked.amount is None:
+        return False
+    from antdsl.runtime.claims_compiled import settled
+
+    item, claimed, (change, got) = keys[-1].astype(np.int64, copy=False), np.empty(len(row), np.int64), np.empty((2, len(row)))
+    now, order = population.now, np.lexsort(keys)
+    done: bool = settled(rest, order, item, row, amount, now[asked.own], now[asked.won], claimed, change, got)
+    return done
 
 
 def _serve(

@@ -1,6 +1,7 @@
 """Kernels of the phases of a step give the bits of the NumPy version that stands beside them."""
 
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.machine_code.memory import has_room, roomy, roomy_rows
 from antdsl.numerics import compiled
+from antdsl.plan import ir
 from antdsl.runtime import Options, bind, claims, motion_measures, state_hash, step
+from antdsl.runtime.requests import ClaimEntry
 from antdsl.runtime.world import select_rows
 from antdsl.senses.overlaps import worst_overlaps
 from tests.compilers import need_llvmlite
@@ -55,6 +58,38 @@ def test_claims_are_served_as_numpy_serves_them(by_kernels):
         (got, rest), (own, left) = found
         assert np.array_equal(bits(got), bits(own)) and np.array_equal(bits(rest), bits(left))
         assert count < 300 or ((got >= 0).any() and (got < 0).any())
+
+
+def claim(rng, count):
+    """A population of so many agents and claims of two thirds of them on 40 things, of which some are not there."""
+    rows = np.sort(rng.permutation(count)[: 2 * count // 3 + 1])
+    statement = ir.Claim(
+        "food", "load", None, ir.Node("const", (), (1.0,), ir.Kind.F32, ir.Rate.CONST, None, 0), "won", "load", "site", None
+    )
+    now = {"load": rng.random(count, np.float32) * 3, "won": np.zeros(count, np.bool_)}
+    population = SimpleNamespace(name="a", ids=rng.permutation(count), now=now)
+    amount = rng.choice(np.float32([0, 0.1, 0.25, 1, 3, np.nan, -1]), len(rows))
+    return population, ClaimEntry(statement, 0, rows, rng.integers(-1, 41, len(rows)).astype(np.int32), amount)
+
+
+@pytest.mark.parametrize("all_of_it", [False, True])
+def test_claims_of_one_statement_are_settled_as_numpy_settles_them(by_kernels, all_of_it):
+    world = SimpleNamespace(setting=SimpleNamespace(seed=3), frame=5)
+    for count in (1, 2, 9, 300):
+        found = []
+        for fast in (False, True):
+            by_kernels(fast)
+            rng = np.random.default_rng(count)
+            population, entry = claim(rng, count)
+            population.all_taken = {}
+            if all_of_it:
+                entry.amount[len(entry.amount) // 2] = np.inf
+            rest = rng.random(40) * 8
+            claims._settle_one(world, rest, entry.item, entry.amount, 0.0, [(population, entry)])
+            found.append((bits(rest), bits(population.now["load"]), population.now["won"]))
+        for plain, own in zip(*found, strict=True):
+            assert np.array_equal(plain, own)
+        assert count < 300 or (own.any() and (~own[entry.rows[entry.amount >= 0]]).any())
 
 
 def flock(count):

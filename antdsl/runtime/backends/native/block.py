@@ -14,6 +14,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
 from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
 from antdsl.runtime.backends.native.marks import Lines, marks_of
+from antdsl.runtime.backends.native.scents import reached, strength
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of
 
 _LONG = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # functions of the module rather than inlined
@@ -96,6 +97,7 @@ class BlockCode:
     faults: list[tuple[str, Any]] = field(default_factory=list)  # of refused values: what is refused, where in the text
     near: list[Near] = field(default_factory=list)
     kept: list[ir.Node] = field(default_factory=list)
+    bounds: dict[int, ir.Node] = field(default_factory=dict)  # `scents.bounds`
     lists: list[Instruction] = field(default_factory=list)  # statements whose askers are written down, from slot -1 downward
     needs: list[Instruction] = field(default_factory=list)  # calls of which is told whether somebody needs them
     guarded: dict[Instruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
@@ -257,7 +259,12 @@ class BlockWriter(Writer):
             self.code.kept.append(node)
         e, number = self.e, self.code.kept.index(node)
         has = self.base("kept", number, "has")
-        mask = self._mask(inner, lambda: self.mask[-1] & ~e.load(has, self.row, BOOL))
+
+        def missing() -> Lanes:
+            asks = self.mask[-1] & ~e.load(has, self.row, BOOL)
+            return asks & reached(self, node, self.code.bounds[each.out]) if each.out in self.code.bounds else asks
+
+        mask = self._mask(inner, missing)
         with e.inside(e.some(mask)):
             self.mask.append(mask)
             self._scope(inner)
@@ -284,6 +291,8 @@ class BlockWriter(Writer):
         if slot in self._kept:
             number, kinds = self.code.kept.index(self._kept[slot]), self._kinds[slot]
             parts = tuple(self.e.load(self.base("kept", number, k), self.row, kind) for k, kind in enumerate(kinds))
+            if slot in self.code.bounds:
+                parts = (strength(self, self._kept[slot], self.code.bounds[slot], parts[0]), *parts[1:])
             self._leave(slot, parts)
             return parts if len(parts) > 1 else parts[0]
         each = self._makers.get(slot)

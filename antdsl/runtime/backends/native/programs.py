@@ -16,6 +16,7 @@ from antdsl.runtime.backends.native.asking import ask
 from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
 from antdsl.runtime.backends.native.layout import KINDS, Layout
 from antdsl.runtime.backends.native.marks import Lines
+from antdsl.runtime.backends.native.scents import bounds
 from antdsl.runtime.backends.native.schedule import PAIRED, schedule
 from antdsl.runtime.backends.native.senses import GUARDS, NATIVE, OF_PAIRS, ON_MOVING_GROUND
 from antdsl.runtime.pairs import only_the_nearest
@@ -79,7 +80,9 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
             continue
         order = schedule(compiler, partial(lowers, plan.species[species]), costly)
         lines = Lines(compiler) if facts.timed else None
-        code = found[species, block] = BlockCode(plan.species[species], [], Layout(), order, lines)
+        code = found[species, block] = BlockCode(
+            plan.species[species], [], Layout(), order, lines, bounds=bounds(compiler, order)
+        )
         for stage in range(order.stages):
             name = f"{species}.{block}.{stage}"
             BlockWriter(module, code, compiler, stage, senses, _reduce, guards, ask, combine).write(name)

@@ -16,6 +16,7 @@ from antdsl.numerics.philox import UNIT
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Lower, Writer
 from antdsl.runtime.backends.native.layout import KINDS
+from antdsl.runtime.backends.native.scents import own_cell
 from antdsl.runtime.moving.obstacle_clearance import may_touch
 from antdsl.runtime.sensing import NO_HIT
 from antdsl.runtime.world import AXES
@@ -180,15 +181,8 @@ def _item_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     return _item_there(w, node.attrs[0], args[0])
 
 
-def _cell(w: Any, field: str) -> Lanes:
-    """The agent's own cell; that past the end for none."""
-    cell = w.e.load(w.base("cell", field), w.row, I32)
-    found: Lanes = w.e.where(cell < 0, w.number(I32, "cells", field), cell)
-    return found
-
-
 def _field_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
-    held = w.e.gather(w.base("field", node.attrs[0], "held"), _cell(w, node.attrs[0]), F64)
+    held = w.e.gather(w.base("field", node.attrs[0], "held"), own_cell(w, node.attrs[0]), F64)
     found: Lanes = w.e.convert(held, F32)
     return found
 
@@ -264,7 +258,7 @@ def _first_most(e: Emitter, held: Lanes, cells: Lanes, count: int, own: Lanes) -
 def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     e: Emitter = w.e
     field, count = node.attrs
-    held, block, own = w.base("field", field, "held"), w.base("field", field, "block", int(count)), _cell(w, field)
+    held, block, own = w.base("field", field, "held"), w.base("field", field, "block", int(count)), own_cell(w, field)
     places = w.base("field", field, "places")
     there = own < w.number(I32, "cells", field)
     most, where, whose = e.slot(F64), e.slot(I32), e.slot(I32)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.pheromone import PheromoneField
+from antdsl.fields.reached import Reached
 from antdsl.machine_code.memory import address
 from antdsl.numerics import randomness
 from antdsl.plan import ir
@@ -256,6 +257,21 @@ class Tables:
         copy, what = self._copy(key), str(key[1])
         return lambda world, population: copy.lasting(world.setting, lambda: clip_table(world, population, what))
 
+    def _reached(self, key: Key) -> Find:
+        """Around which cells a field holds as much as a number."""
+        _, name, count, bound = key
+        numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.number("node", bound)
+        reached: Reached | None = None
+
+        def find(world: World, population: Population) -> int:
+            nonlocal reached
+            field, least = world.fields[str(name)], numbers[place]
+            if reached is None or not reached.of(field, least):
+                reached = Reached(field, least, int(str(count)))
+            return address(reached.now())
+
+        return find
+
     def _copy(self, key: Key) -> Copy:
         """What stands for a key of this species."""
         return self._rooms.copy(self.code.species.name, *key)
@@ -297,6 +313,7 @@ _FOUND: dict[str, Callable[[Tables, Key], Find]] = {
     "other": Tables._in_order,
     "clear": Tables._clear,
     "clip": Tables._clip,
+    "reached": Tables._reached,
 }
 _NUMBERS: dict[str, Callable[[World, str], int | float]] = {
     "frame": lambda world, name: world.frame,

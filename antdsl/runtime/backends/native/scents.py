@@ -1,0 +1,79 @@
+"""Scent of which is only asked whether it is as strong as something: where no cell around holds as much, no cell is looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from antdsl.machine_code.lanes import BOOL, I32, Lanes
+from antdsl.plan import ir
+from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
+from antdsl.runtime.backends.native.schedule import Schedule
+
+_STRENGTH = 0  # part of what `field.strongest` gives
+_COMPARED = frozenset(("lt", "le", "gt", "ge"))
+
+
+def own_cell(w: Any, field: str) -> Lanes:
+    """The agent's own cell; that past the end for none."""
+    cell = w.e.load(w.base("cell", field), w.row, I32)
+    found: Lanes = w.e.where(cell < 0, w.number(I32, "cells", field), cell)
+    return found
+
+
+def reached(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
+    """For whom a cell around may hold as much as a bound."""
+
+    def make() -> Lanes:
+        found: Lanes = w.e.gather(w.base("reached", *node.attrs, bound), own_cell(w, node.attrs[0]), BOOL)
+        return found
+
+    may: Lanes = w.e.once(("reached", *node.attrs, bound), make)
+    return may
+
+
+def strength(w: Any, node: ir.Node, bound: ir.Node, kept: Lanes) -> Lanes:
+    """What is kept of a scent that reaches a bound; of others 0, which is below it as they are."""
+    found: Lanes = w.e.where(reached(w, node, bound), kept, w.e.constant(0.0, kept.kind))
+    return found
+
+
+def bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
+    """The bound of each scent that is kept for the step and read for nothing but how it compares with that one number, the same
+    for all agents; by the slot of the scent."""
+    uniform = {slot: node for node, slot in compiler.uniforms.items()}
+    readers: dict[int, list[Instruction]] = {}
+    scents: list[int] = []
+    for each in _all(compiler.root):
+        if each.does is not Does.GATHER:  # which only stands for what it gathers
+            for slot in (*each.inputs, each.result):
+                readers.setdefault(schedule.slot(slot), []).append(each)
+        if each.does is Does.KEEP and _op(each) == "field.strongest" and each.out not in schedule.left:
+            scents.append(each.out)
+    found = {}
+    for scent in scents:
+        parts = readers.get(scent, [])
+        compared = [by for part in parts for by in readers.get(part.out, [])]
+        if not compared or not all(_is_strength(part) for part in parts) or not all(_op(by) in _COMPARED for by in compared):
+            continue
+        others = {schedule.slot(slot) for by in compared for slot in by.inputs} - {part.out for part in parts}
+        if len(others) == 1 and (slot := others.pop()) in uniform:
+            found[scent] = uniform[slot]
+    return found
+
+
+def _op(each: Instruction) -> str:
+    return each.what.op if isinstance(each.what, ir.Node) else ""
+
+
+def _is_strength(each: Instruction) -> bool:
+    return (
+        each.does is Does.VALUE and isinstance(each.what, ir.Node) and each.what.op == "get" and each.what.attrs[0] == _STRENGTH
+    )
+
+
+def _all(scope: Scope) -> Iterator[Instruction]:
+    for each in scope.code:
+        yield each
+        if each.inner is not None:
+            yield from _all(each.inner)

@@ -1,0 +1,103 @@
+"""Around which cells a scent is as strong as a number: as told by what is smelled there, and by programs that ask no more."""
+
+from __future__ import annotations
+
+import meshes
+import numpy as np
+import pytest
+from compilers import need_kernels
+from meaning import WAYS
+from plan_text import plan_of
+
+from antdsl.fields.cells import SurfaceCells
+from antdsl.fields.pheromone import PheromoneField
+from antdsl.fields.reached import Reached
+from antdsl.machine_code import machine
+from antdsl.numerics import compiled
+from antdsl.passes import optimise
+from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, bind, state_hash, step
+from antdsl.runtime.backends.native.backend import NativeBackend
+
+NATIVE = Options(backend="native", chunk=16, threads=2, wait_for_code=True)
+WORLD = "ant 1\nuse steering\nworld { surface ground }\nfield scent on ground { cell 4 mm; half_life 2 s }\n"
+
+
+@pytest.mark.parametrize("kernels", [False, True])
+@pytest.mark.parametrize("k", [1, 9, 16, 27])
+def test_it_is_reached_where_as_much_is_smelled(kernels: bool, k: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    if kernels:
+        need_kernels()
+    monkeypatch.setattr(compiled, "wanted", lambda count: kernels)
+    field = PheromoneField(SurfaceCells([meshes.terrain(150, 30)], 4.0))
+    rng, every, least = np.random.default_rng(k), np.arange(len(field.cells)), np.float32(0.1)
+    reached = Reached(field, least, k)
+    for share in (0.0, 0.01, 0.012, 0.5, 1.0, 0.02, 0.0):
+        held = rng.choice([0.1 - 1e-12, float(least), 3.0, np.inf], len(every))  # the first is 0.1 in float32
+        field.values[:] = np.where(rng.random(len(every)) < share, held, rng.choice([0.0, 0.0999, np.nan], len(every)))
+        found = reached.now()
+        assert np.array_equal(found[:-1] > 0, field.strongest(every, k)[0] >= least) and found[-1] == 0
+        assert np.array_equal(reached.now(), found)
+
+
+@pytest.mark.parametrize("least", [0.0, -1.0, np.nan])
+def test_what_no_scent_is_below_is_reached_everywhere(least: float) -> None:
+    field = PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0))
+    assert Reached(field, np.float32(least), 16).now().all()
+
+
+def test_it_tells_of_one_field_and_strength() -> None:
+    field, other = (PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0)) for _ in range(2))
+    reached = Reached(field, np.float32(1), 9)
+    assert reached.of(field, np.float32(1)) and not reached.of(field, np.float32(2)) and not reached.of(other, np.float32(1))
+    field.grow(np.empty(0, np.int64))
+    assert not reached.of(field, np.float32(1))
+
+
+def program(asks: str) -> str:
+    return f"""species a {{
+  param faint = 0.2 in 0 .. 10
+  max_speed 20 mm/s
+  got = 0
+  start p
+  state p {{
+    steer wander()
+    deposit scent 4 /s
+    {asks}
+  }}
+  state q {{
+    steer climb(scent) * 0.5 + wander()
+    when max(scent) < faint held 0.1 s -> p
+  }}
+}}"""
+
+
+@pytest.mark.parametrize(
+    ("asks", "bounded"),
+    [
+        ("when max(scent) > faint -> q", 2),
+        ("when max(scent) > 0 * faint -> q", 2),
+        ("when max(scent) <= faint and got == 0 -> q", 2),
+        ("when faint < max(scent) -> q { got = max(scent) }", 2),
+        ("got = max(scent)\n when max(scent) > faint -> q", 2),  # in another block
+        ("when max(scent) > faint -> q\n when max(scent) > 0.5 -> p", 1),
+        ("when max(scent) > faint * got -> q", 1),
+    ],
+)
+def test_agents_do_the_same_where_it_is_only_compared(asks: str, bounded: int) -> None:
+    plan = optimise(plan_of(program(asks), WORLD))
+    crowd = CrowdData("a", 24, PlaceData(around=(0.0, 0.0, 0.0), radius=12.0))
+    setting = Setting(crowds=(crowd,), surfaces={"ground": MeshData(*meshes.grid(60.0, 3))}, seed=4)
+    hashes = []
+    for way in (*WAYS[::2], NATIVE) if machine.available() else WAYS[::2]:
+        world = bind(plan, setting, way)
+        hashes.append([])
+        states = []
+        for _ in range(10):
+            step(world)
+            hashes[-1].append(state_hash(world))
+            states.append(world.populations["a"].now["main.state"].mean())
+        if isinstance(world.backend, NativeBackend) and way is NATIVE:
+            assert world.backend.ready is not None
+            assert len(world.backend.ready.program.blocks["a", "decide"].bounds) == bounded
+    assert all(each == hashes[0] for each in hashes)
+    assert 0 < np.mean(states) < 1
