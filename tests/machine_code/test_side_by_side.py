@@ -15,10 +15,12 @@ from antdsl.machine_code.kernels import (
     Array1,
     Array2,
     called,
-    four,
+    consecutive,
     independent,
     inlined,
     kernel,
+    put_three,
+    three,
     whole,
 )
 
@@ -84,9 +86,27 @@ def tables(
     for i in independent(begin, end):
         at = rows[i]
         if at >= 0:
-            a, b, c, d = four(table, 4 * at)
+            a, b, c, d = consecutive(table, 4 * at, 4)
             to[0, i], to[1, i] = a + b * shift[0, i], c - d / shift[1, i]
             found[4 * i + whole(a)] = whole(b)
+
+
+@kernel
+def rows(
+    which: Array1[I64], table: Array1[F32], vectors: Array2[F32], wide: Array2[F64], to: Array2[F64], begin: I64, end: I64
+) -> None:
+    """Rows that follow each other, of those that ask, and parts of a table's rows that lie anywhere."""
+    for i in independent(begin, end):
+        x, y, z = three(vectors, i)
+        put_three(to, i, (np.float64(x), np.float64(y) * 2.0, np.float64(z)))
+        if which[i] < 0:
+            continue
+        found = consecutive(table, 20 * which[i] + 4, 12)
+        a, b, c = three(wide, i)
+        put_three(to, i, (found[0] + a, found[7] * b, c - found[10]))
+        if found[11] > 0:
+            p, q, r = three(vectors, which[i])
+            put_three(wide, i, (np.float64(r), np.float64(p), np.float64(q)))
 
 
 def numbers(count: int) -> np.ndarray:
@@ -118,6 +138,22 @@ def test_elements_anywhere_are_read_and_stored_for_those_that_ask(count: int) ->
     tables(rows, table, shift, *made, 0, count)
     tables.part.function(rows, table, shift.astype(np.float64), *plain, 0, count)
     assert all(np.array_equal(one, other) for one, other in zip(made, plain, strict=True))
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_rows_of_three_and_of_many_are_read_and_stored_for_those_that_ask(count: int) -> None:
+    rng = np.random.default_rng(count)
+    which = rng.integers(-1, max(count, 1), count)
+    table = rng.normal(size=20 * max(count, 1) + 4).astype(np.float32)
+    vectors, wide = rng.normal(size=(count, 3)).astype(np.float32), rng.normal(size=(count, 3))
+    begin = min(count, 1)
+    made, plain = ((wide.copy(), np.full((count, 3), -7.0)) for _ in range(2))
+    rows(which, table, vectors, *made, begin, count)
+    rows.part.function(which, table.astype(np.float64), vectors, *plain, begin, count)
+    for one, other in zip(made, plain, strict=True):
+        assert np.array_equal(one, other)
+    if count > 20:
+        assert (made[0] != wide).any() and (made[0] == wide).any() and (made[1][:begin] == -7).all()
 
 
 @pytest.mark.parametrize("begin", [0, 3, 8])
@@ -155,6 +191,6 @@ TARGETS = [
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_no_operation_is_fused(target: machine.Target) -> None:
-    text = machine.assembly(questions.text(target), target) + machine.assembly(tables.text(target), target)
+    text = "".join(machine.assembly(each.text(target), target) for each in (questions, tables, rows))
     assert "mul" in text
     assert not any(word in text for word in ("fmadd", "fmsub", "fnmadd", "fmla", "fmls"))

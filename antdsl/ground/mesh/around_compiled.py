@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.boxes_compiled import first_of, gather
-from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, NORMAL, WIDTH
+from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, EDGES, NORMAL, WIDTH
 from antdsl.ground.mesh.surroundings import DEEP, GAP, HIGH, LIFT, STEEPEST, TURNED
 from antdsl.machine_code.kernels import called, inlined
 from antdsl.numerics.vectors_compiled import at, dot, inside, less, level, minus, more, nearest, plus, times, turned
@@ -79,7 +79,8 @@ def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # t
     least, fine, _ = scale
     row = WIDTH * f
     place, up = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side)
-    out = _in_space(table, row, table[row + EDGE_S + edge], -table[row + EDGE_C + edge])
+    along = row + EDGES + 4 * edge
+    out = _in_space(table, row, table[along + EDGE_S], -table[along + EDGE_C])
     body = more(body, least / LIFT)
     gap, high = GAP * body, HIGH * body
     most, across = high, times(out, gap)

@@ -12,10 +12,10 @@ from antdsl.ground.mesh.topology import Topology
 Floats = NDArray[np.float64]
 
 WIDTH = 40  # five whole lines of a cache
-# In the order in which a walk reads them, four at a time.
-AXIS1, AXIS2, NORMAL, RATE1, RATE2, SHEAR, EDGE_C, MESH, EDGE_S, LINK, CORNER, EDGE1, EDGE2, SMOOTH = (
-    0, 3, 6, 9, 10, 11, 12, 15, 16, 19, 22, 25, 28, 31,
-)  # fmt: skip
+# In the order in which a walk reads them, four at a time. At EDGES are four numbers of each edge: its direction, its link, and
+# one that belongs elsewhere, the face's mesh and the first two of nine smooth normals, of which the other seven are at SMOOTH.
+AXIS1, AXIS2, NORMAL, RATE1, RATE2, SHEAR, EDGES, MESH, CORNER, EDGE1, EDGE2, SMOOTH = 0, 3, 6, 9, 10, 11, 12, 15, 24, 27, 30, 33
+EDGE_C, EDGE_S = 0, 1  # from EDGES and 4 times the edge on
 
 
 def packed(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
@@ -32,9 +32,12 @@ def pack(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: slice)
     """Write the numbers of some faces into a packed table."""
     m = rows.stop - rows.start
     halves = slice(3 * rows.start, 3 * rows.stop)
-    halves_of = (table.edge_c[halves].reshape(m, 3), table.edge_s[halves].reshape(m, 3), table.link[0, halves].reshape(m, 3))
+    edges = np.empty((m, 3, 4))
+    for k, values in enumerate((table.edge_c, table.edge_s, table.link[0])):
+        edges[:, :, k] = values[halves].reshape(m, 3)
+    edges[:, 0, 3], edges[:, 1:, 3] = mesh_of[rows], table.smooth[:2, rows].T
     parts: list[NDArray[Any]] = [v[:, rows].T for v in (table.axis1, table.axis2, table.normal)]
     parts += [v[rows].reshape(m, 1) for v in (table.rate1, table.rate2, table.shear)]
-    parts += [halves_of[0], mesh_of[rows].reshape(m, 1), halves_of[1], halves_of[2]]
-    parts += [v[:, rows].T for v in (table.corner, table.edge1, table.edge2, table.smooth)]
+    parts += [edges.reshape(m, 12)]
+    parts += [v[:, rows].T for v in (table.corner, table.edge1, table.edge2, table.smooth[2:])]
     np.concatenate(parts, axis=1, out=into.reshape(-1, WIDTH)[rows])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.ground.mesh.face_table import AXIS1, CORNER, EDGE2, EDGE_C, EDGE_S, RATE1, SMOOTH, WIDTH
+from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walk import CROSSINGS, GRAIN, INWARD, STUCK
-from antdsl.machine_code.kernels import four, inlined, whole
+from antdsl.machine_code.kernels import consecutive, fetch_ahead, inlined, whole
 from antdsl.numerics.vectors_compiled import inside, plus, times
 
 AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the border; over one already
@@ -15,26 +15,9 @@ AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the bord
 
 @inlined
 def frame(table, row):  # type: ignore[no-untyped-def]
-    """Both axes of a face, its normal, and its rates and shear."""
-    ax, ay, az, bx = four(table, row + AXIS1)
-    by, bz, nx, ny = four(table, row + AXIS1 + 4)
-    nz, rate1, rate2, shear = four(table, row + AXIS1 + 8)
-    return (ax, ay, az), (bx, by, bz), (nx, ny, nz), (rate1, rate2, shear)
-
-
-@inlined
-def _edges(table, row):  # type: ignore[no-untyped-def]
-    """Cosines, sines and links of a face's edges, and its mesh."""
-    c0, c1, c2, mesh = four(table, row + EDGE_C)
-    s0, s1, s2, link0 = four(table, row + EDGE_S)
-    link1, link2, _, _ = four(table, row + EDGE_S + 4)
-    return (c0, c1, c2), (s0, s1, s2), (link0, link1, link2), mesh
-
-
-@inlined
-def _of(three, k):  # type: ignore[no-untyped-def]
-    """One of three numbers."""
-    return three[0] if k == 0 else (three[1] if k == 1 else three[2])
+    """Both axes of a face, and its normal."""
+    ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = consecutive(table, row + AXIS1, 12)
+    return (ax, ay, az), (bx, by, bz), (nx, ny, nz)
 
 
 @inlined
@@ -71,7 +54,7 @@ def go(  # type: ignore[no-untyped-def]
                 b1 = b1 * (1 - GRAIN) + GRAIN / 3
                 b2 = b2 * (1 - GRAIN) + GRAIN / 3
         row = WIDTH * f
-        _, along, across, shear = four(table, row + RATE1 - 1)
+        _, along, across, shear = consecutive(table, row + RATE1 - 1, 4)
         rate1 = c * along - s * shear
         rate2 = s * across
         rate0 = -(rate1 + rate2)
@@ -97,15 +80,17 @@ def go(  # type: ignore[no-untyped-def]
         if until >= left:
             break
         left = left - length
-        cosines, sines, links, _ = _edges(table, row)
-        beyond = link[1, 3 * f + edge] if forked and side < 0 else whole(_of(links, edge))
+        cosine, sine, linked, _ = consecutive(table, row + EDGES + 4 * edge, 4)
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else whole(linked)
         if beyond == NO_LINK:
             event = BORDER
             break
         f, b1, b2, side, c, s, heading_c, heading_s = _cross(
-            table, beyond, edge, _of(cosines, edge), _of(sines, edge), b1, b2, side, c, s, heading_c, heading_s
+            table, beyond, edge, cosine, sine, b1, b2, side, c, s, heading_c, heading_s
         )
         turn += 1
+        for line in (0, 24, 32):  # which `finish` reads: all others are read at once
+            fetch_ahead(table, WIDTH * f + line)
     return f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length
 
 
@@ -126,9 +111,7 @@ def _cross(table, beyond, edge, c1, s1, b1, b2, side, c, s, heading_c, heading_s
     second = b2 if edge == 0 else (b0 if edge == 1 else b1)
     if not flip:
         first, second = second, first
-    there = WIDTH * f
-    cosines, sines, _, _ = _edges(table, there)
-    c2, s2 = _of(cosines, k2), _of(sines, k2)
+    c2, s2, _, _ = consecutive(table, WIDTH * f + EDGES + 4 * k2, 4)
     turn = 1.0 if flip else -1.0
     along, out = turn * (c * c1 + s * s1), c * s1 - s * c1
     c, s = along * c2 - out * s2, along * s2 + out * c2
@@ -145,12 +128,10 @@ def finish(  # type: ignore[no-untyped-def]
 ):
     """Place, smooth normal, transported heading and direction of travel in space."""
     b0 = 1.0 - b1 - b2
-    axis1, axis2, (nx, ny, nz), _ = frame(table, row)
-    _, _, corner_x, corner_y = four(table, row + CORNER - 2)
-    corner_z, one_x, one_y, one_z = four(table, row + CORNER + 2)
-    two_x, two_y, two_z, s0 = four(table, row + EDGE2)
-    s1, s2, s3, s4 = four(table, row + SMOOTH + 1)
-    s5, s6, s7, s8 = four(table, row + SMOOTH + 5)
+    numbers = consecutive(table, row, WIDTH)
+    axis1, axis2, (nx, ny, nz) = numbers[AXIS1:AXIS2], numbers[AXIS2:NORMAL], numbers[NORMAL:RATE1]
+    corner, edge1, edge2 = numbers[CORNER:EDGE1], numbers[EDGE1:EDGE2], numbers[EDGE2:SMOOTH]
+    s0, s1, (s2, s3, s4, s5, s6, s7, s8) = numbers[EDGES + 7], numbers[EDGES + 11], numbers[SMOOTH:WIDTH]
     sx, sy, sz = s0 * b0 + s3 * b1 + s6 * b2, s1 * b0 + s4 * b1 + s7 * b2, s2 * b0 + s5 * b1 + s8 * b2
     size = np.sqrt(max(sx * sx + sy * sy + sz * sz, 1e-300))
     sx, sy, sz = sx / size * side, sy / size * side, sz / size * side
@@ -163,9 +144,9 @@ def finish(  # type: ignore[no-untyped-def]
     hx, hy, hz = hx - off * sx, hy - off * sy, hz - off * sz
     size = np.sqrt(hx * hx + hy * hy + hz * hz)
     place = (
-        corner_x + b1 * one_x + b2 * two_x + over * nx,
-        corner_y + b1 * one_y + b2 * two_y + over * ny,
-        corner_z + b1 * one_z + b2 * two_z + over * nz,
+        corner[0] + b1 * edge1[0] + b2 * edge2[0] + over * nx,
+        corner[1] + b1 * edge1[1] + b2 * edge2[1] + over * ny,
+        corner[2] + b1 * edge1[2] + b2 * edge2[2] + over * nz,
     )
     direction = plus(times(axis1, c), times(axis2, s))
     return place, (sx, sy, sz), (hx / size, hy / size, hz / size), direction

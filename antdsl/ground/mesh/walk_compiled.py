@@ -11,6 +11,7 @@ from antdsl.ground.mesh.crossings_compiled import crossed
 from antdsl.ground.mesh.face_table import (
     EDGE_C,
     EDGE_S,
+    EDGES,
     MESH,
     WIDTH,
 )
@@ -32,7 +33,6 @@ from antdsl.machine_code.kernels import (
     independent,
     inlined,
     kernel,
-    whole,
 )
 from antdsl.numerics.vectors_compiled import inside as _inside
 
@@ -48,7 +48,7 @@ Moved = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array1[F64]]
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, BODY, REALS = range(13)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, EVENT, EDGE, WHOLES = range(9)
 LEFT_OUT, DONE, WAITS = range(3)  # how it is with an agent after the first loop
-ROWS_AHEAD = 1  # eights of agents whose rows are brought near before theirs are read
+ROWS_AHEAD = 2  # eights of agents whose rows are brought near before theirs are read
 FETCHED = 64  # agents whose rows are brought near at once: as many as a processor's nearest memory holds
 
 
@@ -73,7 +73,7 @@ def walked(surface, near, f, b1, b2, over, size, wish, heading, up):  # type: ig
     on its side."""
     table, link, forked, _ = surface
     sub_first, sub_count, clear, reach, noise = near
-    axis1, axis2, normal, _ = frame(table, WIDTH * f)
+    axis1, axis2, normal = frame(table, WIDTH * f)
     along_up = up[0] * normal[0] + up[1] * normal[1] + up[2] * normal[2]
     side = -1.0 if along_up < 0 else 1.0
     over = over * side
@@ -159,11 +159,9 @@ def walk_all(
                 )  # fmt: skip
                 continue
             how[i] = DONE
-            row = WIDTH * f
-            on = whole(surface[0][row + MESH])
-            to_mesh[i], to_face[i] = on, f - first[on]
+            to_mesh[i], to_face[i] = mesh[i], f - first[mesh[i]]  # no edge leads to another mesh
             to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
-            _put(i, finish(surface[0], row, b1, b2, side, c, s, heading_c, heading_s, over), place, above, ahead, direction)
+            _put(i, finish(surface[0], WIDTH * f, b1, b2, side, c, s, heading_c, heading_s, over), place, above, ahead, direction)
     waiting, left = counted(how, reals, wholes, begin, end)
     return begin, waiting, left
 
@@ -256,7 +254,8 @@ def walk_on(
                 to, one, two, side2, gap, level = beyond(table, sides, boxes, scale, found, size, f, edge, b1, b2, side)
                 over, left, way = _rise(over, level, left, way)
                 if to < 0 and over == level:
-                    c, s, left = along_border(table[WIDTH * f + EDGE_C + edge], table[WIDTH * f + EDGE_S + edge], c, s, left)
+                    along = WIDTH * f + EDGES + 4 * edge
+                    c, s, left = along_border(table[along + EDGE_C], table[along + EDGE_S], c, s, left)
                     wholes[BLOCKED, k] = 1
                     wholes[SPENT, k] += 1
                     if straight or wholes[SPENT, k] >= HOPS:
@@ -345,5 +344,5 @@ def _hung(table, link, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
     for k in range(3):
         if link[1 if side < 0 else 0, 3 * f + k] == NO_LINK and weights[k] < least:
             edge, least = k, weights[k]
-    row = WIDTH * f + edge
+    row = WIDTH * f + EDGES + 4 * edge
     return edge, c * table[row + EDGE_S] - s * table[row + EDGE_C] > 0

@@ -11,7 +11,17 @@ functions of `functions`. A variable keeps the type of its first value. Loops ov
 written out. `independent(begin, end)` says that no turn reads what another one writes, and lets several be done at once. Indices
 are not checked: what calls a kernel answers for them."""
 
-from antdsl.machine_code.kernels.functions import as_bits, as_float, fetch_ahead, four, independent, scratch, whole
+from antdsl.machine_code.kernels.functions import (
+    as_bits,
+    as_float,
+    consecutive,
+    fetch_ahead,
+    independent,
+    put_three,
+    scratch,
+    three,
+    whole,
+)
 from antdsl.machine_code.kernels.kernel import called, inlined, kernel
 from antdsl.machine_code.kernels.types import (
     BOOL,
@@ -32,5 +42,6 @@ from antdsl.machine_code.kernels.types import (
 
 __all__ = [
     "BOOL", "F32", "F64", "I8", "I16", "I32", "I64", "U8", "U32", "U64", "Array1", "Array2", "Array3", "Strided2", "as_bits",
-    "as_float", "called", "fetch_ahead", "four", "independent", "inlined", "kernel", "scratch", "whole",
+    "as_float", "called", "consecutive", "fetch_ahead", "independent", "inlined", "kernel", "put_three", "scratch", "three",
+    "whole",
 ]  # fmt: skip

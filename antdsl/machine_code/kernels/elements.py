@@ -11,6 +11,7 @@ from antdsl.machine_code.kernels.arithmetic import Arithmetic
 from antdsl.machine_code.kernels.types import INT, LLVM, TRUTH, Scalar
 from antdsl.machine_code.kernels.values import WIDTH, Array, Number, constant, text_type
 
+MOST = 64  # elements that are read at once
 ALL = Number(TRUTH, "splat (i1 true)", True, True)  # all turns side by side
 
 
@@ -18,7 +19,6 @@ class Elements(Arithmetic):
     """`mask` says for which of the turns side by side the text counts; None where one turn is written."""
 
     mask: Number | None = None
-    _elsewhere = ""  # room that is read for turns that do not count
 
     def offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
         """How many elements an index is behind the first one."""
@@ -103,45 +103,86 @@ class Elements(Arithmetic):
         return self.op(f"getelementptr {array.of.stored}, ptr {array.address}, i64 {at}", "ptr").name
 
     def _places(self, array: Array, at: Number) -> Number:
-        """The addresses of elements; somewhere else for turns that do not count."""
+        """The addresses of elements; of zeros that nobody writes to for turns that do not count."""
         places = self.op(f"getelementptr {array.of.stored}, ptr {array.address}, {at.typed}", "ptr", True)
         if self.mask is None or self.mask.known is not None:
             return places
-        if not self._elsewhere:
-            self._elsewhere = self.name("z")
-            self.allocas.append(f"  {self._elsewhere} = alloca <4 x i64>")
-            self.allocas.append(f"  store <4 x i64> zeroinitializer, ptr {self._elsewhere}")
-        other = self.widened(Number("ptr", self._elsewhere))
+        self.declared["zeros"] = f"@zeros = internal constant [{MOST} x i64] zeroinitializer, align 64"
+        other = self.widened(Number("ptr", "@zeros"))
         return self.op(f"select {self.mask.typed}, {places.typed}, {other.typed}", "ptr", True)
 
     def _one(self, value: Number, lane: int) -> Number:
         return self.op(f"extractelement {value.typed}, i64 {lane}", value.kind)
 
-    def four(self, array: Array, at: Number) -> tuple[Number, ...]:
-        """Four elements that follow each other, of an array of numbers as they are worked with."""
-        kind = array.of.kind
+    def consecutive(self, array: Array, at: Number, count: int) -> tuple[Number, ...]:
+        """So many elements that follow each other, a multiple of four, of an array of numbers as they are worked with."""
         if not at.wide:
-            offsets = [self.arithmetic(ast.Pass(), ast.Add(), at, constant(k)) for k in range(4)]
+            offsets = [self.arithmetic(ast.Pass(), ast.Add(), at, constant(k)) for k in range(count)]
             return tuple(self.fetch(array, each) for each in offsets)
-        places, type = self._places(array, at), f"<4 x {array.of.stored}>"
-        rows = [self.op(f"load {type}, ptr {self._one(places, lane).name}, align 8", kind).name for lane in range(WIDTH)]
+        places = self._places(array, at)
+        lanes = [self._one(places, lane).name for lane in range(WIDTH)]
+        return tuple(each for k in range(0, count, 4) for each in self._four(array, lanes, k))
 
-        def mixed(a: str, b: str, order: tuple[int, ...], width: int = 4) -> str:
-            text = ", ".join(f"i32 {each}" for each in order)
-            one = f"<{width} x {array.of.stored}>"
-            return self.op(f"shufflevector {one} {a}, {one} {b}, <{len(order)} x i32> <{text}>", kind).name
+    def _four(self, array: Array, lanes: list[str], offset: int) -> list[Number]:
+        """Four elements each of eight rows, so far behind these addresses, one after the other for all of them."""
+        kind, type = array.of.kind, f"<4 x {array.of.stored}>"
+        rows = []
+        for lane in lanes:
+            place = self.op(f"getelementptr {array.of.stored}, ptr {lane}, i64 {offset}", "ptr").name
+            rows.append(self.op(f"load {type}, ptr {place}, align {array.of.dtype.itemsize}", kind).name)
+        eight = tuple(range(8))
+        pairs = [self._mixed(array, rows[k], rows[k + 2], eight, 4) for k in (0, 1, 4, 5)]
+        found = []
+        for odd in (0, 1):
+            order = tuple(e + other for e in range(odd, 8, 2) for other in (0, 8))
+            a, b = (self._mixed(array, pairs[k], pairs[k + 1], order) for k in (0, 2))
+            found.append([self._mixed(array, a, b, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
+        return [Number(kind, found[odd][half], wide=True) for half in (0, 1) for odd in (0, 1)]
 
-        parts = []
-        for first in range(0, WIDTH, 4):
-            a, b, c, d = rows[first : first + 4]
-            even, odd = (0, 4, 2, 6), (1, 5, 3, 7)
-            pairs = (mixed(a, b, even), mixed(c, d, even)), (mixed(a, b, odd), mixed(c, d, odd))
-            low, high = (0, 1, 4, 5), (2, 3, 6, 7)
-            parts.append([mixed(*pair, half) for half in (low, high) for pair in pairs])
-        if WIDTH == 4:
-            return tuple(Number(kind, each, wide=True) for each in parts[0])
-        order = tuple(range(8))
-        return tuple(Number(kind, mixed(a, b, order), wide=True) for a, b in zip(*parts, strict=True))
+    def _mixed(self, array: Array, a: str, b: str, order: tuple[int, ...], width: int = WIDTH) -> str:
+        """Some elements of two vectors, by their numbers in both."""
+        text, one = ", ".join(f"i32 {each}" for each in order), f"<{width} x {array.of.stored}>"
+        return self.op(f"shufflevector {one} {a}, {one} {b}, <{len(order)} x i32> <{text}>", array.of.kind).name
+
+    def three(self, node: ast.AST, array: Array, row: Number) -> tuple[Number, ...]:
+        """The three elements of a row."""
+        if not row.first:
+            return tuple(self.fetch(array, each) for each in self._offsets(node, array, row))
+        place = self._place(array, self.op(f"mul i64 {row.first}, 3", INT).name)
+        kind, parts = array.of.kind, []
+        for k in range(3):
+            at = self.op(f"getelementptr {array.of.stored}, ptr {place}, i64 {WIDTH * k}", "ptr").name
+            parts.append(self.op(f"load {text_type(kind, True)}, ptr {at}, {_aligned(array)}", kind).name)
+        found = []
+        for column in range(3):
+            places = range(column, 3 * WIDTH, 3)
+            low = self._mixed(array, parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in places))
+            order = tuple(k - WIDTH if k >= 2 * WIDTH else lane for lane, k in enumerate(places))
+            found.append(Number(kind, self._mixed(array, low, parts[2], order), wide=True))
+        return tuple(found)
+
+    def put_three(self, node: ast.AST, array: Array, row: Number, items: tuple[Number, ...]) -> None:
+        """Store the three elements of a row."""
+        if not row.first:
+            for at, item in zip(self._offsets(node, array, row), items, strict=True):
+                self.keep(array, at, item)
+            return
+        kind, mask = array.of.kind, self.mask or ALL
+        values = [self.widened(self.convert(each, kind)) for each in items]
+        if mask.known is None:
+            values = [self.select(mask, *each) for each in zip(values, self.three(node, array, row), strict=True)]
+        place = self._place(array, self.op(f"mul i64 {row.first}, 3", INT).name)
+        for part in range(3):
+            places = [divmod(k, 3) for k in range(WIDTH * part, WIDTH * (part + 1))]
+            two = self._mixed(array, values[0].name, values[1].name, tuple(lane + WIDTH * (c == 1) for lane, c in places))
+            order = tuple(WIDTH + lane if c == 2 else k for k, (lane, c) in enumerate(places))
+            there = self.op(f"getelementptr {array.of.stored}, ptr {place}, i64 {WIDTH * part}", "ptr").name
+            whole = Number(kind, self._mixed(array, two, values[2].name, order), wide=True)
+            self.do(f"store {whole.typed}, ptr {there}, {_aligned(array)}")
+
+    def _offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
+        """How far the elements of a row are behind the first one of an array."""
+        return [self.offset(node, array, [row, constant(k)]) for k in range(3)]
 
     def fetch_ahead(self, array: Array, at: Number) -> tuple[()]:
         """Have memory brought near."""

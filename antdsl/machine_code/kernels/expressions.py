@@ -10,9 +10,10 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
-from antdsl.machine_code.kernels.elements import Elements
-from antdsl.machine_code.kernels.functions import WRITTEN, fetch_ahead, four, scratch
+from antdsl.machine_code.kernels.elements import MOST, Elements
+from antdsl.machine_code.kernels.functions import WRITTEN, consecutive, fetch_ahead, put_three, scratch, three
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, Scalar
+from antdsl.machine_code.kernels.units import Unit
 from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves
 
 _COMPARED = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
@@ -22,6 +23,7 @@ class Expressions(Elements):
     """Expressions of Python; `variables` has what a name stands for, `world` the names of the function's module."""
 
     world: dict[str, Any]
+    unit: Unit
 
     def read(self, name: str) -> Item:
         raise NotImplementedError
@@ -255,10 +257,8 @@ class Expressions(Elements):
             self.allocas.append(f"  {name} = alloca [{count.known} x {dtype.stored}], align 64")
             return Array(dtype, name, (count,))
         inputs = [self.value(each) for each in arguments]
-        if known in (four, fetch_ahead):
-            if len(inputs) != 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
-                self.fail(node, "an array and an index are wanted")
-            return self.four(*inputs) if known is four else self.fetch_ahead(*inputs)
+        if known in (consecutive, fetch_ahead, three, put_three):
+            return self._elements(node, known, inputs)
         try:
             written = WRITTEN.get(known)
         except TypeError:
@@ -268,6 +268,26 @@ class Expressions(Elements):
                 self.fail(node, "numbers are wanted here")
             return written(self, *inputs)
         return self.called(node, known, inputs)
+
+    def _elements(self, node: ast.Call, known: Any, inputs: list[Item]) -> Item:
+        """Several elements of an array at once."""
+        if len(inputs) < 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
+            self.fail(node, "an array and an index are wanted")
+        array, at, *others = inputs
+        if known is fetch_ahead:
+            return self.fetch_ahead(array, at)
+        if known is consecutive:
+            count = others[0].known
+            if not isinstance(count, int) or count % 4 or not 0 < count <= MOST:
+                self.fail(node, f"a multiple of 4 up to {MOST} that stands in the text is wanted")
+            return self.consecutive(array, at, count)
+        if len(array.lengths) != 2 or array.steps is not None or array.of.kind not in (DOUBLE, FLOAT):
+            self.fail(node, "an array (n, 3) of floats in one piece is wanted")
+        if known is three:
+            return self.three(node, array, at)
+        self.put_three(node, array, at, others[0])
+        self.unit.written.add(array.origin)
+        return ()
 
     def known(self, node: ast.AST, name: ast.expr) -> Any:
         """What a name of the module, of a package in it or of Python stands for."""

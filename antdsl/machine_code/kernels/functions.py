@@ -29,9 +29,19 @@ def scratch(count: int, dtype: Any) -> Any:
     return np.empty(count, dtype)
 
 
-def four(array: Any, at: int) -> tuple[Any, Any, Any, Any]:
-    """Four elements of an array with one axis that follow each other, read at once."""
-    return array[at], array[at + 1], array[at + 2], array[at + 3]
+def consecutive(array: Any, at: int, count: int) -> tuple[Any, ...]:
+    """So many elements of an array with one axis that follow each other, a multiple of four, read at once."""
+    return tuple(array[at + k] for k in range(count))
+
+
+def three(array: Any, row: int) -> tuple[Any, Any, Any]:
+    """A row of an array (n, 3) in one piece; rows that follow each other are read at once."""
+    return array[row, 0], array[row, 1], array[row, 2]
+
+
+def put_three(array: Any, row: int, items: tuple[Any, Any, Any]) -> None:
+    """Store a row of such an array."""
+    array[row, 0], array[row, 1], array[row, 2] = items
 
 
 def fetch_ahead(array: Any, at: int) -> None:

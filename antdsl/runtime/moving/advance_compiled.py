@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel, put_three
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 from antdsl.runtime.moving.headings import BEYOND, BOUNCE, LEAST_TURN, LEVEL, NINETIETH, SLOW, TWELFTH
@@ -136,7 +136,8 @@ def arrived(  # type: ignore[no-untyped-def]
         for k in range(3):
             to_up[k][i], to_heading[k][i] = was[k], before[k]
     for k in range(3):
-        to[k][i], heading[k][i], up[k][i], normals[i, k], position[k][i] = v[k], h[k], u[k], u[k], _F(place[k])
+        to[k][i], heading[k][i], up[k][i], position[k][i] = v[k], h[k], u[k], _F(place[k])
+    put_three(normals, i, u)
 
 
 @kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.ground.mesh.face_table import MESH, WIDTH
+from antdsl.ground.mesh.face_table import WIDTH
 from antdsl.ground.mesh.stretches_compiled import finish
 from antdsl.ground.mesh.walk_compiled import (
     DONE,
@@ -35,7 +35,7 @@ from antdsl.machine_code.kernels import (
     independent,
     inlined,
     kernel,
-    whole,
+    three,
 )  # fmt: skip
 from antdsl.numerics.vectors_compiled import dot, times
 from antdsl.runtime.moving.advance_compiled import Bodies, Facing, Limits, Three, Times, arrived, pushed
@@ -78,7 +78,7 @@ def set_out(
     max_speed, max_turn, dt = limits[0], limits[4], times_of[2]
     long, most, reach = lengths
     for i in independent(begin, end):
-        u = (normal[i, 0], normal[i, 1], normal[i, 2])
+        u = three(normal, i)
         v = pushed(push, velocity, u, heading, limits, keeps, min_speed, times_of, i)
         if quarantined[i]:
             v = (_ZERO, _ZERO, _ZERO)
@@ -137,8 +137,8 @@ def stride(
     for group in range(begin - 8 * ROWS_AHEAD, end, 8):
         # Columns are brought near, too: they are more than a processor by itself sees coming.
         k = group + 8 * ROWS_AHEAD
-        for three in (velocity, step, registers[0], registers[1], registers[2], registers[3], limits):
-            for each in three:
+        for columns in (velocity, step, registers[0], registers[1], registers[2], registers[3], limits):
+            for each in columns:
                 fetch_ahead(each, k)
         for each in (bodies[0], size, state, b1s, b2s, overs, to_mesh, to_face, to_b1, to_b2, to_over):
             fetch_ahead(each, k)
@@ -157,7 +157,8 @@ def stride(
             way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
             if not np.isfinite(way[0] + way[1] + way[2]):
                 continue
-            up = (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2]))
+            x, y, z = three(normal, i)
+            up = (np.float64(x), np.float64(y), np.float64(z))
             long, look = np.float64(size[i]), _ahead(heading, looking, state, i)
             high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length = walked(
                 surface, near, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], long, way, look, up
@@ -172,11 +173,9 @@ def stride(
                 )  # fmt: skip
                 continue
             how[i] = DONE
-            row = WIDTH * f
-            on = whole(surface[0][row + MESH])
-            to_mesh[i], to_face[i] = on, f - first[on]
+            to_mesh[i], to_face[i] = mesh[i], f - first[mesh[i]]  # no edge leads to another mesh
             to_b1[i], to_b2[i], to_over[i] = b1, b2, over * side + 0.0
-            found = finish(surface[0], row, b1, b2, side, c, s, heading_c, heading_s, over)
+            found = finish(surface[0], WIDTH * f, b1, b2, side, c, s, heading_c, heading_s, over)
             for k in range(3):
                 place[k, i] = found[0][k]
             arrived(i, found, False, old, step, velocity, limits, bodies, times_of, facing, registers, normals)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, Array2, Strided2, called, independent, inlined, kernel
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, Array2, Strided2, called, independent, inlined, kernel, three
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
@@ -62,7 +62,8 @@ def _column(vectors, i):  # type: ignore[no-untyped-def]
 
 @inlined
 def _leaning(up, normal, i):  # type: ignore[no-untyped-def]
-    return up[0][i] != normal[i, 0] or up[1][i] != normal[i, 1] or up[2][i] != normal[i, 2]
+    x, y, z = three(normal, i)
+    return up[0][i] != x or up[1][i] != y or up[2][i] != z
 
 
 @inlined
