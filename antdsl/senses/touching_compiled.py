@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F64, I32, I64, Array1, four, independent, kernel
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, consecutive, independent, kernel
 from antdsl.numerics.compiled import plain
 
 Floats = NDArray[np.float64]
@@ -124,7 +124,7 @@ def _filled(
             return -3
         for n in independent(0, listed):
             p, q = one[n], other[n]
-            (x, y, z, wide), (u, v, w, far) = four(ordered, 4 * p), four(ordered, 4 * q)
+            (x, y, z, wide), (u, v, w, far) = consecutive(ordered, 4 * p, 4), consecutive(ordered, 4 * q, 4)
             x, y, z, room = u - x, v - y, w - z, wide + far
             near[n] = (x * x + y * y) + z * z <= room * room
         for n in range(listed):
