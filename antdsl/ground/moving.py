@@ -151,6 +151,12 @@ class _Both:
         met = np.flatnonzero(mesh >= 0)
         return met, part[met], mesh[met], face[met]
 
+    def faced(
+        self, origin: Floats, way: Floats, normals: Floats, named: Index, threads: int = 1
+    ) -> tuple[Index, Floats, Floats]:
+        which, part, _, face = self.cast_within(origin, way, threads)
+        return which, part, normals.take(named.take(face), axis=1)
+
     def closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
         a, b = (scene.closest(points, threads) for scene in (self._one, self._two))
         second = b[3] < a[3]

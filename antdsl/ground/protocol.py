@@ -196,10 +196,11 @@ class Move:
         return Move(self.footing.take(rows), position, up, heading, direction, travelled, blocked, lost)
 
     def put(self, rows: Rows, other: Move) -> None:
-        """Put other results into rows."""
+        """Put other results of the same ground into rows. What a ground has once for everybody (a plane's `up`) stays."""
         self.footing.put(rows, other.footing)
         for column, values in zip(self.columns(), other.columns(), strict=True):
-            column[rows] = values
+            if column.flags.writeable:
+                column[rows] = values
 
 
 class Ground(Protocol):

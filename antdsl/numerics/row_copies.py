@@ -52,7 +52,8 @@ def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
         for to, of in pairs:
             of.take(rows, axis=0, out=to, mode="clip")
         return
-    _run(_table(pairs, np.ascontiguousarray(rows)), len(rows), threads)
+    rows = np.ascontiguousarray(rows)  # which lasts as long as its address is in use
+    _run(_table(pairs, rows), len(rows), threads)
 
 
 def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
