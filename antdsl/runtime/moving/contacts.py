@@ -312,11 +312,10 @@ class _Pairs:
         touching = gap < self._least
         if not touching.any():
             return None
-        deep = np.where(touching, gap, 0.0) * -share
-        terms = self._ways * np.concatenate([deep, deep])
+        deep, flags = np.where(touching, gap, 0.0) * -share, np.concatenate([touching, touching])
+        terms = np.where(flags, self._ways * np.concatenate([deep, deep]), 0.0)  # who has no mass harms those alone who touch it
         terms = (terms + self._magic) - self._magic
-        flags = np.concatenate([touching, touching])
-        weight = np.bincount(self._both, self._shares * flags, count)
+        weight = np.bincount(self._both, np.where(flags, self._shares, 0.0), count)
         crowded = np.bincount(self._both, flags, count) > 1
         part = np.where(crowded, self._eager, 1.0) / np.maximum(weight, 1.0)
         asked: Floats = np.bincount(self._along, terms.ravel(), 3 * count).astype(np.float64).reshape(3, count) * part
