@@ -4,7 +4,7 @@ The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, 
 Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009: what has been read is kept as four registers with the same remainder
 as all of it. To go on by so many bits, each half of 16 bytes of them is multiplied by the remainder of x to that power. What is
 left in the end, 16 bytes, `zlib` finishes with the rest. A register has 16 bytes, or 64 where the products of as many are made at
-once (VPCLMULQDQ), which is almost three times as fast."""
+once (VPCLMULQDQ) and registers of that width slow nothing down (`machine`), which is almost three times as fast."""
 
 from __future__ import annotations
 

@@ -107,8 +107,10 @@ def _in_place(each: Instruction) -> bool:
 
 
 def _part(count: int, chunk: int, threads: int) -> int:
-    """Rows of a part: as many as a chunk has at most, and where that pays several parts for each thread, to even them out."""
-    parts = max(-(-count // max(WIDTH, chunk)), min(EACH * threads, count // compiled.PART) if threads > 1 else 1)
+    """Rows of a part: as many as a chunk has at most, and where that pays several parts for each thread, to even them out. All
+    that a thread has in a round are no more than a chunk, which stays in its memory from stage to stage."""
+    most = chunk if threads < 2 else chunk // EACH
+    parts = max(-(-count // max(WIDTH, most)), min(EACH * threads, count // compiled.PART) if threads > 1 else 1)
     most = _GRAIN * parts
     return _GRAIN * max(1, -(-count // most))
 

@@ -53,10 +53,11 @@ def bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
     found = {}
     for scent in scents:
         parts = readers.get(scent, [])
-        compared = [by for part in parts for by in readers.get(part.out, [])]
+        numbers = {schedule.slot(part.out) for part in parts}
+        compared = [by for number in numbers for by in readers.get(number, [])]
         if not compared or not all(_is_strength(part) for part in parts) or not all(_op(by) in _COMPARED for by in compared):
             continue
-        others = {schedule.slot(slot) for by in compared for slot in by.inputs} - {part.out for part in parts}
+        others = {schedule.slot(slot) for by in compared for slot in by.inputs} - numbers
         if len(others) == 1 and (slot := others.pop()) in uniform:
             found[scent] = uniform[slot]
     return found
