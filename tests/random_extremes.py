@@ -214,6 +214,7 @@ def setting(made: Extremes, agents: int = 21) -> Setting:
     return Setting(
         fps=Fraction(10),
         seed=made.seed,
+        contacts=("off", "soft", "hard")[made.seed % 3],
         obstacles={"stones": stones},
         curves={"way_in": np.array([[-80.0, 0, -80], [0, 0, 10], [80, 0, 60]])},
         items={"food": (item("f", 20, -20, 8, load=5), item("g", -40, 10, 8, load=2.5)), "nest": (item("n", 0, 0, 12),)},
