@@ -345,7 +345,8 @@ def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
         (15_000, 16_384, 2, 8),
         (2_200, 16_384, 4, 2),
         (125, 16_384, 8, 1),
-        (300, 100, 2, 3),
+        (300, 100, 2, 5),
+        (100_000, 16_384, 2, 25),
     ):
         size = runner._part(count, chunk, threads)
         assert size % WIDTH == 0 and -(-count // size) == parts, (count, chunk, threads)
