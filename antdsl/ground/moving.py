@@ -151,9 +151,7 @@ class _Both:
         met = np.flatnonzero(mesh >= 0)
         return met, part[met], mesh[met], face[met]
 
-    def faced(
-        self, origin: Floats, way: Floats, normals: Floats, named: Index, threads: int = 1
-    ) -> tuple[Index, Floats, Floats]:
+    def faced(self, origin: Floats, way: Floats, normals: Floats, named: Index, threads: int = 1) -> tuple[Index, Floats, Floats]:
         which, part, _, face = self.cast_within(origin, way, threads)
         return which, part, normals.take(named.take(face), axis=1)
 
