@@ -278,6 +278,17 @@ def test_nobody_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_sunk
     assert climbs > 200
 
 
+def test_steps_on_a_plane_are_taken_back() -> None:
+    plane, start = Plane(UP), np.zeros((3, 3))
+    ahead, up = np.tile([1.0, 0.0, 0.0], (3, 1)), np.tile(UP, (3, 1))
+    moved = plane.move(plane.nowhere(3), 5 * ahead, ahead, up, 1.0)
+    some = np.array([0, 2])
+    back = moved.take(some)
+    moved.put(some, plane.move(back.footing, -3 * ahead[some], back.heading, back.up, 1.0))
+    assert (moved.position - start)[:, 0].tolist() == [2, 5, 2] and (moved.up == UP).all()
+    assert moved.travelled.tolist() == [3, 5, 3]
+
+
 def test_every_ground_has_the_same_doors() -> None:
     """What mypy proves by the assignments, for a footing of every kind."""
     sheet, cube = grid(100.0, 4), Volume.from_mesh(*box((-6.0, -6.0, -6.0), (6.0, 6.0, 6.0)), 2.0)

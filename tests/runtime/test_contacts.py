@@ -133,6 +133,21 @@ def test_compiled_loops_give_the_same_bits(mode: str, spread: float, monkeypatch
     assert found[0] == found[1]
 
 
+@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
+@pytest.mark.parametrize("mass", [np.nan, np.inf])
+def test_one_without_a_mass_changes_nothing_for_who_does_not_touch_it(mass: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for fast in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+        made = world(CrowdData("ant", 60, heap(60, 6.0)), text=WALKING, options=Options("numpy", on_fault="quarantine"))
+        made.populations["ant"].now["mass"][::9] = mass
+        with np.errstate(all="ignore"):
+            for _ in range(2):
+                step(made)
+        found.append(state_hash(made))
+    assert found[0] == found[1]
+
+
 def test_soft_bodies_part_more_slowly_and_none_at_all_without_contacts() -> None:
     deep = {}
     for mode in ("off", "soft", "hard"):
