@@ -103,13 +103,8 @@ class TriangleGrid:
         which, found = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
         work = partial(_kernels().faced, self.tables, origin, way, normals, named, which, found)
         parts = compiled.in_parts(work, len(origin), threads, _RAYS)
-        _, count, left = parts[0]
-        if len(parts) > 1:
-            left = sum(each[2] for each in parts)
-            which = np.concatenate([which[begin : begin + count] for begin, count, _ in parts])
-            found = np.concatenate([found[:, begin : begin + count] for begin, count, _ in parts], axis=1)
-            count = len(which)
-        return (which[:count], found[0, :count], found[1:, :count]), left
+        which, found = compiled.joined(parts, which, found)
+        return (which, found[0], found[1:]), sum([left for _, _, left in parts])
 
     def _first(self, origin: Floats, way: Floats) -> tuple[Floats, Index]:
         low, width = self.tables[0][:3], self.tables[0][3]

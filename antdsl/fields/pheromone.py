@@ -245,11 +245,15 @@ class PheromoneField:
         if holding.size > len(self.cells) * _SPARSE or (holding.size and isinstance(self.cells, GrowingCells)):
             found[:-1] = True
         elif holding.size:
-            start, cell = self.askers(block.shape[1])
-            first, count = start.take(holding), start.take(holding + 1) - start.take(holding)
-            each = np.arange(int(count.sum())) + np.repeat(first - (np.cumsum(count) - count), count)
-            found[cell.take(each)] = True
+            found[self.asking(holding, block.shape[1])[0]] = True
         return found
+
+    def asking(self, cells: NDArray[np.int64], k: int) -> tuple[Cells, NDArray[np.int64]]:
+        """The rows of `askers` of some cells, one behind the other, and how long each is."""
+        start, cell = self.askers(k)
+        first, count = start.take(cells), start.take(cells + 1) - start.take(cells)
+        each = np.arange(int(count.sum())) + np.repeat(first - (np.cumsum(count) - count), count)
+        return cell.take(each), count
 
     def askers(self, k: int) -> tuple[NDArray[np.int64], Cells]:
         """For each cell those among whose nearest `k` it is, of cells that do not grow, as rows of a table: cell a's are

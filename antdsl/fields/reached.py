@@ -49,14 +49,13 @@ class Reached:
 
     def _renew(self, changed: NDArray[np.int64]) -> None:
         """Count some cells, or no longer, for those around which they are."""
-        start, cell = self._of[0].askers(self._k)
+        field = self._of[0]
         if compiled.wanted(len(changed)):
             from antdsl.fields.reached_compiled import renew
 
-            renew(changed, start, cell, self._holds, self._count)
+            renew(changed, *field.askers(self._k), self._holds, self._count)
             return
         self._holds[changed] ^= True
-        first, many = start.take(changed), start.take(changed + 1) - start.take(changed)
-        each = np.arange(int(many.sum())) + np.repeat(first - (np.cumsum(many) - many), many)
+        around, many = field.asking(changed, self._k)
         one = np.where(self._holds.take(changed), np.uint8(1), np.uint8(255))  # which is 1 less
-        np.add.at(self._count, cell.take(each), np.repeat(one, many))
+        np.add.at(self._count, around, np.repeat(one, many))

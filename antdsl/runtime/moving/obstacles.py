@@ -161,23 +161,19 @@ def _turned(
     threads: int,
 ) -> Vector:
     """Steps, of those whom the kernel `along` has found bent ones, of those who have met a face turned aside from that."""
-    if len(parts) > 1:
-        begin, counts = 0, [count for _, count, _, _ in parts]
-        firsts = [sum(counts[:k]) for k in range(len(parts))]
-        rows, found = (np.concatenate([each[..., b : b + n] for b, n, _, _ in parts], axis=-1) for each in (rows, found))
-        met = np.concatenate([met[b : b + n] + first for (b, _, n, _), first in zip(parts, firsts, strict=True)])
-        hits, hit, count = np.concatenate([hits[:, b : b + n] for b, _, n, _ in parts], axis=1), len(met), sum(counts)
-    else:
-        [(begin, count, hit, _)] = parts
-    if not count:
+    rows, found = compiled.joined(parts, rows, found)
+    if not len(rows):
         return step
-    found = found[:, begin : begin + count]
-    if hit:
-        some, (free, *normal) = met[:hit], hits[:, :hit]
+    met, hits = compiled.joined([(begin, hit) for begin, _, hit, _ in parts], met, hits)
+    if len(met):
+        if len(parts) > 1:  # each part counts its own
+            counts = [count for _, count, _, _ in parts]
+            met = met + np.repeat(np.cumsum(counts) - counts, [hit for _, _, hit, _ in parts])
+        free, *normal = hits
         place, bent, above = (found[k : k + 3] for k in (0, 3, 6))
-        _turn_aside(scene, place, bent, above, found[9], some, free, (normal[0], normal[1], normal[2]), threads)
+        _turn_aside(scene, place, bent, above, found[9], met, free, (normal[0], normal[1], normal[2]), threads)
     to = np.empty((3, len(step[0])), np.float32)
-    _kernels().put(step, rows[:count], found[3:6], to)
+    _kernels().put(step, rows, found[3:6], to)
     return to[0], to[1], to[2]
 
 
