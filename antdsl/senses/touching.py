@@ -25,6 +25,7 @@ Cells = tuple[list[int], list[float], float, list[int]]
 _MOST = 48  # of one row of three cells, with whom an agent is paired: more than stand side by side in it
 _ALONG = 1 << 20  # cells along an axis at most
 _SHEET = 8  # pairs of cell mates for each agent, up to which layers above each other are not told apart
+_ONE_LAYER = 3  # cells along the shortest axis where all lie in one layer: one is free at either end
 _SIZES = 1  # powers of two that agents of one grid differ by at most
 
 
@@ -121,7 +122,8 @@ def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows | N
     from antdsl.senses.touching_compiled import pairs
 
     x, y, z, wide = (v if rows is None else v[rows] for v in (*place, reach))
-    found = pairs((x, y, z), wide, cells, _limit(len(wide)), _SHEET, _MOST)
+    sheet = _SHEET * len(wide) if cells[3][2] > _ONE_LAYER else np.iinfo(np.int64).max
+    found = pairs((x, y, z), wide, cells, _limit(len(wide)), sheet, _MOST)
     if isinstance(found, tuple):
         i, j = found
         return Pairs(i, j, True) if rows is None else Pairs(rows.take(i), rows.take(j), True)
@@ -174,11 +176,10 @@ class _Grid:
         axes, low, cell, size = cells[0], cells[1], cells[2], list(cells[3])
         number = [((own[axis] - b) * (1 / cell)).astype(np.int64) + 1 for axis, b in zip(axes, low, strict=True)]
         keys = number[1] * size[0] + number[0]
-        if size[0] * size[1] <= _limit(len(rows)):
+        flat = size[2] == _ONE_LAYER
+        if not flat and size[0] * size[1] <= _limit(len(rows)):
             mates = np.bincount(keys)
             flat = int((mates * mates).sum()) <= _SHEET * len(rows)
-        else:
-            flat = False
         if flat:
             size[2] = 1
         else:

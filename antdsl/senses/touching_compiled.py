@@ -24,7 +24,7 @@ def pairs(
 ) -> tuple[Rows, Rows] | int:
     """Pairs of agents no farther apart than their reaches add up to. `cells` as of `touching`: axes from the longest to the
     shortest, and along them where they begin and how wide (mm) and how many they are. Layers above each other are not told apart
-    up to `sheet` pairs of cell mates for each agent. Instead -1 where there are more than `limit` cells, -2 where there are more
+    up to `sheet` pairs of cell mates. Instead -1 where there are more than `limit` cells, -2 where there are more
     than `most` agents in three cells in a row."""
     axes, low, cell, size = cells
     count, rate, layer = len(reach), 1 / cell, size[0] * size[1]
@@ -33,7 +33,7 @@ def pairs(
     if layer > limit:
         return -1
     keys, counts = np.empty(count, np.int32), np.zeros(layer + 1, np.int32)
-    flat = _in_columns(fast, middle, low[0], low[1], rate, size[0], keys, counts) <= sheet * count
+    flat = _in_columns(fast, middle, low[0], low[1], rate, size[0], keys, counts) <= sheet
     if not flat:
         if layer * size[2] > limit:
             return -1
