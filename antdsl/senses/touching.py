@@ -101,8 +101,8 @@ def _of_class(
     """The pairs among some rows of much the same size (None: all), and of those with all `smaller` ones. `bounds` of places and
     reaches are those of these rows."""
     cells = _cells(bounds[:3], 2 * bounds[3][1])
-    if smaller is None and order is None and compiled.wanted(len(reach) if rows is None else len(rows)):
-        found = _by_loop(place, reach, rows, cells)
+    if smaller is None and compiled.wanted(len(reach) if rows is None else len(rows)):
+        found = _by_loop(place, reach, order, rows, cells)
         if found is not None:
             return found
     grid = _Grid.of(place, cells, np.arange(len(reach)) if rows is None else rows, order)
@@ -117,16 +117,20 @@ def _of_class(
     return Pairs(np.concatenate([i, near]), np.concatenate([j, far]), whole and entire)
 
 
-def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows | None, cells: Cells) -> Pairs | None:
+def _by_loop(
+    place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, rows: Rows | None, cells: Cells
+) -> Pairs | None:
     """The pairs among some rows, as `_of_class`; None where there are too many cells for a table."""
     from antdsl.senses.touching_compiled import pairs
 
+    if order is not None:
+        rows = stable_order(order) if rows is None else rows[stable_order(order[rows])]
     x, y, z, wide = (v if rows is None else v[rows] for v in (*place, reach))
     sheet = _SHEET * len(wide) if cells[3][2] > _ONE_LAYER else np.iinfo(np.int64).max
-    found = pairs((x, y, z), wide, cells, _limit(len(wide)), sheet, _MOST)
+    found = pairs((x, y, z), wide, cells, _limit(len(wide)), sheet, _MOST, order is not None)
     if isinstance(found, tuple):
-        i, j = found
-        return Pairs(i, j, True) if rows is None else Pairs(rows.take(i), rows.take(j), True)
+        i, j, whole = found
+        return Pairs(i, j, whole) if rows is None else Pairs(rows.take(i), rows.take(j), whole)
     none = np.empty(0, np.intp)
     return Pairs(none, none, False) if found == -2 else None
 
