@@ -23,7 +23,7 @@ from antdsl.runtime.backends.native.layout import Layout
 from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.neighbours import Shape
+from antdsl.senses.cell_order import Shape
 
 NAMES = ("grid.bounds", "grid.keys", "grid.sort", "grid.beside")
 _LAST = ("places", "bounds", "whole", "at")
