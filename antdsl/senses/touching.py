@@ -26,6 +26,7 @@ _MOST = 48  # of one row of three cells, with whom an agent is paired: more than
 _ALONG = 1 << 20  # cells along an axis at most
 _SHEET = 8  # pairs of cell mates for each agent, up to which layers above each other are not told apart
 _ONE_LAYER = 3  # cells along the shortest axis where all lie in one layer: one is free at either end
+_ANY = 1 << 62  # more than there are pairs of cell mates
 _SIZES = 1  # powers of two that agents of one grid differ by at most
 
 
@@ -126,7 +127,7 @@ def _by_loop(
     if order is not None:
         rows = stable_order(order) if rows is None else rows[stable_order(order[rows])]
     x, y, z, wide = (v if rows is None else v[rows] for v in (*place, reach))
-    sheet = _SHEET * len(wide) if cells[3][2] > _ONE_LAYER else np.iinfo(np.int64).max
+    sheet = _SHEET * len(wide) if cells[3][2] > _ONE_LAYER else _ANY
     found = pairs((x, y, z), wide, cells, _limit(len(wide)), sheet, _MOST, order is not None)
     if isinstance(found, tuple):
         i, j, whole = found
