@@ -8,6 +8,7 @@ from compilers import need_kernels
 from open_shapes import WORSE
 
 from antdsl.bench.cases import case_of
+from antdsl.ground.mesh import open_borders as module
 from antdsl.ground.mesh import walk_events
 from antdsl.ground.mesh.face_table import EDGES, LINK, OPEN, WIDTH, mark_open
 from antdsl.ground.mesh.open_borders import open_borders
@@ -99,6 +100,16 @@ def test_borders_are_open_where_nothing_is_near(name: str, share: float) -> None
 def test_wider_bodies_find_more() -> None:
     ground = MeshGround(GROUNDS["a sheet far below"])
     assert len(found(ground, 10.0)) == 8 and not len(found(ground, 20.0))
+
+
+def test_no_more_pairs_are_looked_at_than_pay(monkeypatch: pytest.MonkeyPatch) -> None:
+    ground = MeshGround(GROUNDS["a finer sheet"])
+    whole = found(ground, 30.0)
+    assert len(whole) == 36
+    monkeypatch.setattr(module, "_AT_ONCE", 50)
+    assert np.array_equal(found(ground, 30.0), whole)
+    monkeypatch.setattr(module, "_PAIRS", 500)
+    assert 0 < len(found(ground, 30.0)) < 36
 
 
 def marked(walk: walk_events.Walk) -> int:
