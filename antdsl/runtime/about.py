@@ -54,7 +54,7 @@ def _others(
     plane: Plane,
 ) -> Others:
     """The nearest others of all species, at most `most` of each agent; their velocities where its `own` is given."""
-    count = np.clip(np.where(most > 0, most, 0), 0, limits.NEIGHBOURS).astype(np.intp)
+    count = np.minimum(np.where(most > 0, most, 0), limits.NEIGHBOURS).astype(np.intp)
     n, widest = len(rows), int(count.max(initial=0))
     place = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     reach = np.where(within > 0, within, -1).astype(np.float32)
@@ -127,7 +127,7 @@ def _by_loops(
         found.append((number, name, other, p))
     for number, name, other, p in found:
         velocity = compiled.plain(*vec.named(other.start, "velocity"))
-        both = radius, _radius(other, np.arange(len(other)))
+        both = radius, _radius(other)
         who = ids, other is population, population.name < name
         lay(
             nearest, number, p.j, (p.dx, p.dy, p.dz), ahead, left, own is not None, moving, velocity, *both, *who, x, y, vx, vy,
@@ -147,6 +147,6 @@ def _order(asking: Rows, distance: NDArray[np.float32], species: Rows, ids: NDAr
     return order
 
 
-def _radius(population: Population, rows: Rows) -> Floats:
+def _radius(population: Population, rows: Rows | slice = slice(None)) -> Floats:
     radius = population.start["radius"][rows].astype(np.float64)
     return np.where(np.isfinite(radius) & (radius > 0), radius, 0.0)

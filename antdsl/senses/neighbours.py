@@ -117,7 +117,9 @@ class CellGrid:
             qx, qy, qz = qx[rows], qy[rows], qz[rows]
             qid = None if qid is None else qid[rows]
         qx, qy, qz = (np.asarray(q, np.float32) for q in (qx, qy, qz))
-        reach = np.broadcast_to(np.asarray(radius, np.float32), qx.shape)
+        reach = np.asarray(radius, np.float32)
+        if reach.shape != qx.shape:
+            reach = np.broadcast_to(reach, qx.shape)
         if compiled.wanted(max(qx.size, self.ids.size)):
             pairs = self._compiled((qx, qy, qz), reach, qid, view, threads)
             if pairs is not None:
