@@ -50,15 +50,15 @@ class Walk:
 
     def changed(self, faces: slice) -> None:
         """Some faces have another shape in the table: what is open changes with each, and is not looked for."""
-        self._still = False
-        mark_open(self.packed, self._open, NO_LINK)
+        if self._still:
+            self._still = False
+            mark_open(self.packed, self._open, NO_LINK)
         pack(self.packed, self.table, self._mesh, faces)
 
     def of_crowd(self, clearances: Clearances, boxes: Boxes, scale: Scale, longest: float, widest: float) -> CrowdWalk:
         """That of agents with ways and bodies so long (mm) at most, which says how far the surfaces about them are."""
-        if (
-            self._still and widest > self._widest
-        ):  # for wider ones than these, or a crowd that grows would have it done again and again
+        if self._still and widest > self._widest:
+            # For wider ones than these, or a crowd that grows would have it done again and again.
             self._widest = 1.5 * widest
             mark_open(self.packed, self._open, NO_LINK)
             self._open = open_borders(self.table, boxes, scale, self._widest)
