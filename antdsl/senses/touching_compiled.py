@@ -24,8 +24,8 @@ def pairs(
 ) -> tuple[Rows, Rows, bool] | int:
     """Pairs of agents no farther apart than their reaches add up to. `cells` as of `touching`: axes from the longest to the
     shortest, and along them where they begin and how wide (mm) and how many they are. Layers above each other are not told apart
-    up to `sheet` pairs of cell mates. What comes last is whether these are all. Instead -1 where there are more than `limit` cells,
-    and where there are more than `most` agents in three cells in a row -2, unless `heaps` are to be met in part, as
+    up to `sheet` pairs of cell mates. What comes last is whether these are all. Instead -1 where there are more than `limit`
+    cells, and where there are more than `most` agents in three cells in a row -2, unless `heaps` are to be met in part, as
     `touching._Grid` does, of agents in the order in which they count."""
     axes, low, cell, size = cells
     count, rate, layer = len(reach), 1 / cell, size[0] * size[1]
