@@ -12,7 +12,7 @@ bounded by that cost (A. Karlin et al., Competitive Snoopy Caching, Algorithmica
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, TypeVar
 
@@ -127,9 +127,12 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int
     return workers.in_parts(work, count, min(threads, cores()), count // max(1, least), _running)
 
 
-def joined(parts: Iterable[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
+def joined(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
     """What parts have written to arrays [.., n], each from where it begins on: `parts` tell of each where that is, and how many
     it has written."""
+    if len(parts) == 1:
+        begin, count, *_ = parts[0]
+        return [each[..., begin : begin + count] for each in arrays]
     own = [slice(begin, begin + count) for begin, count, *_ in parts if count]
     if len(own) < 2:
         return [each[..., own[0] if own else slice(0)] for each in arrays]

@@ -67,6 +67,9 @@ def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
 
 def _run(table: NDArray[np.int64], count: int, threads: int) -> None:
     most = max(1, min(EACH * threads, count // compiled.PART))
+    if most == 1:
+        _function()(address(table), 0, count)
+        return
     ends = [count * k // most for k in range(most + 1)]
     parts = np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
     compiled.listed(_function(), parts, threads)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.cell_grids import grid_for
+from antdsl.runtime.planes import Plane, known
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.clear_velocity import Others, clear_velocities
 from antdsl.senses.neighbours import Pairs
@@ -27,55 +27,21 @@ def clear_velocity(
 ) -> tuple[NDArray[np.float32], ...]:
     """Velocities (mm/s, x y z) along the ground of some agents, nearest to a wish, by which they meet none of the `most` nearest
     others of any species `within` mm, on their side of the ground, for `horizon` s. Each is as it was when the step began."""
-    start = population.start
-    plane = _Plane.of(population, rows)
-    own = _known(vec.take(vec.named(start, "velocity"), rows))
-    fastest = np.where(start["max_speed"][rows] > 0, start["max_speed"][rows], 0).astype(np.float64)
-    others = _others(world, population, rows, within, most, own, plane)
+    threads = world.options.threads
+    plane = Plane.of(population, rows, threads)
+    moves = plane.moves(population, rows, wish, threads)
+    others = _others(world, population, rows, within, most, moves.own, plane)
     sound = np.where(horizon > 0, np.minimum(horizon, 1e6), 1e6)
-    x, y = clear_velocities(
-        others, plane.laid(own), plane.laid(_known(wish)), np.minimum(fastest, 1e9), sound, world.dt, world.options.threads
-    )
-    return plane.raised(x, y)
+    x, y = clear_velocities(others, moves.velocity, moves.wish, moves.fastest, sound, world.dt, threads)
+    return plane.raised(x, y, threads)
 
 
 def widest_gap(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[NDArray[np.float32], ...]:
     """Unit ways (x y z) of some agents along their ground into the widest gap between the `most` nearest others of any species
     `within` mm, on their side of the ground; 0 without any."""
-    plane = _Plane.of(population, rows)
+    plane = Plane.of(population, rows, world.options.threads)
     others = _others(world, population, rows, within, most, None, plane)
-    return plane.raised(*widest_gaps(others.x, others.y, others.there))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Plane:
-    """The ground of some agents: unit `up`, `ahead` along their heading and `left`, float64."""
-
-    up: Vector
-    ahead: Vector
-    left: Vector
-
-    @classmethod
-    def of(cls, population: Population, rows: Rows) -> _Plane:
-        up, heading = (_known(vec.take(vec.named(population.start, name), rows)) for name in ("up", "heading"))
-        ahead = vec.unit(vec.flat(heading, up), vec.across(up))
-        return cls(up, ahead, vec.cross(up, ahead))
-
-    def laid(self, vector: Vector) -> tuple[Floats, Floats]:
-        """The parts of vectors ahead and to the left."""
-        return vec.dot(vector, self.ahead), vec.dot(vector, self.left)
-
-    def raised(self, x: Floats, y: Floats) -> tuple[NDArray[np.float32], ...]:
-        """Vectors of such parts."""
-        found = vec.add(vec.scale(self.ahead, x), vec.scale(self.left, y))
-        return tuple(component.astype(np.float32) for component in found)
-
-
-def _known(vector: Vector) -> Vector:
-    """Vectors in float64, 0 where one is no number."""
-    x, y, z = (np.asarray(component, np.float64) for component in vector)
-    good = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
-    return vec.choose(good, (x, y, z), (np.zeros_like(x),) * 3)
+    return plane.raised(*widest_gaps(others.x, others.y, others.there), world.options.threads)
 
 
 def _others(
@@ -85,10 +51,10 @@ def _others(
     within: Floats,
     most: Floats,
     own: Vector | None,
-    plane: _Plane,
+    plane: Plane,
 ) -> Others:
     """The nearest others of all species, at most `most` of each agent; their velocities where its `own` is given."""
-    count = np.clip(np.where(most > 0, most, 0), 0, limits.NEIGHBOURS).astype(np.intp)
+    count = np.minimum(np.where(most > 0, most, 0), limits.NEIGHBOURS).astype(np.intp)
     n, widest = len(rows), int(count.max(initial=0))
     place = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     reach = np.where(within > 0, within, -1).astype(np.float32)
@@ -101,11 +67,11 @@ def _others(
         if not len(other) or not widest:
             continue
         p = _near(world, other, ids if other is population else None, place, reach, far)
-        theirs = _known(vec.take(vec.named(other.start, "up"), p.j))
+        theirs = known(vec.take(vec.named(other.start, "up"), p.j))
         kept = np.flatnonzero(vec.dot(vec.take(plane.up, p.i), theirs) > 0)
         i, j = p.i.take(kept), p.j.take(kept)
         way = tuple(each.take(kept).astype(np.float64) for each in (p.dx, p.dy, p.dz))
-        moves = [] if own is None else [vec.sub(vec.take(own, i), _known(vec.take(vec.named(other.start, "velocity"), j)))]
+        moves = [] if own is None else [vec.sub(vec.take(own, i), known(vec.take(vec.named(other.start, "velocity"), j)))]
         first = ids[i] < other.ids[j] if other is population else np.full(len(i), population.name < name)
         flat = [vec.dot(v, vec.take(axis, i)) for v in (way, *moves) for axis in (plane.ahead, plane.left)]  # type: ignore[arg-type]
         flat += [np.zeros(len(i))] * (4 - len(flat))
@@ -138,7 +104,7 @@ def _near(
 
 
 def _by_loops(
-    world: World, population: Population, asking: tuple[Any, ...], count: Rows, own: Vector | None, plane: _Plane
+    world: World, population: Population, asking: tuple[Any, ...], count: Rows, own: Vector | None, plane: Plane
 ) -> Others:
     """`_others` by kernels: the nearest are chosen as pairs are met, and only these are looked at further."""
     from antdsl.runtime.about_compiled import choose, lay
@@ -161,7 +127,7 @@ def _by_loops(
         found.append((number, name, other, p))
     for number, name, other, p in found:
         velocity = compiled.plain(*vec.named(other.start, "velocity"))
-        both = radius, _radius(other, np.arange(len(other)))
+        both = radius, _radius(other)
         who = ids, other is population, population.name < name
         lay(
             nearest, number, p.j, (p.dx, p.dy, p.dz), ahead, left, own is not None, moving, velocity, *both, *who, x, y, vx, vy,
@@ -181,6 +147,6 @@ def _order(asking: Rows, distance: NDArray[np.float32], species: Rows, ids: NDAr
     return order
 
 
-def _radius(population: Population, rows: Rows) -> Floats:
+def _radius(population: Population, rows: Rows | slice = slice(None)) -> Floats:
     radius = population.start["radius"][rows].astype(np.float64)
     return np.where(np.isfinite(radius) & (radius > 0), radius, 0.0)

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, inlined, kernel
+from antdsl.runtime.planes_compiled import known
 
 Vectors64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
 Vectors32 = tuple[Array1[F32], Array1[F32], Array1[F32]]
 # Of each place in the table: distance, species, id, and which pair of the species' it is; then how many places are taken
 Nearest = tuple[Array2[F32], Array2[I64], Array2[I64], Array2[I64], Array1[I64]]
-
-
-@inlined
-def _known(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """A vector in float64, 0 where it is no number."""
-    a, b, c = np.float64(x), np.float64(y), np.float64(z)
-    if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c)):
-        return 0.0, 0.0, 0.0
-    return a, b, c
 
 
 @inlined
@@ -38,7 +28,7 @@ def choose(
     far, species, names, pairs, taken = nearest
     for k in range(i.size):
         a, b = i[k], j[k]
-        if not _dot((up[0][a], up[1][a], up[2][a]), _known(theirs[0][b], theirs[1][b], theirs[2][b])) > 0.0:
+        if not _dot((up[0][a], up[1][a], up[2][a]), known(theirs[0][b], theirs[1][b], theirs[2][b])) > 0.0:
             continue
         d, name, at = distance[k], ids[b], taken[a]
         while at > 0:
@@ -83,7 +73,7 @@ def lay(
             x[a, c] = _dot((wx, wy, wz), (ax, ay, az))
             y[a, c] = _dot((wx, wy, wz), (lx, ly, lz))
             if moves:
-                tx, ty, tz = _known(theirs[0][b], theirs[1][b], theirs[2][b])
+                tx, ty, tz = known(theirs[0][b], theirs[1][b], theirs[2][b])
                 mx, my, mz = own[0][a] - tx, own[1][a] - ty, own[2][a] - tz
                 vx[a, c] = _dot((mx, my, mz), (ax, ay, az))
                 vy[a, c] = _dot((mx, my, mz), (lx, ly, lz))

@@ -48,7 +48,7 @@ def deposit(world: World) -> None:
 
 def settle_newborn(world: World) -> None:
     """What agents ask for at their birth happens before the next step: nothing is left over between two steps."""
-    if not any(population.effects.open for population in world.populations.values()):
+    if not any([population.effects.open for population in world.populations.values()]):
         return
     raise_events(world)
     give(world)

@@ -86,7 +86,7 @@ def effects(world: World) -> None:
 
 def _settle(phase: str, world: World) -> None:
     """What is asked and settled in a phase, by the rows; what settles several is called once."""
-    if any(population.effects.asked for population in world.populations.values()):
+    if any([population.effects.asked for population in world.populations.values()]):
         for settle in dict.fromkeys(SETTLES[op] for op in settled_in(phase)):
             settle(world)
 

@@ -29,6 +29,7 @@ def _step(world: World) -> None:
     begun = worked
     if not compiled.running():
         compiled.begin_step(len(world))
+    timings, spent = world.timings, world.worked
     for name, phase in PHASES:
         phase(world)
         ended = perf_counter()
@@ -36,8 +37,8 @@ def _step(world: World) -> None:
         # The processors' clock takes longer to read than many a phase of a small crowd: those have what passed, and the next that
         # takes longer the rest.
         done = worked + passed if passed < _SHORT and name != _LAST else process_time()
-        world.timings[name] = world.timings.get(name, 0.0) + passed
-        world.worked[name] = world.worked.get(name, 0.0) + done - worked
+        timings[name] = timings.get(name, 0.0) + passed
+        spent[name] = spent.get(name, 0.0) + done - worked
         started, worked = ended, done
     compiled.end_step(worked - begun)
     if world.faults.latest is not None and world.options.on_fault == "stop":

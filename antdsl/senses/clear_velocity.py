@@ -82,6 +82,8 @@ def clear_velocities(
         columns = compiled.plain(o.x, o.y, o.vx, o.vy, o.room, o.there, o.first)
         own, wished, (most, until) = (compiled.plain(*each) for each in (velocity, wish, (fastest, horizon)))
         found = compiled.in_parts(lambda *part: velocities(columns, own, wished, most, until, dt, *part), n, threads)
+        if len(found) == 1:
+            return found[0]
         return np.concatenate([each[0] for each in found]), np.concatenate([each[1] for each in found])
     with np.errstate(all="ignore"):
         borders = _borders(others, velocity, horizon, dt)

@@ -40,7 +40,10 @@ def _clear(
     most = borders[0].size
     for a in range(begin, end):
         for c in range(most):
-            _border(others, a, c, velocity[0][a], velocity[1][a], horizon[a], dt, borders)
+            if others[5][a, c]:
+                _border(others, a, c, velocity[0][a], velocity[1][a], horizon[a], dt, borders)
+            else:
+                borders[4][c] = 0
         wx, wy, limit = wish[0][a], wish[1][a], fastest[a]
         size = math.sqrt(wx * wx + wy * wy)
         part = 1.0
@@ -118,10 +121,11 @@ def _nearest(
             if abs(cross) <= _PARALLEL:
                 if away < 0.0:
                     return bx, by, k
-            elif cross > 0.0:
-                high = min(high, away / cross)
-            else:
-                low = max(low, away / cross)
+                continue
+            # Which of the two it bounds is as likely as not: both are worked out, and no branch has to be foretold.
+            at, above = away / cross, cross > 0.0
+            high = min(high, at if above else np.inf)
+            low = max(low, -np.inf if above else at)
         if not low <= high:
             return bx, by, k
         t = high

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.limits import NEIGHBOURS
 from antdsl.numerics import compiled
-from antdsl.numerics.sorting import stable_order
+from antdsl.senses.cell_order import ordered
 
 Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]  # an index of another type is converted at every use
@@ -21,9 +21,6 @@ View = tuple[Floats, Floats, Floats, Floats]
 
 _QUERIES_PER_CHUNK = 16_384
 _CANDIDATES_PER_CHUNK = 1 << 16  # arrays of this length stay in the cache
-_MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
-_AGENTS_PER_COLUMN = 6
-_LAYERS_PER_COLUMN = 2
 _SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
 
 
@@ -53,66 +50,6 @@ class Pairs:
         return Pairs(*arrays)
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """The cells of a box: lists go by the fast, middle and slow axis, which are its longest, its second and its shortest. Low
-    corner and width in mm."""
-
-    axes: tuple[int, ...]
-    low: list[float]
-    extent: list[float]
-    width: list[float]
-    size: list[int]
-
-    @classmethod
-    def of(cls, low: list[float], high: list[float], cell: float) -> Shape:
-        """Of a box between two corners, for queries of a usual radius."""
-        x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
-        axes: tuple[int, ...] = (0, 1, 2)
-        extent = [x, y, z]
-        if not x >= y >= z:
-            axes = tuple(sorted(axes, key=lambda axis: -extent[axis]))
-            low, extent = ([values[axis] for axis in axes] for values in (low, extent))
-        cell = cell if 0 < cell < np.inf else max(extent[0], 1.0)
-        # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
-        least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
-        fine, width = max(cell / 4, least), max(cell, least)
-        size = [int(extent[0] / fine) + 1, int(extent[1] / width) + 1, int(extent[2] / width) + 1]
-        return cls(axes, low, extent, [fine, width, width], size)
-
-    @property
-    def cells(self) -> int:
-        return self.size[0] * self.size[1] * self.size[2]
-
-    def as_sheet(self) -> Shape:
-        """With one layer of cells along the shortest axis."""
-        return Shape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
-
-    def numbers(self, places: list[NDArray[Any]]) -> list[NDArray[np.int64]]:
-        """Numbers of the cells of places (x, y, z, float64[n] mm) along the three axes."""
-        along = (places[axis] for axis in self.axes)
-        return [np.floor((p - b) / w).astype(np.int64) for p, b, w in zip(along, self.low, self.width, strict=True)]
-
-    def is_sheet(self, places: list[NDArray[Any]]) -> bool:
-        """Whether a crowd at these places, as on ground, has so few agents or layers above each other that these need not be told
-        apart."""
-        wide = [np.asarray(p, np.float64) for p in places]
-        return self.extent[2] > 0 and self.sheet_of(self.numbers(wide), wide[0].size)
-
-    def sheet_of(self, cells: list[NDArray[np.int64]], n: int) -> bool:
-        """The same of the numbers of cells of so many agents."""
-        across, broad, deep = (e / self.width[1] + 2 for e in self.extent)  # columns, and layers
-        if across * broad * deep <= max(1 << 16, 64 * n):
-            column = cells[1] * int(across) + (cells[0] >> 2)
-            columns = _distinct(column, int(across) * int(broad))
-            if n <= _AGENTS_PER_COLUMN * columns:
-                return True
-            cell = column * int(deep) + cells[2]
-            return _distinct(cell, int(across) * int(broad) * int(deep)) <= _LAYERS_PER_COLUMN * columns
-        column = np.sort((cells[1] << 32) | (cells[0] >> 2))
-        return n <= _AGENTS_PER_COLUMN * (1 + int(np.count_nonzero(column[1:] != column[:-1])))
-
-
 class CellGrid:
     """Agents sorted into cells: rows along the crowd's longest axis, cut four times finer than across.
 
@@ -122,24 +59,10 @@ class CellGrid:
 
     def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
-        rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
-        if np.any(ids[1:] < ids[:-1]):
-            rows = rows[stable_order(ids[rows])]
-        places = [np.asarray(a, np.float64)[rows] for a in (x, y, z)]
-        low = [float(p.min(initial=np.inf)) if rows.size else 0.0 for p in places]
-        high = [float(p.max(initial=-np.inf)) if rows.size else 0.0 for p in places]
-        shape = Shape.of(low, high, cell)
-        cells = shape.numbers(places)
-        if shape.extent[2] > 0 and shape.sheet_of(cells, rows.size):
-            cells[2][:] = 0
-            shape = shape.as_sheet()
+        order = ordered(x, y, z, ids, cell)
+        shape = order.shape
         self._axes, self._low, self._width, self._size = shape.axes, shape.low, shape.width, shape.size
-        key = (cells[2] * self._size[1] + cells[1]) * self._size[0] + cells[0]
-        order = stable_order(key)
-        self._rows = rows.take(order)
-        self._keys = key[order]
-        self._sorted = [np.ascontiguousarray(a[self._rows], np.float32) for a in (x, y, z)]
-        self._starts = self._start_table()
+        self._rows, self._keys, self._sorted, self._starts = order.rows, order.keys, order.places, order.starts
 
     @cached_property
     def _sorted_ids(self) -> NDArray[np.int64]:
@@ -166,15 +89,6 @@ class CellGrid:
         }
         found["whole"] = np.array([*self._axes, *self._size, self._rows.size], np.int64)
         return found
-
-    def _start_table(self) -> NDArray[np.int32] | None:
-        """First sorted agent of every cell, when the box has few enough cells to be listed; else None."""
-        cells = self._size[0] * self._size[1] * self._size[2]
-        if cells > max(1 << 16, 16 * self._rows.size):
-            return None
-        table = np.zeros(cells + 1, np.int32)
-        np.cumsum(np.bincount(self._keys, minlength=cells), out=table[1:])
-        return table
 
     def pairs(
         self,
@@ -203,7 +117,9 @@ class CellGrid:
             qx, qy, qz = qx[rows], qy[rows], qz[rows]
             qid = None if qid is None else qid[rows]
         qx, qy, qz = (np.asarray(q, np.float32) for q in (qx, qy, qz))
-        reach = np.broadcast_to(np.asarray(radius, np.float32), qx.shape)
+        reach = np.asarray(radius, np.float32)
+        if reach.shape != qx.shape:
+            reach = np.broadcast_to(reach, qx.shape)
         if compiled.wanted(max(qx.size, self.ids.size)):
             pairs = self._compiled((qx, qy, qz), reach, qid, view, threads)
             if pairs is not None:
@@ -372,13 +288,6 @@ def seen(pairs: Any, view: View) -> Rows:
     hx, hy, hz, cosine = (part.take(pairs.i) for part in view)
     ahead = (pairs.dx * hx + pairs.dy * hy) + pairs.dz * hz
     return np.flatnonzero(ahead >= cosine * pairs.distance)
-
-
-def _distinct(numbers: NDArray[np.int64], limit: int) -> int:
-    """How many different ones there are of whole numbers from 0 to below a limit."""
-    seen = np.zeros(limit, np.bool_)
-    seen[numbers] = True
-    return int(np.count_nonzero(seen))
 
 
 def _rank(i: Rows) -> NDArray[np.int64]:

@@ -25,6 +25,8 @@ Cells = tuple[list[int], list[float], float, list[int]]
 _MOST = 48  # of one row of three cells, with whom an agent is paired: more than stand side by side in it
 _ALONG = 1 << 20  # cells along an axis at most
 _SHEET = 8  # pairs of cell mates for each agent, up to which layers above each other are not told apart
+_ONE_LAYER = 3  # cells along the shortest axis where all lie in one layer: one is free at either end
+_ANY = 1 << 62  # more than there are pairs of cell mates
 _SIZES = 1  # powers of two that agents of one grid differ by at most
 
 
@@ -100,8 +102,8 @@ def _of_class(
     """The pairs among some rows of much the same size (None: all), and of those with all `smaller` ones. `bounds` of places and
     reaches are those of these rows."""
     cells = _cells(bounds[:3], 2 * bounds[3][1])
-    if smaller is None and order is None and compiled.wanted(len(reach) if rows is None else len(rows)):
-        found = _by_loop(place, reach, rows, cells)
+    if smaller is None and compiled.wanted(len(reach) if rows is None else len(rows)):
+        found = _by_loop(place, reach, order, rows, cells)
         if found is not None:
             return found
     grid = _Grid.of(place, cells, np.arange(len(reach)) if rows is None else rows, order)
@@ -116,15 +118,20 @@ def _of_class(
     return Pairs(np.concatenate([i, near]), np.concatenate([j, far]), whole and entire)
 
 
-def _by_loop(place: tuple[Floats, Floats, Floats], reach: Floats, rows: Rows | None, cells: Cells) -> Pairs | None:
+def _by_loop(
+    place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, rows: Rows | None, cells: Cells
+) -> Pairs | None:
     """The pairs among some rows, as `_of_class`; None where there are too many cells for a table."""
     from antdsl.senses.touching_compiled import pairs
 
+    if order is not None:
+        rows = stable_order(order) if rows is None else rows[stable_order(order[rows])]
     x, y, z, wide = (v if rows is None else v[rows] for v in (*place, reach))
-    found = pairs((x, y, z), wide, cells, _limit(len(wide)), _SHEET, _MOST)
+    sheet = _SHEET * len(wide) if cells[3][2] > _ONE_LAYER else _ANY
+    found = pairs((x, y, z), wide, cells, _limit(len(wide)), sheet, _MOST, order is not None)
     if isinstance(found, tuple):
-        i, j = found
-        return Pairs(i, j, True) if rows is None else Pairs(rows.take(i), rows.take(j), True)
+        i, j, whole = found
+        return Pairs(i, j, whole) if rows is None else Pairs(rows.take(i), rows.take(j), whole)
     none = np.empty(0, np.intp)
     return Pairs(none, none, False) if found == -2 else None
 
@@ -174,11 +181,10 @@ class _Grid:
         axes, low, cell, size = cells[0], cells[1], cells[2], list(cells[3])
         number = [((own[axis] - b) * (1 / cell)).astype(np.int64) + 1 for axis, b in zip(axes, low, strict=True)]
         keys = number[1] * size[0] + number[0]
-        if size[0] * size[1] <= _limit(len(rows)):
+        flat = size[2] == _ONE_LAYER
+        if not flat and size[0] * size[1] <= _limit(len(rows)):
             mates = np.bincount(keys)
             flat = int((mates * mates).sum()) <= _SHEET * len(rows)
-        else:
-            flat = False
         if flat:
             size[2] = 1
         else:

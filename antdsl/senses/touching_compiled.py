@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F64, I32, I64, Array1, consecutive, independent, kernel
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, consecutive, independent, kernel
 from antdsl.numerics.compiled import plain
 
 Floats = NDArray[np.float64]
@@ -20,12 +20,13 @@ _WRITTEN = 4  # candidates of a span that are always written
 
 
 def pairs(
-    place: tuple[Floats, Floats, Floats], reach: Floats, cells: tuple[Any, ...], limit: int, sheet: int, most: int
-) -> tuple[Rows, Rows] | int:
+    place: tuple[Floats, Floats, Floats], reach: Floats, cells: tuple[Any, ...], limit: int, sheet: int, most: int, heaps: bool
+) -> tuple[Rows, Rows, bool] | int:
     """Pairs of agents no farther apart than their reaches add up to. `cells` as of `touching`: axes from the longest to the
     shortest, and along them where they begin and how wide (mm) and how many they are. Layers above each other are not told apart
-    up to `sheet` pairs of cell mates for each agent. Instead -1 where there are more than `limit` cells, -2 where there are more
-    than `most` agents in three cells in a row."""
+    up to `sheet` pairs of cell mates. What comes last is whether these are all. Instead -1 where there are more than `limit`
+    cells, and where there are more than `most` agents in three cells in a row -2, unless `heaps` are to be met in part, as
+    `touching._Grid` does, of agents in the order in which they count."""
     axes, low, cell, size = cells
     count, rate, layer = len(reach), 1 / cell, size[0] * size[1]
     columns = plain(*place, reach)
@@ -33,7 +34,7 @@ def pairs(
     if layer > limit:
         return -1
     keys, counts = np.empty(count, np.int32), np.zeros(layer + 1, np.int32)
-    flat = _in_columns(fast, middle, low[0], low[1], rate, size[0], keys, counts) <= sheet * count
+    flat = _in_columns(fast, middle, low[0], low[1], rate, size[0], keys, counts) <= sheet
     if not flat:
         if layer * size[2] > limit:
             return -1
@@ -46,9 +47,9 @@ def pairs(
     used, most_pairs = -3, 2 * count + 256
     while used == -3:
         i, j = np.empty((2, most_pairs), np.int64)
-        used = _filled(ordered, rows, cell_of, counts, size[0], layer, spans, most, *listed, i, j)
+        used, left_out = _filled(ordered, rows, cell_of, counts, size[0], layer, spans, most, heaps, *listed, i, j)
         most_pairs *= 4
-    return used if used < 0 else (i[:used], j[:used])
+    return used if used < 0 else (i[:used], j[:used], not left_out)
 
 
 @kernel
@@ -98,12 +99,13 @@ def _sorted(
 
 @kernel
 def _filled(
-    ordered: Column, rows: Cells, cell_of: Cells, starts: Cells, across: I64, layer: I64, spans: I64, most: I64,
+    ordered: Column, rows: Cells, cell_of: Cells, starts: Cells, across: I64, layer: I64, spans: I64, most: I64, heaps: BOOL,
     one: Cells, other: Cells, near: Cells, i: Indices, j: Indices,
-) -> I64:  # fmt: skip
-    """Fill `i` and `j` with pairs and give how many there are; -3 where these are too short, -2 as `pairs`. `one` and `other` are
-    room for work: candidates of some agents, listed without a branch that is hard to foretell, and who is `near`."""
-    used, cells, count = 0, starts.size - 1, rows.size
+) -> tuple[I64, I64]:  # fmt: skip
+    """Fill `i` and `j` with pairs and give how many there are (-3 where these are too short, -2 as `pairs`) and in how many spans
+    some are left out. `one` and `other` are room for work: candidates of some agents, listed without a branch that is hard to
+    foretell, and who is `near`."""
+    used, cells, count, left_out = 0, starts.size - 1, rows.size, 0
     for begin in range(0, count, _TOGETHER):
         listed = 0
         for at in range(begin, min(begin + _TOGETHER, count)):
@@ -114,14 +116,21 @@ def _filled(
                     shift = across if span == 1 else layer + (span - 3) * across
                     first, last = starts[min(key + shift - 1, cells)], starts[min(key + shift + 2, cells)]
                 if last - first > most:
-                    return -2
+                    if not heaps:
+                        return -2, 0
+                    left_out += 1
+                    turned = (at * most) % (last - first)
+                    for k in range(most):
+                        one[listed + k], other[listed + k] = at, first + (k + turned) % (last - first)
+                    listed += most
+                    continue
                 for k in range(4):  # written whatever it is, and written over where these were fewer
                     one[listed + k], other[listed + k] = at, first + k
                 for k in range(4, last - first):
                     one[listed + k], other[listed + k] = at, first + k
                 listed += last - first
         if used + listed > i.size:
-            return -3
+            return -3, 0
         for n in independent(0, listed):
             p, q = one[n], other[n]
             (x, y, z, wide), (u, v, w, far) = consecutive(ordered, 4 * p, 4), consecutive(ordered, 4 * q, 4)
@@ -130,4 +139,4 @@ def _filled(
         for n in range(listed):
             i[used], j[used] = rows[one[n]], rows[other[n]]
             used += near[n]
-    return used
+    return used, left_out

@@ -266,6 +266,23 @@ def test_who_is_left_out_of_a_heap_goes_by_ids_and_not_by_rows() -> None:
     assert len(found) == 1
 
 
+@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
+@pytest.mark.parametrize("size", [(0, 0, 0), (4, 4, 0.1), (40, 3, 0), (4, 4, 9), (5, 5, 5)])
+@pytest.mark.parametrize("sizes", [(1.0,), (1.0, 6.0)])
+def test_the_same_pairs_of_a_heap_are_left_out_by_kernels(
+    size: tuple[float, ...], sizes: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random = np.random.default_rng(3)
+    x, y, z = np.ascontiguousarray((random.random((700, 3)) * size).T)
+    wide, order, found = random.choice(sizes, 700), random.permutation(700), []
+    for fast in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+        pairs = within_reach((x, y, z), wide, order)
+        assert not pairs.all_of_them
+        found.append(sorted(zip(*np.sort(np.stack([pairs.i, pairs.j]), axis=0).tolist(), strict=True)))
+    assert found[0] == found[1]
+
+
 def test_what_a_step_costs_in_one_place_grows_with_the_crowd_and_not_with_its_square(monkeypatch: pytest.MonkeyPatch) -> None:
     measured, gaps = [], capsules._gaps
 

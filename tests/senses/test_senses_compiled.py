@@ -10,6 +10,7 @@ from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.numerics import compiled, elementary, randomness
 from antdsl.runtime import Options, state_hash, step
 from antdsl.senses import neighbours
+from antdsl.senses.cell_order import ordered
 from antdsl.senses.neighbours import CellGrid, Pairs
 
 pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
@@ -63,6 +64,27 @@ def test_the_same_pairs_in_the_same_order(monkeypatch, extent, radius) -> None:
         same(plain, fast)
         assert fast.i.size > 0
         same(*both(monkeypatch, grid, None, RADII[radius], view=view_of(2000)))
+
+
+@pytest.mark.parametrize("ascending", [False, True])
+@pytest.mark.parametrize("extent", (*EXTENTS, (0, 0, 0)), ids=str)
+def test_the_same_order_of_cells(monkeypatch, extent, ascending) -> None:
+    places, ids = crowd(extent)
+    if ascending:
+        ids = np.sort(ids)
+    nobody = [np.full(5, np.nan, np.float32)] * 3
+    for cell in (0.0, 6.0, 80.0, 5e4, np.inf):
+        for columns, names in ((places, ids), (nobody, np.arange(5)), ([np.empty(0, np.float32)] * 3, np.arange(0))):
+            found = []
+            for on in (False, True):
+                monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
+                found.append(ordered(*columns, names, cell))
+            plain, fast = found
+            assert plain.shape == fast.shape
+            for name in ("rows", "keys", "starts"):
+                a, b = getattr(plain, name), getattr(fast, name)
+                assert (a is None) == (b is None) and (a is None or (a.dtype == b.dtype and np.array_equal(a, b))), name
+            assert all(a.tobytes() == b.tobytes() for a, b in zip(plain.places, fast.places, strict=True))
 
 
 def test_a_cell_table_too_large_to_list_is_searched(monkeypatch) -> None:

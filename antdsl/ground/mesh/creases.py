@@ -173,6 +173,7 @@ class RiseMap:
         for own in moving:
             still &= ~own
         self._clear = clear_of_rises(corners, table) if not moving else np.zeros(len(corners))
+        self._least = float(self._clear.min(initial=np.inf))
         self._size: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
         self._creases = Creases(corners, table, still)
 
@@ -188,6 +189,8 @@ class RiseMap:
     ) -> Index:
         """As `MeshGround.rising`, for agents on a face of a mesh (-1: nowhere), which count from the `first` of each on, with the
         lowest and highest corner of each mesh that moves."""
+        if self._least > 0 and not moving and not np.fmax.reduce(reach, initial=0.0) >= self._least:
+            return np.empty(0, np.int64)  # nothing rises so near to any face
         if compiled.wanted(len(reach)) and not moving:
             rows, rungs = np.empty((2, len(reach)), np.int64)
             on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)

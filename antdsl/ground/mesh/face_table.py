@@ -15,7 +15,8 @@ WIDTH = 40  # five whole lines of a cache
 # In the order in which a walk reads them, four at a time. At EDGES are four numbers of each edge: its direction, its link, and
 # one that belongs elsewhere, the face's mesh and the first two of nine smooth normals, of which the other seven are at SMOOTH.
 AXIS1, AXIS2, NORMAL, RATE1, RATE2, SHEAR, EDGES, MESH, CORNER, EDGE1, EDGE2, SMOOTH = 0, 3, 6, 9, 10, 11, 12, 15, 24, 27, 30, 33
-EDGE_C, EDGE_S = 0, 1  # from EDGES and 4 times the edge on
+EDGE_C, EDGE_S, LINK = 0, 1, 2  # from EDGES and 4 times the edge on
+OPEN = -2  # the link of a border beyond which there is nothing, see `open_borders`
 
 
 def packed(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
@@ -41,3 +42,8 @@ def pack(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: slice)
     parts += [edges.reshape(m, 12)]
     parts += [v[:, rows].T for v in (table.corner, table.edge1, table.edge2, table.smooth[2:])]
     np.concatenate(parts, axis=1, out=into.reshape(-1, WIDTH)[rows])
+
+
+def mark_open(into: Floats, half: NDArray[np.int64], link: int) -> None:
+    """Write the link, NO_LINK or OPEN, of some half-edges without one into a packed table."""
+    into.reshape(-1, WIDTH)[half // 3, EDGES + 4 * (half % 3) + LINK] = link

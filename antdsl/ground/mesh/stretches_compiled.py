@@ -6,7 +6,7 @@ import numpy as np
 
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
 from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.ground.mesh.walk import CROSSINGS, GRAIN, INWARD, STUCK
+from antdsl.ground.mesh.walk import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
 from antdsl.machine_code.kernels import consecutive, fetch_ahead, inlined, whole
 from antdsl.numerics.vectors_compiled import inside, plus, times
 
@@ -41,13 +41,14 @@ def free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-unty
 
 @inlined
 def go(  # type: ignore[no-untyped-def]
-    table, link, forked, sub_first, sub_count, clear, reach, high, looked,
+    table, link, forked, sub_first, sub_count, clear, reach, high, looked, along_open,
     f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn,
 ):  # fmt: skip
     """Across faces until the way is used up, or until an event: what the agent is then, the event, and the edge and length of
     its stretch. On stretches within whose length and `high` there may be another piece it stops, but not on the first if
-    `looked`."""
-    event, edge, length = 0, 0, 0.0
+    `looked`. Where no stretch may meet another piece and it goes `along_open` borders, it follows those beyond which there is
+    nothing: how often, is what comes last."""
+    event, edge, length, hops = 0, 0, 0.0, 0
     while turn < CROSSINGS and left > 0:
         if turn >= STUCK:  # noqa: SIM102  # asked first: hardly anybody comes to it, and the rest of a division is dear
             if turn % STUCK == 0 and not looked:
@@ -82,16 +83,22 @@ def go(  # type: ignore[no-untyped-def]
         left = left - length
         cosine, sine, linked, _ = consecutive(table, row + EDGES + 4 * edge, 4)
         beyond = link[1, 3 * f + edge] if forked and side < 0 else whole(linked)
-        if beyond == NO_LINK:
-            event = BORDER
-            break
-        f, b1, b2, side, c, s, heading_c, heading_s = _cross(
-            table, beyond, edge, cosine, sine, b1, b2, side, c, s, heading_c, heading_s
-        )
+        if beyond < 0:
+            if beyond == NO_LINK or not along_open or high > 0:
+                event = BORDER
+                break
+            c, s, left = along_border(cosine, sine, c, s, left)
+            hops += 1
+            if hops >= HOPS:
+                left = 0.0
+        else:
+            f, b1, b2, side, c, s, heading_c, heading_s = _cross(
+                table, beyond, edge, cosine, sine, b1, b2, side, c, s, heading_c, heading_s
+            )
+            for line in (0, 24, 32):  # which `finish` reads: all others are read at once
+                fetch_ahead(table, WIDTH * f + line)
         turn += 1
-        for line in (0, 24, 32):  # which `finish` reads: all others are read at once
-            fetch_ahead(table, WIDTH * f + line)
-    return f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length
+    return f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length, hops
 
 
 @inlined

@@ -67,10 +67,10 @@ def bring_near(surface, mesh, face, begin, end):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def walked(surface, near, f, b1, b2, over, size, wish, heading, up):  # type: ignore[no-untyped-def]
+def walked(surface, near, along_open, f, b1, b2, over, size, wish, heading, up):  # type: ignore[no-untyped-def]
     """An agent's way over face `f` and those beyond its edges, from weights and so far `over` it, with its `size`, wish, heading
-    and up: where `go` leads to, and before that how near it looks out for other surfaces, and how far over its face it is, both
-    on its side."""
+    and up: where `go` leads to, `along_open` borders or not, and before that how near it looks out for other surfaces, and how
+    far over its face it is, both on its side."""
     table, link, forked, _ = surface
     sub_first, sub_count, clear, reach, noise = near
     axis1, axis2, normal = frame(table, WIDTH * f)
@@ -84,13 +84,15 @@ def walked(surface, near, f, b1, b2, over, size, wish, heading, up):  # type: ig
     if not free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
         high = -np.inf  # has nothing to look out for on the whole way
     if over != 0 and left > 0:
-        way, turn, event, edge, length = 0.0, 0, HANG, 0, 0.0
+        way, turn, event, edge, length, hops = 0.0, 0, HANG, 0, 0.0, 0
     else:
-        f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = go(
-            table, link, forked, sub_first, sub_count, clear, reach, high, False,
+        f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length, hops = go(
+            table, link, forked, sub_first, sub_count, clear, reach, high, False, along_open,
             f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
         )  # fmt: skip
-    return high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length
+        if hops > 0:
+            over = 0.0
+    return high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length, hops
 
 
 @inlined
@@ -146,8 +148,8 @@ def walk_all(
             if not np.isfinite(step[0] + step[1] + step[2]):
                 continue
             look, above_it = (heading[0, i], heading[1, i], heading[2, i]), (up[0, i], up[1, i], up[2, i])
-            high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = walked(
-                surface, near, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], body[i], step, look, above_it
+            high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length, _ = walked(
+                surface, near, False, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], body[i], step, look, above_it
             )
             if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
                 continue
@@ -155,7 +157,7 @@ def walk_all(
                 how[i] = WAITS
                 keep(
                     reals, wholes, i, i, high > 0, body[i], f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn,
-                    event, edge, length,
+                    event, edge, length, 0,
                 )  # fmt: skip
                 continue
             how[i] = DONE
@@ -277,8 +279,8 @@ def walk_on(
                 if shut or wholes[SPENT, k] >= HOPS:
                     left = 0.0
                     wholes[BLOCKED, k] = 1
-            f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = go(
-                table, link, forked, sub_first, sub_count, clear, reach, high, looked,
+            f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length, _ = go(
+                table, link, forked, sub_first, sub_count, clear, reach, high, looked, False,
                 f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn,
             )  # fmt: skip
             looked = False
@@ -311,10 +313,31 @@ def _margin(noise, body):  # type: ignore[no-untyped-def]
 
 @called
 def keep(  # type: ignore[no-untyped-def]
-    reals, wholes, k, i, near, body, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length
+    reals,
+    wholes,
+    k,
+    i,
+    near,
+    body,
+    f,
+    b1,
+    b2,
+    side,
+    c,
+    s,
+    heading_c,
+    heading_s,
+    left,
+    way,
+    over,
+    turn,
+    event,
+    edge,
+    length,
+    hops,
 ):
-    """Write down an agent that waits, of whom nothing has been `SPENT` and who is not `BLOCKED` yet."""
-    wholes[AGENT, k], wholes[SPENT, k], wholes[BLOCKED, k], wholes[NEAR, k], reals[BODY, k] = i, 0, 0, near, body
+    """Write down an agent that waits, who has followed so many borders: of its HOPS they are SPENT, and it is BLOCKED by any."""
+    wholes[AGENT, k], wholes[SPENT, k], wholes[BLOCKED, k], wholes[NEAR, k], reals[BODY, k] = i, hops, hops > 0, near, body
     reals[B1, k], reals[B2, k], reals[SIDE, k], reals[C, k], reals[S, k], reals[HEADING_C, k], reals[HEADING_S, k] = (
         b1,
         b2,

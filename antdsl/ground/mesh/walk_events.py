@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh import walk_compiled as loop
 from antdsl.ground.mesh.boxes import Boxes
-from antdsl.ground.mesh.face_table import pack, packed
+from antdsl.ground.mesh.face_table import OPEN, mark_open, pack, packed
+from antdsl.ground.mesh.open_borders import open_borders
 from antdsl.ground.mesh.surface_clearance import Clearances, Parts
 from antdsl.ground.mesh.surroundings import LIFT, Scale
-from antdsl.ground.mesh.topology import Topology
+from antdsl.ground.mesh.topology import NO_LINK, Topology
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
@@ -44,13 +45,24 @@ class Walk:
         self.table, self.first, self._mesh = table, first, mesh
         self.packed = packed(table, mesh)
         self._crowd: CrowdWalk | None = None  # that of the last step
+        self._still = True  # no face has had another shape
+        self._open, self._widest = np.empty(0, np.int64), -np.inf  # half-edges that are marked as open, for bodies so wide (mm)
 
     def changed(self, faces: slice) -> None:
-        """Some faces have another shape in the table."""
+        """Some faces have another shape in the table: what is open changes with each, and is not looked for."""
+        if self._still:
+            self._still = False
+            mark_open(self.packed, self._open, NO_LINK)
         pack(self.packed, self.table, self._mesh, faces)
 
     def of_crowd(self, clearances: Clearances, boxes: Boxes, scale: Scale, longest: float, widest: float) -> CrowdWalk:
         """That of agents with ways and bodies so long (mm) at most, which says how far the surfaces about them are."""
+        if self._still and widest > self._widest:
+            # For wider ones than these, or a crowd that grows would have it done again and again.
+            self._widest = 1.5 * widest
+            mark_open(self.packed, self._open, NO_LINK)
+            self._open = open_borders(self.table, boxes, scale, self._widest)
+            mark_open(self.packed, self._open, OPEN)
         parts, known = clearances.within(longest + LIFT * widest + 3 * scale.noise), self._crowd
         if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
             known = self._crowd = CrowdWalk(self, parts, boxes, scale)

@@ -127,6 +127,8 @@ def _covered(before: Frames, now: Frames, rest: tuple[Floats, Floats]) -> Floats
 
 def walk(world: World) -> None:
     """Brings all feet to where they are in the frame that is made."""
+    if not world.feet:
+        return
     with np.errstate(all="ignore"):
         for name in world.feet:
             _walk(world, world.populations[name], world.walkers[name])

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from math import inf, nan
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ from antdsl.runtime.moving.walks import led, walks_of
 from antdsl.runtime.world import Population, World
 
 _F = np.float32
+_ON_FACES = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
 _ARRIVING = 256  # agents who are let arrive by themselves, for whom a thread pays
 
 
@@ -113,7 +115,7 @@ class _Crowd:
         does = (vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times, WIDEST)
         work = partial(set_out, *does, *to)
         found = compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
-        self.longest, self.widest = (max(each) for each in zip(*found, strict=True))
+        self.longest, self.widest = found[0] if len(found) == 1 else map(max, zip(*found, strict=True))
         if self.widest == -inf:
             self.widest = nan
         if walks_of(self.world, p):
@@ -164,14 +166,15 @@ class _Crowd:
             return False
         tables = walk.tables()
         to = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
-        at, placed = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (p.footing, to))
+        at, placed = _ON_FACES(p.footing.columns), _ON_FACES(to.columns)
         place, normals = np.empty((3, n)), np.empty((n, 3), np.float32)
         (how,) = p.room("how", 1, (n,), np.uint8)
         (reals,), (wholes,) = p.room("reals", 1, (loop.REALS, n), np.float64), p.room("wholes", 1, (loop.WHOLES, n), np.int64)
         given = (at, p.now["size"], p.normal, self.velocity, self.step, self.looking, *there)
         work = partial(stride, *tables, *given, reals, wholes, how, placed, place, p.position, normals)
-        waiting = Waiting.of(compiled.in_parts(work, n, self.threads), reals, wholes)
-        self._later(ground, there, walk, waiting, to, place, normals, how)
+        parts = compiled.in_parts(work, n, self.threads)
+        if any([waiting or left for _, waiting, left in parts]):
+            self._later(ground, there, walk, Waiting.of(parts, reals, wholes), to, place, normals, how)
         p.footing, p.position, p.normal = to, place.T, normals
         return True
 
@@ -191,7 +194,7 @@ class _Crowd:
         p, n = self.population, len(self.population)
         above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
         (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
-        placed, moved = (to.mesh, to.face, to.b1, to.b2, to.over), (place, above, ahead, direction, gone)
+        placed, moved = _ON_FACES(to.columns), (place, above, ahead, direction, gone)
         rows, left = walk.on(waiting, how, placed, moved, blocked, self.threads)
         if left:
             others = np.flatnonzero(how != loop.DONE)

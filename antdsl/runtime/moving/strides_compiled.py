@@ -160,8 +160,8 @@ def stride(
             x, y, z = three(normal, i)
             up = (np.float64(x), np.float64(y), np.float64(z))
             long, look = np.float64(size[i]), _ahead(heading, looking, state, i)
-            high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length = walked(
-                surface, near, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], long, way, look, up
+            high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length, hops = walked(
+                surface, near, True, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], long, way, look, up
             )
             if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
                 continue
@@ -169,7 +169,7 @@ def stride(
                 how[i] = WAITS
                 keep(
                     reals, wholes, i, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s, left, gone,
-                    over, turn, event, edge, length,
+                    over, turn, event, edge, length, hops,
                 )  # fmt: skip
                 continue
             how[i] = DONE
@@ -178,7 +178,7 @@ def stride(
             found = finish(surface[0], WIDTH * f, b1, b2, side, c, s, heading_c, heading_s, over)
             for k in range(3):
                 place[k, i] = found[0][k]
-            arrived(i, found, False, old, step, velocity, limits, bodies, times_of, facing, registers, normals)
+            arrived(i, found, hops > 0, old, step, velocity, limits, bodies, times_of, facing, registers, normals)
     waiting, left = counted(how, reals, wholes, begin, end)
     return begin, waiting, left
 

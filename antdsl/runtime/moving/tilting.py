@@ -195,9 +195,9 @@ def lay(population: Population, threads: int = 1) -> None:
     if compiled.wanted(n := len(population)):
         (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
         work = partial(_kernels().lay, population.normal, *_registers(start), *_registers(now), found, *lean)
-        rows, *own = compiled.joined(compiled.in_parts(work, n, threads), found, *lean)
-        if len(rows):
-            population.laid = (rows, *own)
+        parts = compiled.in_parts(work, n, threads)
+        if any([count for _, count in parts]):
+            population.laid = tuple(compiled.joined(parts, found, *lean))
         return
     rows = _leaning(population)
     if not len(rows):

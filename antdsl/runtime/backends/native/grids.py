@@ -23,7 +23,7 @@ from antdsl.runtime.backends.native.layout import Layout
 from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.neighbours import Shape
+from antdsl.senses.cell_order import Shape
 
 NAMES = ("grid.bounds", "grid.keys", "grid.sort", "grid.beside")
 _LAST = ("places", "bounds", "whole", "at")
@@ -304,7 +304,10 @@ class Grids:
 
     def _in_parts(self, world: World, function: Function, table: int, count: int) -> None:
         """Call a function for so many rows, by several threads where that pays."""
-        threads = max(1, world.options.threads) if count >= _PARTED else 1
+        threads = world.options.threads if count >= _PARTED else 1
+        if threads < 2:
+            function(table, 0, count)
+            return
         part = -(-count // (WIDTH * threads)) * WIDTH
         parts = np.array([(table, begin, min(begin + part, count)) for begin in range(0, count, part)], np.int64)
         compiled.listed(function, parts, threads)

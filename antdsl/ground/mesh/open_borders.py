@@ -1,0 +1,61 @@
+"""Open borders beyond which nobody finds anything: a walk goes on along them without looking."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.boxes import Boxes
+from antdsl.ground.mesh.surroundings import GAP, HIGH, LIFT, Scale
+from antdsl.ground.mesh.topology import NO_LINK, Topology
+from antdsl.ground.mesh.walk import in_space
+from antdsl.numerics.vectors import dot
+
+Index = NDArray[np.int64]
+
+_MOST = 10_000  # borders
+_PAIRS, _AT_ONCE = 1_000_000, 50_000  # of a border and a face near it: looked at for a ground, and together
+# Of what is fine: more than rounding takes a corner off the plane that it lies in, and less than any way looks aside.
+_LEVEL = 1e-4
+
+
+def open_borders(table: Topology, boxes: Boxes, scale: Scale, widest: float) -> Index:
+    """Half-edges without a link on either side, from anywhere on which `Around.beyond` leads bodies of up to `widest` mm nowhere.
+    Of a ground that is mostly borders, or fine beside its bodies, not all are found: looking for them would take long.
+
+    Its ways run in the plane across the edge, above or below the face but for where they leave its level beyond the border. So
+    they meet nothing where all other faces so near lie in the plane of the edge's own one, and none reaches out over the edge's
+    line: of those that go along that plane, and those beyond the line, none comes nearer than the gap to any of them.
+    """
+    half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.live, 3))[:_MOST]
+    reach = 1.01 * ((HIGH + GAP) * float(np.fmax(widest, scale.least / LIFT)) + 4 * scale.fine)
+    found, begin, many, left = [half[:0]], 0, 1, _PAIRS
+    while begin < len(half) and left > 0:
+        some = half[begin : begin + many]
+        free, pairs = _open(table, boxes, scale, reach, some)
+        found.append(some[free])
+        begin, left = begin + many, left - pairs
+        many = max(1, min(2 * many, _AT_ONCE * len(some) // max(pairs, 1)))
+    return np.concatenate(found)
+
+
+def _open(table: Topology, boxes: Boxes, scale: Scale, reach: float, half: Index) -> tuple[NDArray[np.bool_], int]:
+    """Which of some half-edges are such, and how many pairs of one and a face within `reach` mm of its box are looked at."""
+    face, k = half // 3, half % 3
+    one, other = _corners(table, face, (k + 1) % 3), _corners(table, face, (k + 2) % 3)
+    asked, there = boxes.near(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
+    asked, there = (each[there != face.take(asked)] for each in (asked, there))
+    out = in_space(table, face, table.edge_s.take(half), -table.edge_c.take(half)).take(asked, axis=1)
+    normal, begin = table.normal.take(face.take(asked), axis=1), one.take(asked, axis=1)
+    free, least = np.ones(len(half), np.bool_), _LEVEL * scale.fine
+    for corner in range(3):
+        away = _corners(table, there, np.full(len(there), corner)) - begin
+        free[asked[~((np.abs(dot(away, normal)) <= least) & (dot(away, out) <= least))]] = False
+    return free, len(asked)
+
+
+def _corners(table: Topology, face: Index, k: Index) -> NDArray[np.float64]:
+    """The corner `k` of each face, (3, n)."""
+    edge = np.where(k == 1, table.edge1.take(face, axis=1), table.edge2.take(face, axis=1))
+    found: NDArray[np.float64] = table.corner.take(face, axis=1) + np.where(k == 0, 0.0, edge)
+    return found

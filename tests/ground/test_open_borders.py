@@ -1,0 +1,171 @@
+"""Borders that are marked as open lead nobody anywhere, and a crowd that walks along them gets the bits of one that looks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from compilers import need_kernels
+from open_shapes import WORSE
+
+from antdsl.bench.cases import case_of
+from antdsl.ground.mesh import open_borders as module
+from antdsl.ground.mesh import walk_events
+from antdsl.ground.mesh.face_table import EDGES, LINK, OPEN, WIDTH, mark_open
+from antdsl.ground.mesh.open_borders import open_borders
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.mesh.surroundings import Around
+from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.mesh.walk import Walkers
+from antdsl.ground.moving import MovingGround
+from antdsl.numerics import compiled
+from antdsl.runtime import Options, World, bind, step
+from tests.meshes import Mesh, box, grid, terrain
+
+BODY = 4.0
+EACH = 40  # walkers on a border
+
+
+def shifted(mesh: Mesh, *by: float) -> Mesh:
+    return mesh[0] + np.array(by), mesh[1]
+
+
+def turned(mesh: Mesh) -> Mesh:
+    """A mesh that no axis lies along, far from the origin."""
+    axes, _ = np.linalg.qr(np.array([[3.0, 1.0, 2.0], [-1.0, 2.0, 0.5], [0.3, -2.0, 4.0]]))
+    return mesh[0] @ axes.T + np.array([700.0, -300.0, 90.0]), mesh[1]
+
+
+def beside(*by: float) -> dict[str, Mesh]:
+    return {"sheet": grid(40, 1), "other": shifted(grid(40, 1), *by)}
+
+
+GROUNDS = {
+    "a sheet": {"sheet": grid(40, 1)},
+    "a finer sheet": {"sheet": grid(40, 9)},
+    "a turned sheet": {"sheet": turned(grid(40, 6))},
+    "hills": {"hills": terrain(120, 40)},
+    "a box": {"box": box((-8, 0, -8), (8, 3, 8))},
+    "side by side": beside(40, 0, 0),
+    "over a gap": beside(40 + 0.9 * 0.02 * BODY, 0, 0),
+    "over a wide gap": beside(43, 0, 0),
+    "a step up": beside(40, 1, 0),
+    "a sheet below": beside(0, -0.9, 0),
+    "a sheet far below": beside(0, -9, 0),
+    "an L": {"l": (grid(40, 4)[0], grid(40, 4)[1][grid(40, 4)[0][grid(40, 4)[1]].mean(axis=1).min(axis=1) < 0])},
+    **{name: {"worse": made()} for name, made in WORSE.items()},
+}
+
+
+def found(ground: MeshGround, widest: float = BODY) -> np.ndarray:
+    return open_borders(ground._table, ground._boxes, ground._scale, widest)
+
+
+@pytest.mark.parametrize("name", GROUNDS)
+def test_no_way_leads_on_from_an_open_border(name: str) -> None:
+    ground, rng = MeshGround(GROUNDS[name]), np.random.default_rng(1)
+    half = np.repeat(found(ground), EACH)
+    n, face, k = len(half), half // 3, half % 3
+    along = rng.choice([0.0, 1e-9, 1.0], n) if n else np.zeros(0)
+    along = np.where(rng.random(n) < 0.8, rng.random(n), along)
+    weights = np.zeros((3, n))
+    weights[(k + 1) % 3, np.arange(n)], weights[(k + 2) % 3, np.arange(n)] = 1 - along, along
+    zero, one = np.zeros(n), np.ones(n)
+    side = rng.choice([-1.0, 1.0], n)
+    walkers = Walkers(face, weights[1], weights[2], side, one, zero, one, zero, one, zero, np.zeros(n, np.bool_), zero)
+    body = np.where(rng.random(n) < 0.5, BODY, BODY * rng.random(n))
+    around = Around(ground._table, ground._boxes, ground._clearances.within(BODY), ground._scale, body)
+    with np.errstate(all="ignore"):
+        assert not len(around.beyond(walkers, np.arange(n), half).who)
+
+
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [
+        ("a sheet", 1.0),
+        ("a finer sheet", 1.0),
+        ("a turned sheet", 1.0),
+        ("a sheet far below", 1.0),
+        ("over a wide gap", 1.0),
+        ("side by side", 0.75),
+        ("over a gap", 0.75),
+        ("a step up", 0.25),  # at corners the other sheet is near the next border, too
+        ("a sheet below", 0.0),
+    ],
+)
+def test_borders_are_open_where_nothing_is_near(name: str, share: float) -> None:
+    ground = MeshGround(GROUNDS[name])
+    assert len(found(ground)) == share * np.count_nonzero(ground._table.link[0] == NO_LINK)
+
+
+def test_wider_bodies_find_more() -> None:
+    ground = MeshGround(GROUNDS["a sheet far below"])
+    assert len(found(ground, 10.0)) == 8 and not len(found(ground, 20.0))
+
+
+def test_no_more_pairs_are_looked_at_than_pay(monkeypatch: pytest.MonkeyPatch) -> None:
+    ground = MeshGround(GROUNDS["a finer sheet"])
+    whole = found(ground, 30.0)
+    assert len(whole) == 36
+    monkeypatch.setattr(module, "_AT_ONCE", 50)
+    assert np.array_equal(found(ground, 30.0), whole)
+    monkeypatch.setattr(module, "_PAIRS", 500)
+    assert 0 < len(found(ground, 30.0)) < 36
+
+
+def marked(walk: walk_events.Walk) -> int:
+    return int(np.count_nonzero(walk.packed.reshape(-1, WIDTH)[:, EDGES + LINK : EDGES + 12 : 4] == OPEN))
+
+
+def test_marks_are_for_the_widest_of_a_crowd_and_go_where_a_mesh_moves() -> None:
+    need_kernels()
+    ground = MeshGround(GROUNDS["a sheet far below"])
+    for widest, count in ((4.0, 8), (1.0, 8), (30.0, 0), (4.0, 0)):
+        walk = ground.crowd_walk(1.0, widest)
+        assert walk is not None and marked(walk.walk) == count
+    moving = MovingGround(GROUNDS["a sheet far below"], ("other",))
+    walk = moving.crowd_walk(1.0, 4.0)
+    assert walk is not None and marked(walk.walk) == 8
+    moving.pose({"other": GROUNDS["a sheet far below"]["other"][0] + np.array([0, 8.5, 0])})
+    assert not marked(walk.walk)
+    moving.crowd_walk(1.0, 8.0)
+    assert not marked(walk.walk)
+
+
+def bound(size: int) -> World:
+    shot = case_of("trails").make(size)
+    return bind(shot.plan, shot.setting, Options(backend="numpy"))
+
+
+def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    need_kernels()
+    waiting: list[int] = []
+    monkeypatch.setattr(walk_events.CrowdWalk, "on", looked_at(walk_events.CrowdWalk.on, waiting))
+    populations = []
+    for fast, marks in ((False, True), (True, True), (True, False)):
+        with monkeypatch.context() as context:
+            context.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+            world = bound(300)
+            step(world)
+            walk = world.ground.meshes._compiled()
+            if not marks:
+                mark_open(walk.packed, walk._open, NO_LINK)
+            waiting.clear()
+            for _ in range(60):
+                step(world)
+            mark_open(walk.packed, walk._open, OPEN)  # which is kept for another world
+        assert (sum(waiting) > 500) == (fast and not marks)  # many come to the border
+        populations.append(world.populations["ant"])
+    first = populations[0]
+    for other in populations[1:]:
+        for name, register in first.now.items():
+            assert register.tobytes() == other.now[name].tobytes(), name
+        for name, column in first.footing.columns.items():
+            assert column.tobytes() == other.footing.columns[name].tobytes(), name
+
+
+def looked_at(on, waiting: list[int]):
+    def counted(self: walk_events.CrowdWalk, some: walk_events.Waiting, *rest):
+        waiting.append(some.wholes.shape[1])
+        return on(self, some, *rest)
+
+    return counted
