@@ -225,7 +225,7 @@ class MeshGround:
         n = len(footing)
         if not self._faces.size or not n:
             return _unmoved(footing, up, heading)
-        body = np.ascontiguousarray(np.broadcast_to(np.asarray(body, np.float64), (n,)))
+        body = np.ascontiguousarray(body, np.float64) if np.ndim(body) else np.full(n, body, np.float64)
         wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
         if self._by_rays:
             return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)

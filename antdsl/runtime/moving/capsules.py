@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,10 @@ def capsule_of(world: World, species: str) -> Capsule:
     own = world.setting.rooms.get(species)
     if own is not None:
         return Capsule(own.length, own.width, own.height, own.ahead)
-    named = (crowd.body for crowd in world.setting.crowds if crowd.species == species and crowd.body)
-    return CAPSULES[next(named, body_of(species))]
+    for crowd in world.setting.crowds:
+        if crowd.species == species and crowd.body:
+            return CAPSULES[crowd.body]
+    return CAPSULES[body_of(species)]
 
 
 class Crowd:
@@ -49,7 +52,7 @@ class Crowd:
     def __init__(self, world: World, start: bool = False) -> None:
         self.world, self._start = world, start
         self.species = [population for population in world.populations.values() if len(population)]
-        self.first = np.cumsum([0, *(len(population) for population in self.species)])
+        self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
         self._capsules = [capsule_of(world, population.name) for population in self.species]
         self.key = self.of(lambda p: p.ids + k * _SPECIES if (k := self.species.index(p)) else p.ids)
         if compiled.wanted(len(self)):
@@ -87,6 +90,9 @@ class Crowd:
 
     def parts(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
         """Each species with its own of some rows of the crowd, ascending, counted from its first agent."""
+        if len(self.species) == 1:
+            yield self.species[0], rows
+            return
         bounds, firsts = np.searchsorted(rows, self.first).tolist(), self.first.tolist()
         for population, begin, end, first in zip(self.species, bounds, bounds[1:], firsts, strict=False):
             yield population, rows[begin:end] - first if first else rows[begin:end]
