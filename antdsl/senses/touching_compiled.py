@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F64, I32, I64, Array1, consecutive, independent, kernel
 from antdsl.numerics.compiled import plain
+from antdsl.numerics.sorting_compiled import listed
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -105,7 +106,7 @@ def _filled(
     room for work: candidates of some agents, listed without a branch that is hard to foretell, and who is `near`."""
     used, cells, count = 0, starts.size - 1, rows.size
     for begin in range(0, count, _TOGETHER):
-        listed = 0
+        candidates = 0
         for at in range(begin, min(begin + _TOGETHER, count)):
             key = cell_of[at]
             for span in range(spans):
@@ -116,18 +117,19 @@ def _filled(
                 if last - first > most:
                     return -2
                 for k in range(4):  # written whatever it is, and written over where these were fewer
-                    one[listed + k], other[listed + k] = at, first + k
+                    one[candidates + k], other[candidates + k] = at, first + k
                 for k in range(4, last - first):
-                    one[listed + k], other[listed + k] = at, first + k
-                listed += last - first
-        if used + listed > i.size:
-            return -3
-        for n in independent(0, listed):
+                    one[candidates + k], other[candidates + k] = at, first + k
+                candidates += last - first
+        for n in independent(0, candidates):
             p, q = one[n], other[n]
             (x, y, z, wide), (u, v, w, far) = consecutive(ordered, 4 * p, 4), consecutive(ordered, 4 * q, 4)
             x, y, z, room = u - x, v - y, w - z, wide + far
-            near[n] = (x * x + y * y) + z * z <= room * room
-        for n in range(listed):
-            i[used], j[used] = rows[one[n]], rows[other[n]]
-            used += near[n]
+            near[n] = 1 if (x * x + y * y) + z * z <= room * room else 0
+        found = listed(near, candidates)
+        if used + found > i.size:
+            return -3
+        for n in range(found):
+            i[used + n], j[used + n] = rows[one[near[n]]], rows[other[near[n]]]
+        used += found
     return used

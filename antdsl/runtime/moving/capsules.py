@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_SLACK = 0.3  # of its width: how far beyond its trunk an agent is looked about, since it will yet be moved
+_SEEN = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
 _ABOUT = 1.5  # widths that two are apart, up to which they may yet meet
 _OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
 _NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
@@ -61,6 +61,7 @@ class Crowd:
         size = self.of(lambda p: np.maximum(self._registers(p)["size"], np.float32(0))).astype(np.float64)
         self.radius = size * self._shares("width") * 0.5
         self.half = np.maximum(size * self._shares("length") * 0.5 - self.radius, 0.0)
+        self.reach = self.half + self.radius * _SEEN
         high, self.ahead = size * self._shares("height"), size * self._shares("ahead")  # of the trunk's middle from the feet, mm
         heading, up = self.vector("heading"), self.vector("up")
         place = self.of(lambda p: p.position)
@@ -72,13 +73,14 @@ class Crowd:
         """The same by a loop over each species."""
         from antdsl.runtime.moving.capsules_compiled import trunks
 
-        self.half, self.radius, self.ahead = np.empty((3, len(self)))
+        self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
         for population, room, first in zip(self.species, self._capsules, self.first.tolist(), strict=False):
             own = self._registers(population)
-            stands = (population.position, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
+            place = np.ascontiguousarray(population.position.T)
+            stands = (place, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
             shares = (float(share) for share in (room.length, room.width, room.height, room.ahead))
-            trunks(*stands, *shares, first, self.half, self.radius, self.ahead, self.middle)
+            trunks(*stands, *shares, first, self.half, self.radius, self.ahead, self.reach, self.middle)
 
     def __len__(self) -> int:
         return int(self.first[-1])
@@ -173,7 +175,7 @@ def find(crowd: Crowd, dead: float | None = None) -> Near:
     """The pairs of a crowd that may meet; with `dead` only those of which one is deeper in any other than that share of the room
     of two."""
     x, y, z = crowd.middle
-    pairs = within_reach((x, y, z), crowd.half + crowd.radius * (1 + 2 * _SLACK), crowd.key)
+    pairs = within_reach((x, y, z), crowd.reach, crowd.key)
     if compiled.wanted(len(pairs.i)):
         return _found_fast(crowd, pairs, dead)
     late = crowd.key.take(pairs.i) > crowd.key.take(pairs.j)

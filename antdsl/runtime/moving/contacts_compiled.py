@@ -21,8 +21,9 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
+from antdsl.numerics.sorting_compiled import listed
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
-from antdsl.runtime.moving.capsules_compiled import listed, measured_some
+from antdsl.runtime.moving.capsules_compiled import measured_some
 from antdsl.runtime.moving.cutting_compiled import add, negative, of, put
 
 _FINE, _SHARES, _SPREADS = 40, 1 << 20, 3  # as `contacts`

@@ -65,10 +65,10 @@ class Corrections:
         if compiled.wanted(len(rows)):
             from antdsl.runtime.moving.corrections_compiled import asked
 
-            way, feet = np.empty((2, 3, len(rows)), np.float32)
+            step, feet = np.empty((2, 3, len(rows)), np.float32)
             up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
-            asked(rows, gone, population.normal, vec.named(now, "heading"), now["size"], way, feet, up, heading, size)
-            return (way[0], way[1], way[2]), feet, up.T, heading.T, size
+            asked(rows, gone, population.normal, vec.named(now, "heading"), now["size"], step, feet, up, heading, size)
+            return (step[0], step[1], step[2]), feet, up.T, heading.T, size
         normal = vec.columns(population.normal[rows], np.float32)
         way = (gone[0].astype(_F), gone[1].astype(_F), gone[2].astype(_F))
         heading = vec.rows(vec.take(vec.named(now, "heading"), rows))
