@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F64, I32, I64, Array1, consecutive, independent, kernel
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, consecutive, fetch_ahead, independent, kernel
 from antdsl.numerics.compiled import plain
 from antdsl.numerics.sorting_compiled import listed
 
@@ -17,6 +17,7 @@ Column: TypeAlias = Array1[F64]
 Indices: TypeAlias = Array1[I64]
 Cells: TypeAlias = Array1[I32]
 _TOGETHER = 64  # agents whose candidates are listed before these are measured
+_FETCHED = 40  # agents whose places among the sorted ones are brought near before they are written
 _WRITTEN = 4  # candidates of a span that are always written
 
 
@@ -87,6 +88,7 @@ def _sorted(
         counts[k] = total
         total += count
     for k in range(keys.size):
+        fetch_ahead(ordered, 4 * counts[keys[min(k + _FETCHED, keys.size - 1)]])
         key = keys[k]
         at = counts[key]
         rows[at], cell_of[at] = k, key
