@@ -104,11 +104,8 @@ def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untype
 
 
 @called
-def measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, some, lost):  # type: ignore[no-untyped-def]
-    """As `measured`; gives first how many pairs have been measured, which are the first of `some`."""
-    for pair in independent(0, i.size):
-        some[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
-    count = listed(some, i.size)
+def measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, count, lost):  # type: ignore[no-untyped-def]
+    """As `measured`, of those pairs that are the first of `some`."""
     for n in independent(0, count):
         pair = some[n]
         p, q = i[pair], j[pair]
@@ -120,7 +117,7 @@ def measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way
     without = listed(lost, count)
     for n in range(without):
         lost[n] = some[lost[n]]
-    return count, without
+    return without
 
 
 @kernel
@@ -141,8 +138,9 @@ def measured(
 ) -> I64:
     """As `capsules.Near.measure`, into `gap` and `way`; gives how many pairs have no way of their own, which are the first of
     `lost`. `some` is room for work."""
-    _, without = measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, some, lost)
-    return without
+    for pair in independent(0, i.size):
+        some[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
+    return measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, listed(some, i.size), lost)
 
 
 @kernel
