@@ -19,7 +19,7 @@ from antdsl.numerics import compiled, elementary, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import dot
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.touching import Pairs, within_reach
+from antdsl.senses.touching import Bounds, Pairs, within_reach
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -55,8 +55,9 @@ class Crowd:
         self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
         self._capsules = [capsule_of(world, population.name) for population in self.species]
         self.key = self.of(lambda p: p.ids + k * _SPECIES if (k := self.species.index(p)) else p.ids)
+        self.bounds: Bounds | None = None  # of x, y and z of middles and of reaches, where these are known
         if compiled.wanted(len(self)):
-            self._measured_fast()
+            self.bounds = self._measured_fast()
             return
         size = self.of(lambda p: np.maximum(self._registers(p)["size"], np.float32(0))).astype(np.float64)
         self.radius = size * self._shares("width") * 0.5
@@ -69,18 +70,21 @@ class Crowd:
         for k in range(3):
             self.middle[k] = (place[:, k] + up[k] * high) + heading[k] * self.ahead
 
-    def _measured_fast(self) -> None:
-        """The same by a loop over each species."""
-        from antdsl.runtime.moving.capsules_compiled import trunks
+    def _measured_fast(self) -> Bounds:
+        """The same by a loop over each species, with the bounds of all."""
+        from antdsl.runtime.moving.capsules_compiled import nothing_seen, trunks
 
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
+        seen, bounds = nothing_seen(), ()
         for population, room, first in zip(self.species, self._capsules, self.first.tolist(), strict=False):
             own = self._registers(population)
             place = np.ascontiguousarray(population.position.T)
             stands = (place, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
             shares = (float(share) for share in (room.length, room.width, room.height, room.ahead))
-            trunks(*stands, *shares, first, self.half, self.radius, self.ahead, self.reach, self.middle)
+            capsules = (self.half, self.radius, self.ahead, self.reach, self.middle)
+            bounds = trunks(*stands, *shares, first, *capsules, seen)
+        return list(zip(bounds[:4], bounds[4:], strict=True))
 
     def __len__(self) -> int:
         return int(self.first[-1])
@@ -175,7 +179,7 @@ def find(crowd: Crowd, dead: float | None = None) -> Near:
     """The pairs of a crowd that may meet; with `dead` only those of which one is deeper in any other than that share of the room
     of two."""
     x, y, z = crowd.middle
-    pairs = within_reach((x, y, z), crowd.reach, crowd.key)
+    pairs = within_reach((x, y, z), crowd.reach, crowd.key, crowd.bounds)
     if compiled.wanted(len(pairs.i)):
         return _found_fast(crowd, pairs, dead)
     late = crowd.key.take(pairs.i) > crowd.key.take(pairs.j)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import (
     BOOL,
@@ -23,6 +24,7 @@ from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
 _OPPOSITE, _NOWHERE, _ABOUT, _SEEN = -0.5, 1e-6, 1.5, 1.6  # as `capsules`
 _ZERO = np.float32(0)
+TOGETHER = 64  # agents of whom bounds are found side by side
 _FETCHED = 32  # pairs whose second rows are brought near before these are measured
 _KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
 _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
@@ -43,6 +45,11 @@ def _single(vectors, i):  # type: ignore[no-untyped-def]
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
+def nothing_seen() -> NDArray[np.float64]:
+    """Bounds of nothing, for `trunks`: above all, below all, and how many numbers are not finite."""
+    return np.repeat([np.inf, -np.inf, 0.0], [4 * TOGETHER, 4 * TOGETHER, TOGETHER]).reshape(9, TOGETHER)
+
+
 @kernel
 def trunks(
     place: Array2[F64],
@@ -59,19 +66,34 @@ def trunks(
     shift: Array1[F64],
     reach: Array1[F64],
     middle: Array2[F64],
-) -> None:
+    seen: Array2[F64],
+) -> tuple[F64, F64, F64, F64, F64, F64, F64, F64]:
     """The capsules of a species whose places are (3, n), from `first` on among all: as `capsules.Crowd`; `shift` is how far ahead
-    of the feet their middles lie (mm)."""
-    for i in independent(0, size.size):
-        to = first + i
-        wide = np.float64(_ZERO if size[i] <= 0 else size[i])
-        radius[to] = wide * width * 0.5
-        half[to] = max(wide * length * 0.5 - radius[to], 0.0)
-        reach[to] = half[to] + radius[to] * _SEEN
-        high, shift[to] = wide * height, wide * ahead
-        above, forward = _single(up, i), _single(heading, i)
-        for k in range(3):
-            middle[k, to] = (place[k, i] + above[k] * high) + forward[k] * shift[to]
+    of the feet their middles lie (mm). Gives the least x, y and z of middles and reach and then the greatest, of these and the
+    species before, NaN where one is not finite: what is `seen` (9, 64) of every 64th agent, as `nothing_seen` at first."""
+    for begin in range(0, size.size, TOGETHER):
+        for i in independent(begin, min(begin + TOGETHER, size.size)):
+            to, column = first + i, i - begin
+            wide = np.float64(_ZERO if size[i] <= 0 else size[i])
+            radius[to] = wide * width * 0.5
+            half[to] = max(wide * length * 0.5 - radius[to], 0.0)
+            reach[to] = half[to] + radius[to] * _SEEN
+            high, shift[to] = wide * height, wide * ahead
+            above, forward = _single(up, i), _single(heading, i)
+            for k in range(3):
+                middle[k, to] = (place[k, i] + above[k] * high) + forward[k] * shift[to]
+            numbers = (middle[0, to], middle[1, to], middle[2, to], reach[to])
+            for k in range(4):
+                seen[k, column] = min(seen[k, column], numbers[k])
+                seen[4 + k, column] = max(seen[4 + k, column], numbers[k])
+                seen[8, column] += numbers[k] - numbers[k]
+    x, y, z, far = seen[0, 0], seen[1, 0], seen[2, 0], seen[3, 0]
+    u, v, w, wide, unknown = seen[4, 0], seen[5, 0], seen[6, 0], seen[7, 0], seen[8, 0]
+    for k in range(1, TOGETHER):
+        x, y, z, far = min(x, seen[0, k]), min(y, seen[1, k]), min(z, seen[2, k]), min(far, seen[3, k])
+        u, v, w, wide = max(u, seen[4, k]), max(v, seen[5, k]), max(w, seen[6, k]), max(wide, seen[7, k])
+        unknown += seen[8, k]
+    return x + unknown, y + unknown, z + unknown, far + unknown, u, v, w, wide
 
 
 @called

@@ -68,7 +68,7 @@ EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stood:
-    """How agents stood when a substep began, by species: places (n, 3) mm and headings."""
+    """How agents stood when a substep began, by species: places (n, 3) mm and, where contacts are hard, headings."""
 
     places: Mapping[str, Floats]
     headings: Mapping[str, Vector]
@@ -78,8 +78,9 @@ def stood(world: World) -> Stood | None:
     """How agents stand now, for `resolve`; None where bodies take no room."""
     if world.setting.contacts == "off":
         return None
-    species = world.populations.items()
-    headings = {name: vec.copy(vec.named(population.now, "heading")) for name, population in species}
+    species, headings = world.populations.items(), {}
+    if world.setting.contacts == "hard":
+        headings = {name: vec.copy(vec.named(population.now, "heading")) for name, population in species}
     return Stood({name: population.position for name, population in species}, headings)
 
 
