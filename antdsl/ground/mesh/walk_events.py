@@ -49,11 +49,15 @@ class Walk:
         """Some faces have another shape in the table."""
         pack(self.packed, self.table, self._mesh, faces)
 
+    def over(self, parts: Parts, boxes: Boxes, scale: Scale) -> CrowdWalk:
+        """That over surfaces of which `parts` say how far others are."""
+        return CrowdWalk(self, parts, boxes, scale)
+
     def of_crowd(self, clearances: Clearances, boxes: Boxes, scale: Scale, longest: float, widest: float) -> CrowdWalk:
         """That of agents with ways and bodies so long (mm) at most, which says how far the surfaces about them are."""
         parts, known = clearances.within(longest + LIFT * widest + 3 * scale.noise), self._crowd
         if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
-            known = self._crowd = CrowdWalk(self, parts, boxes, scale)
+            known = self._crowd = self.over(parts, boxes, scale)
         return known
 
 
