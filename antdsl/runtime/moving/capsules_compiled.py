@@ -25,6 +25,7 @@ from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 _OPPOSITE, _NOWHERE, _ABOUT, _SEEN = -0.5, 1e-6, 1.5, 1.6  # as `capsules`
 _ZERO = np.float32(0)
 TOGETHER = 64  # agents of whom bounds are found side by side
+_NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * TOGETHER, 4 * TOGETHER, TOGETHER]).reshape(9, TOGETHER)
 _FETCHED = 32  # pairs whose second rows are brought near before these are measured
 _KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
 _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
@@ -47,7 +48,7 @@ def _single(vectors, i):  # type: ignore[no-untyped-def]
 
 def nothing_seen() -> NDArray[np.float64]:
     """Bounds of nothing, for `trunks`: above all, below all, and how many numbers are not finite."""
-    return np.repeat([np.inf, -np.inf, 0.0], [4 * TOGETHER, 4 * TOGETHER, TOGETHER]).reshape(9, TOGETHER)
+    return _NOTHING.copy()
 
 
 @kernel
