@@ -26,7 +26,7 @@ _OPPOSITE, _NOWHERE, _ABOUT, _SEEN = -0.5, 1e-6, 1.5, 1.6  # as `capsules`
 _ZERO = np.float32(0)
 TOGETHER = 64  # agents of whom bounds are found side by side
 _NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * TOGETHER, 4 * TOGETHER, TOGETHER]).reshape(9, TOGETHER)
-_FETCHED = 32  # pairs whose second rows are brought near before these are measured
+_FETCHED = 32  # pairs whose rows are brought near before these are measured
 _KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
 _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
 
@@ -183,13 +183,22 @@ def before(
 ) -> I64:
     """As `capsules.Near.before`, into `gap`, `way` and `deep`; gives how many pairs have no way of their own, which are the first
     of `lost`."""
-    for pair in independent(0, i.size):
-        p, q = i[pair], j[pair]
-        away = minus(minus(_of(middle, p), _of(walked, p)), minus(_of(middle, q), _of(walked, q)))
-        gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
-            away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
-        )
-        lost[pair] = 1 if nowhere else 0
+    for some in range(0, i.size, _FETCHED):
+        for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
+            for side in range(2):
+                row = j[pair] if side else i[pair]
+                for axis in range(3):
+                    for vectors in (middle, walked, ahead, up):
+                        fetch_ahead(vectors, axis * deep.size + row)
+                fetch_ahead(half, row)
+                fetch_ahead(radius, row)
+        for pair in independent(some, min(some + _FETCHED, i.size)):
+            p, q = i[pair], j[pair]
+            away = minus(minus(_of(middle, p), _of(walked, p)), minus(_of(middle, q), _of(walked, q)))
+            gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+                away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
+            )
+            lost[pair] = 1 if nowhere else 0
     deep[:] = 0.0
     for pair in range(i.size):
         if gap[pair] < 0:
@@ -221,14 +230,15 @@ def met(
     work. `every`: also those of whom nobody is deeper in another than the share `dead` of the room of two."""
     for some in range(0, i.size, _FETCHED):
         for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
-            row = j[pair]  # in the next row of cells or soon after the first, whose numbers are near already
-            for axis in range(3):
-                fetch_ahead(middle, axis * key.size + row)
-                fetch_ahead(ahead[axis], row)
-                fetch_ahead(up[axis], row)
-            fetch_ahead(half, row)
-            fetch_ahead(radius, row)
-            fetch_ahead(key, row)
+            for side in range(2):
+                row = j[pair] if side else i[pair]
+                for axis in range(3):
+                    fetch_ahead(middle, axis * key.size + row)
+                    fetch_ahead(ahead[axis], row)
+                    fetch_ahead(up[axis], row)
+                fetch_ahead(half, row)
+                fetch_ahead(radius, row)
+                fetch_ahead(key, row)
         for pair in independent(some, min(some + _FETCHED, i.size)):
             p, q = i[pair], j[pair]
             if key[p] > key[q]:
