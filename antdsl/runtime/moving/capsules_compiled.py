@@ -24,8 +24,8 @@ from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
 _OPPOSITE, _NOWHERE, _ABOUT, _SEEN = -0.5, 1e-6, 1.5, 1.6  # as `capsules`
 _ZERO = np.float32(0)
-TOGETHER = 64  # agents of whom bounds are found side by side
-_NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * TOGETHER, 4 * TOGETHER, TOGETHER]).reshape(9, TOGETHER)
+_TOGETHER = 64  # agents of whom bounds are found side by side
+_NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * _TOGETHER, 4 * _TOGETHER, _TOGETHER]).reshape(9, _TOGETHER)
 _FETCHED = 32  # pairs whose rows are brought near before these are measured
 _KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
 _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
@@ -72,8 +72,8 @@ def trunks(
     """The capsules of a species whose places are (3, n), from `first` on among all: as `capsules.Crowd`; `shift` is how far ahead
     of the feet their middles lie (mm). Gives the least x, y and z of middles and reach and then the greatest, of these and the
     species before, NaN where one is not finite: what is `seen` (9, 64) of every 64th agent, as `nothing_seen` at first."""
-    for begin in range(0, size.size, TOGETHER):
-        for i in independent(begin, min(begin + TOGETHER, size.size)):
+    for begin in range(0, size.size, _TOGETHER):
+        for i in independent(begin, min(begin + _TOGETHER, size.size)):
             to, column = first + i, i - begin
             wide = np.float64(_ZERO if size[i] <= 0 else size[i])
             radius[to] = wide * width * 0.5
@@ -90,7 +90,7 @@ def trunks(
                 seen[8, column] += numbers[k] - numbers[k]
     x, y, z, far = seen[0, 0], seen[1, 0], seen[2, 0], seen[3, 0]
     u, v, w, wide, unknown = seen[4, 0], seen[5, 0], seen[6, 0], seen[7, 0], seen[8, 0]
-    for k in range(1, TOGETHER):
+    for k in range(1, _TOGETHER):
         x, y, z, far = min(x, seen[0, k]), min(y, seen[1, k]), min(z, seen[2, k]), min(far, seen[3, k])
         u, v, w, wide = max(u, seen[4, k]), max(v, seen[5, k]), max(w, seen[6, k]), max(wide, seen[7, k])
         unknown += seen[8, k]
