@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -50,14 +51,17 @@ class Touching:
     near: NDArray[np.bool_]
 
 
-def within_reach(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64]) -> Pairs:
+def within_reach(
+    place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64], bounds: Bounds | None = None
+) -> Pairs:
     """Pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z float64[n],
     mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place
-    and reach are in no pair."""
+    and reach are in no pair. `bounds`: the least and the greatest x, y, z and reach, where they are known, not finite where any
+    of them is not."""
     if not len(reach):
         return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), True)
-    rows, bounds = None, _bounds((*place, reach))
-    if not (all(np.isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0):
+    rows, bounds = None, _bounds((*place, reach)) if bounds is None else bounds
+    if not (all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0):
         fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
         rows = np.flatnonzero(fit)
         place, reach, order = (place[0][rows], place[1][rows], place[2][rows]), reach[rows], order[rows]

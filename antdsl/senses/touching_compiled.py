@@ -7,8 +7,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, consecutive, independent, kernel
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, consecutive, fetch_ahead, independent, kernel
 from antdsl.numerics.compiled import plain
+from antdsl.numerics.sorting_compiled import listed
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -16,6 +17,7 @@ Column: TypeAlias = Array1[F64]
 Indices: TypeAlias = Array1[I64]
 Cells: TypeAlias = Array1[I32]
 _TOGETHER = 64  # agents whose candidates are listed before these are measured
+_FETCHED = 40  # agents whose places among the sorted ones are brought near before they are written
 _WRITTEN = 4  # candidates of a span that are always written
 
 
@@ -43,11 +45,11 @@ def pairs(
     ordered, rows, cell_of = np.empty(4 * count), *np.empty((2, count), np.int32)
     _sorted(keys, counts, *columns, rows, cell_of, ordered)
     spans = 2 if flat else 5
-    listed = np.empty((3, _TOGETHER * spans * most + _WRITTEN), np.int32)
+    room = np.empty((3, _TOGETHER * spans * most + _WRITTEN), np.int32)
     used, most_pairs = -3, 2 * count + 256
     while used == -3:
         i, j = np.empty((2, most_pairs), np.int64)
-        used, left_out = _filled(ordered, rows, cell_of, counts, size[0], layer, spans, most, heaps, *listed, i, j)
+        used, left_out = _filled(ordered, rows, cell_of, counts, size[0], layer, spans, most, heaps, *room, i, j)
         most_pairs *= 4
     return used if used < 0 else (i[:used], j[:used], not left_out)
 
@@ -87,6 +89,7 @@ def _sorted(
         counts[k] = total
         total += count
     for k in range(keys.size):
+        fetch_ahead(ordered, 4 * counts[keys[min(k + _FETCHED, keys.size - 1)]])
         key = keys[k]
         at = counts[key]
         rows[at], cell_of[at] = k, key
@@ -107,7 +110,7 @@ def _filled(
     foretell, and who is `near`."""
     used, cells, count, left_out = 0, starts.size - 1, rows.size, 0
     for begin in range(0, count, _TOGETHER):
-        listed = 0
+        candidates = 0
         for at in range(begin, min(begin + _TOGETHER, count)):
             key = cell_of[at]
             for span in range(spans):
@@ -121,22 +124,23 @@ def _filled(
                     left_out += 1
                     turned = (at * most) % (last - first)
                     for k in range(most):
-                        one[listed + k], other[listed + k] = at, first + (k + turned) % (last - first)
-                    listed += most
+                        one[candidates + k], other[candidates + k] = at, first + (k + turned) % (last - first)
+                    candidates += most
                     continue
                 for k in range(4):  # written whatever it is, and written over where these were fewer
-                    one[listed + k], other[listed + k] = at, first + k
+                    one[candidates + k], other[candidates + k] = at, first + k
                 for k in range(4, last - first):
-                    one[listed + k], other[listed + k] = at, first + k
-                listed += last - first
-        if used + listed > i.size:
-            return -3, 0
-        for n in independent(0, listed):
+                    one[candidates + k], other[candidates + k] = at, first + k
+                candidates += last - first
+        for n in independent(0, candidates):
             p, q = one[n], other[n]
             (x, y, z, wide), (u, v, w, far) = consecutive(ordered, 4 * p, 4), consecutive(ordered, 4 * q, 4)
             x, y, z, room = u - x, v - y, w - z, wide + far
-            near[n] = (x * x + y * y) + z * z <= room * room
-        for n in range(listed):
-            i[used], j[used] = rows[one[n]], rows[other[n]]
-            used += near[n]
+            near[n] = 1 if (x * x + y * y) + z * z <= room * room else 0
+        found = listed(near, candidates)
+        if used + found > i.size:
+            return -3, 0
+        for n in range(found):
+            i[used + n], j[used + n] = rows[one[near[n]]], rows[other[near[n]]]
+        used += found
     return used, left_out

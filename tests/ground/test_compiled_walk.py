@@ -131,6 +131,20 @@ def test_odd_wishes_and_footings_nowhere_give_the_same_bits(monkeypatch: pytest.
     assert results[0].lost.sum() == lost.sum()
 
 
+def test_how_far_agents_look_out_is_the_same_by_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    need_kernels()
+    ground = MeshGround(GROUNDS["boulders"]())
+    rng = np.random.default_rng(8)
+    for values in ([0.0, 1.0, 3.0], [np.nan, np.inf, -np.inf, 1e200, 2.0], [np.nan]):
+        wish, body = rng.choice(values, (3, 40)), rng.choice([*values, 2.5], 40)
+        far = []
+        for fast in (False, True):
+            use(monkeypatch, fast)
+            with np.errstate(all="ignore"):
+                far.append(ground._reach(wish, body))
+        assert far[0] == far[1] > 0
+
+
 @pytest.mark.parametrize("name", ["boulders", "loose sheets", "tiles and a fan of slivers"])
 def test_clearances_are_below_the_distance_to_other_pieces(name: str) -> None:
     ground = MeshGround(GROUNDS[name]())

@@ -134,6 +134,26 @@ def test_compiled_loops_give_the_same_bits(mode: str, spread: float, monkeypatch
 
 
 @pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
+@pytest.mark.parametrize("place", [0.0, np.nan, np.inf])
+def test_bounds_of_trunks_are_those_of_all_species(place: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for fast in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+        made = world(CrowdData("ant", 150, heap(150, 9.0)), CrowdData("ball", 3, heap(3, 30.0), 1, body="ball"))
+        made.populations["ant"].position[70, 1] += place
+        with np.errstate(invalid="ignore"):
+            crowd = Crowd(made)
+        if fast and np.isfinite(place):
+            assert crowd.bounds == [(each.min(), each.max()) for each in (*crowd.middle, crowd.reach)]
+        elif fast:
+            assert crowd.bounds is not None and not np.isfinite(crowd.bounds[1][0] + crowd.bounds[1][1])
+        near = find(crowd)
+        found.append({tuple(sorted(pair)) for pair in zip(near.rows[near.i].tolist(), near.rows[near.j].tolist(), strict=True)})
+    assert found[0] == found[1] and len(found[0]) > 100
+    assert any(70 in pair for pair in found[0]) == np.isfinite(place)
+
+
+@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 @pytest.mark.parametrize("mass", [np.nan, np.inf])
 def test_one_without_a_mass_changes_nothing_for_who_does_not_touch_it(mass: float, monkeypatch: pytest.MonkeyPatch) -> None:
     found = []

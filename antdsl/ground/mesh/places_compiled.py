@@ -1,6 +1,9 @@
-"""Where footings are in the world and which way their faces point, of many in one pass: as `MeshGround.position` and `sides`.
+"""Where footings are in the world and which way their faces point, of many in one pass: as `MeshGround.position` and `sides`; and
+how far agents may look out, as `MeshGround` reckons it.
 
 Places are made from vertices, of which neighbours share most, so that less of memory is read than of a table of faces."""
+
+import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, Array2, fetch_ahead, kernel
 
@@ -59,3 +62,17 @@ def faced(
             found[n] = side[first[mesh[n]] + face[n]]
         else:
             found[n] = 0
+
+
+@kernel
+def farthest(ways: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
+    """The greatest square of ways (3, n) that are finite, 0 where none is; and the greatest of sizes, NaN where none is a
+    number."""
+    most, widest = 0.0, np.nan
+    for k in range(sizes.size):
+        square = (ways[0, k] * ways[0, k] + ways[1, k] * ways[1, k]) + ways[2, k] * ways[2, k]
+        if square < np.inf:
+            most = max(most, square)
+        if not widest >= sizes[k] and sizes[k] == sizes[k]:
+            widest = sizes[k]
+    return most, widest

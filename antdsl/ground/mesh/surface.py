@@ -225,7 +225,7 @@ class MeshGround:
         n = len(footing)
         if not self._faces.size or not n:
             return _unmoved(footing, up, heading)
-        body = np.ascontiguousarray(np.broadcast_to(np.asarray(body, np.float64), (n,)))
+        body = np.ascontiguousarray(body, np.float64) if np.ndim(body) else np.full(n, body, np.float64)
         wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
         if self._by_rays:
             return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)
@@ -251,11 +251,12 @@ class MeshGround:
 
     def _reach(self, wish: Floats, body: Floats) -> float:
         """How far (mm) anybody looks out for other surfaces on a way."""
-        square = dot(wish, wish)
-        most = float(square.max(initial=0.0))
-        if not most < np.inf:
-            most = float(square.max(initial=0.0, where=np.isfinite(square)))
-        return sqrt(most) + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise
+        if compiled.wanted(body.size):
+            most, widest = _kernels().farthest(wish, body)
+        else:
+            square = dot(wish, wish)
+            most, widest = float(square.max(initial=0.0, where=square < np.inf)), float(np.fmax.reduce(body))
+        return float(sqrt(most) + LIFT * widest + 3 * self._scale.noise)
 
     def _moved_fast(
         self,
@@ -269,15 +270,13 @@ class MeshGround:
         straight: bool,
     ) -> Move:
         """As `_moved`, to the same bits: most by the compiled walk, and those that it leaves by `_moved`."""
-        from antdsl.ground.mesh.walk_events import CrowdWalk
-
         n = len(footing)
         moved = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
         place, above, ahead, direction = np.empty((4, 3, n))
         gone, blocked = np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
         results = (*to, place, above, ahead, direction, gone, blocked)
-        walk = CrowdWalk(self._compiled(), parts, self._boxes, self._scale)
+        walk = self._compiled().over(parts, self._boxes, self._scale)
         left = walk.step(body, at, (wish, heading, up), results, threads, straight)
         result = Move(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
         if left is not None:

@@ -55,6 +55,10 @@ class Walk:
             mark_open(self.packed, self._open, NO_LINK)
         pack(self.packed, self.table, self._mesh, faces)
 
+    def over(self, parts: Parts, boxes: Boxes, scale: Scale) -> CrowdWalk:
+        """That over surfaces of which `parts` say how far others are."""
+        return CrowdWalk(self, parts, boxes, scale)
+
     def of_crowd(self, clearances: Clearances, boxes: Boxes, scale: Scale, longest: float, widest: float) -> CrowdWalk:
         """That of agents with ways and bodies so long (mm) at most, which says how far the surfaces about them are."""
         if self._still and widest > self._widest:
@@ -65,7 +69,7 @@ class Walk:
             mark_open(self.packed, self._open, OPEN)
         parts, known = clearances.within(longest + LIFT * widest + 3 * scale.noise), self._crowd
         if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
-            known = self._crowd = CrowdWalk(self, parts, boxes, scale)
+            known = self._crowd = self.over(parts, boxes, scale)
         return known
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,13 @@ from antdsl.numerics import compiled, elementary, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import dot
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.touching import Pairs, within_reach
+from antdsl.senses.touching import Bounds, Pairs, within_reach
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_SLACK = 0.3  # of its width: how far beyond its trunk an agent is looked about, since it will yet be moved
+_SEEN = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
 _ABOUT = 1.5  # widths that two are apart, up to which they may yet meet
 _OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
 _NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
@@ -38,8 +39,10 @@ def capsule_of(world: World, species: str) -> Capsule:
     own = world.setting.rooms.get(species)
     if own is not None:
         return Capsule(own.length, own.width, own.height, own.ahead)
-    named = (crowd.body for crowd in world.setting.crowds if crowd.species == species and crowd.body)
-    return CAPSULES[next(named, body_of(species))]
+    for crowd in world.setting.crowds:
+        if crowd.species == species and crowd.body:
+            return CAPSULES[crowd.body]
+    return CAPSULES[body_of(species)]
 
 
 class Crowd:
@@ -49,15 +52,17 @@ class Crowd:
     def __init__(self, world: World, start: bool = False) -> None:
         self.world, self._start = world, start
         self.species = [population for population in world.populations.values() if len(population)]
-        self.first = np.cumsum([0, *(len(population) for population in self.species)])
+        self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
         self._capsules = [capsule_of(world, population.name) for population in self.species]
         self.key = self.of(lambda p: p.ids + k * _SPECIES if (k := self.species.index(p)) else p.ids)
+        self.bounds: Bounds | None = None  # of x, y and z of middles and of reaches, where these are known
         if compiled.wanted(len(self)):
-            self._measured_fast()
+            self.bounds = self._measured_fast()
             return
         size = self.of(lambda p: np.maximum(self._registers(p)["size"], np.float32(0))).astype(np.float64)
         self.radius = size * self._shares("width") * 0.5
         self.half = np.maximum(size * self._shares("length") * 0.5 - self.radius, 0.0)
+        self.reach = self.half + self.radius * _SEEN
         high, self.ahead = size * self._shares("height"), size * self._shares("ahead")  # of the trunk's middle from the feet, mm
         heading, up = self.vector("heading"), self.vector("up")
         place = self.of(lambda p: p.position)
@@ -65,17 +70,21 @@ class Crowd:
         for k in range(3):
             self.middle[k] = (place[:, k] + up[k] * high) + heading[k] * self.ahead
 
-    def _measured_fast(self) -> None:
-        """The same by a loop over each species."""
-        from antdsl.runtime.moving.capsules_compiled import trunks
+    def _measured_fast(self) -> Bounds:
+        """The same by a loop over each species, with the bounds of all."""
+        from antdsl.runtime.moving.capsules_compiled import nothing_seen, trunks
 
-        self.half, self.radius, self.ahead = np.empty((3, len(self)))
+        self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
+        seen, bounds = nothing_seen(), ()
         for population, room, first in zip(self.species, self._capsules, self.first.tolist(), strict=False):
             own = self._registers(population)
-            stands = (population.position, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
+            place = np.ascontiguousarray(population.position.T)
+            stands = (place, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
             shares = (float(share) for share in (room.length, room.width, room.height, room.ahead))
-            trunks(*stands, *shares, first, self.half, self.radius, self.ahead, self.middle)
+            capsules = (self.half, self.radius, self.ahead, self.reach, self.middle)
+            bounds = trunks(*stands, *shares, first, *capsules, seen)
+        return list(zip(bounds[:4], bounds[4:], strict=True))
 
     def __len__(self) -> int:
         return int(self.first[-1])
@@ -87,6 +96,9 @@ class Crowd:
 
     def parts(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
         """Each species with its own of some rows of the crowd, ascending, counted from its first agent."""
+        if len(self.species) == 1:
+            yield self.species[0], rows
+            return
         bounds, firsts = np.searchsorted(rows, self.first).tolist(), self.first.tolist()
         for population, begin, end, first in zip(self.species, bounds, bounds[1:], firsts, strict=False):
             yield population, rows[begin:end] - first if first else rows[begin:end]
@@ -167,7 +179,7 @@ def find(crowd: Crowd, dead: float | None = None) -> Near:
     """The pairs of a crowd that may meet; with `dead` only those of which one is deeper in any other than that share of the room
     of two."""
     x, y, z = crowd.middle
-    pairs = within_reach((x, y, z), crowd.half + crowd.radius * (1 + 2 * _SLACK), crowd.key)
+    pairs = within_reach((x, y, z), crowd.reach, crowd.key, crowd.bounds)
     if compiled.wanted(len(pairs.i)):
         return _found_fast(crowd, pairs, dead)
     late = crowd.key.take(pairs.i) > crowd.key.take(pairs.j)

@@ -3,12 +3,30 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, independent, inlined, kernel
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I64,
+    Array1,
+    Array2,
+    Strided2,
+    called,
+    fetch_ahead,
+    independent,
+    inlined,
+    kernel,
+)
+from antdsl.numerics.sorting_compiled import listed
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
-_OPPOSITE, _NOWHERE, _ABOUT = -0.5, 1e-6, 1.5  # as `capsules`
+_OPPOSITE, _NOWHERE, _ABOUT, _SEEN = -0.5, 1e-6, 1.5, 1.6  # as `capsules`
 _ZERO = np.float32(0)
+_TOGETHER = 64  # agents of whom bounds are found side by side
+_NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * _TOGETHER, 4 * _TOGETHER, _TOGETHER]).reshape(9, _TOGETHER)
+_FETCHED = 32  # pairs whose rows are brought near before these are measured
 _KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
 _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
 
@@ -28,9 +46,14 @@ def _single(vectors, i):  # type: ignore[no-untyped-def]
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
+def nothing_seen() -> NDArray[np.float64]:
+    """Bounds of nothing, for `trunks`: above all, below all, and how many numbers are not finite."""
+    return _NOTHING.copy()
+
+
 @kernel
 def trunks(
-    place: Strided2[F64],
+    place: Array2[F64],
     heading: Three,
     up: Three,
     size: Array1[F32],
@@ -42,19 +65,36 @@ def trunks(
     half: Array1[F64],
     radius: Array1[F64],
     shift: Array1[F64],
+    reach: Array1[F64],
     middle: Array2[F64],
-) -> None:
-    """The capsules of a species whose places are (n, 3), from `first` on among all: as `capsules.Crowd`; `shift` is how far ahead
-    of the feet their middles lie (mm)."""
-    for i in independent(0, size.size):
-        to = first + i
-        wide = np.float64(_ZERO if size[i] <= 0 else size[i])
-        radius[to] = wide * width * 0.5
-        half[to] = max(wide * length * 0.5 - radius[to], 0.0)
-        high, shift[to] = wide * height, wide * ahead
-        above, forward = _single(up, i), _single(heading, i)
-        for k in range(3):
-            middle[k, to] = (place[i, k] + above[k] * high) + forward[k] * shift[to]
+    seen: Array2[F64],
+) -> tuple[F64, F64, F64, F64, F64, F64, F64, F64]:
+    """The capsules of a species whose places are (3, n), from `first` on among all: as `capsules.Crowd`; `shift` is how far ahead
+    of the feet their middles lie (mm). Gives the least x, y and z of middles and reach and then the greatest, of these and the
+    species before, NaN where one is not finite: what is `seen` (9, 64) of every 64th agent, as `nothing_seen` at first."""
+    for begin in range(0, size.size, _TOGETHER):
+        for i in independent(begin, min(begin + _TOGETHER, size.size)):
+            to, column = first + i, i - begin
+            wide = np.float64(_ZERO if size[i] <= 0 else size[i])
+            radius[to] = wide * width * 0.5
+            half[to] = max(wide * length * 0.5 - radius[to], 0.0)
+            reach[to] = half[to] + radius[to] * _SEEN
+            high, shift[to] = wide * height, wide * ahead
+            above, forward = _single(up, i), _single(heading, i)
+            for k in range(3):
+                middle[k, to] = (place[k, i] + above[k] * high) + forward[k] * shift[to]
+            numbers = (middle[0, to], middle[1, to], middle[2, to], reach[to])
+            for k in range(4):
+                seen[k, column] = min(seen[k, column], numbers[k])
+                seen[4 + k, column] = max(seen[4 + k, column], numbers[k])
+                seen[8, column] += numbers[k] - numbers[k]
+    x, y, z, far = seen[0, 0], seen[1, 0], seen[2, 0], seen[3, 0]
+    u, v, w, wide, unknown = seen[4, 0], seen[5, 0], seen[6, 0], seen[7, 0], seen[8, 0]
+    for k in range(1, _TOGETHER):
+        x, y, z, far = min(x, seen[0, k]), min(y, seen[1, k]), min(z, seen[2, k]), min(far, seen[3, k])
+        u, v, w, wide = max(u, seen[4, k]), max(v, seen[5, k]), max(w, seen[6, k]), max(wide, seen[7, k])
+        unknown += seen[8, k]
+    return x + unknown, y + unknown, z + unknown, far + unknown, u, v, w, wide
 
 
 @called
@@ -86,23 +126,9 @@ def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untype
     return gap, (apart[0] / size, apart[1] / size, apart[2] / size), lost
 
 
-@inlined
-def listed(flags, count):  # type: ignore[no-untyped-def]
-    """How many of the first flags are 1, not 0, whose numbers come first now."""
-    found = 0
-    for k in range(count):
-        flag = flags[k]
-        flags[found] = k  # written whatever it is: no branch that is hard to foretell
-        found += flag
-    return found
-
-
 @called
-def measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, some, lost):  # type: ignore[no-untyped-def]
-    """As `measured`; gives first how many pairs have been measured, which are the first of `some`."""
-    for pair in independent(0, i.size):
-        some[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
-    count = listed(some, i.size)
+def measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, count, lost):  # type: ignore[no-untyped-def]
+    """As `measured`, of those pairs that are the first of `some`."""
     for n in independent(0, count):
         pair = some[n]
         p, q = i[pair], j[pair]
@@ -114,7 +140,7 @@ def measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way
     without = listed(lost, count)
     for n in range(without):
         lost[n] = some[lost[n]]
-    return count, without
+    return without
 
 
 @kernel
@@ -135,8 +161,9 @@ def measured(
 ) -> I64:
     """As `capsules.Near.measure`, into `gap` and `way`; gives how many pairs have no way of their own, which are the first of
     `lost`. `some` is room for work."""
-    _, without = measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, some, lost)
-    return without
+    for pair in independent(0, i.size):
+        some[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
+    return measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, listed(some, i.size), lost)
 
 
 @kernel
@@ -156,13 +183,22 @@ def before(
 ) -> I64:
     """As `capsules.Near.before`, into `gap`, `way` and `deep`; gives how many pairs have no way of their own, which are the first
     of `lost`."""
-    for pair in independent(0, i.size):
-        p, q = i[pair], j[pair]
-        away = minus(minus(_of(middle, p), _of(walked, p)), minus(_of(middle, q), _of(walked, q)))
-        gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
-            away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
-        )
-        lost[pair] = 1 if nowhere else 0
+    for some in range(0, i.size, _FETCHED):
+        for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
+            for side in range(2):
+                row = j[pair] if side else i[pair]
+                for axis in range(3):
+                    for vectors in (middle, walked, ahead, up):
+                        fetch_ahead(vectors, axis * deep.size + row)
+                fetch_ahead(half, row)
+                fetch_ahead(radius, row)
+        for pair in independent(some, min(some + _FETCHED, i.size)):
+            p, q = i[pair], j[pair]
+            away = minus(minus(_of(middle, p), _of(walked, p)), minus(_of(middle, q), _of(walked, q)))
+            gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+                away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
+            )
+            lost[pair] = 1 if nowhere else 0
     deep[:] = 0.0
     for pair in range(i.size):
         if gap[pair] < 0:
@@ -192,40 +228,62 @@ def met(
     """Which of pairs `i` and `j` may meet, as `capsules.find`: how many these are, how many `rows` they have and how many no way
     of their own, and the widest radius. They come first in `i`, `j`, `gap` and `way`, these in `known`; `number` is room for
     work. `every`: also those of whom nobody is deeper in another than the share `dead` of the room of two."""
-    for pair in independent(0, i.size):
-        p, q = i[pair], j[pair]
-        if key[p] > key[q]:
-            p, q = j[pair], i[pair]
-        away, wide = minus(_of(middle, p), _of(middle, q)), radius[p] + radius[q]
-        far, v, nowhere = _gap(away, _single(ahead, p), _single(ahead, q), _single(up, p), _single(up, q), half[p], half[q], wide)
-        i[pair], j[pair], gap[pair], (way[0, pair], way[1, pair], way[2, pair]) = p, q, far, v
-        known[pair] = (_LOST if nowhere else _KEPT) if far < wide * _ABOUT else 0
+    for some in range(0, i.size, _FETCHED):
+        for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
+            for side in range(2):
+                row = j[pair] if side else i[pair]
+                for axis in range(3):
+                    fetch_ahead(middle, axis * key.size + row)
+                    fetch_ahead(ahead[axis], row)
+                    fetch_ahead(up[axis], row)
+                fetch_ahead(half, row)
+                fetch_ahead(radius, row)
+                fetch_ahead(key, row)
+        for pair in independent(some, min(some + _FETCHED, i.size)):
+            p, q = i[pair], j[pair]
+            if key[p] > key[q]:
+                p, q = j[pair], i[pair]
+            away, wide = minus(_of(middle, p), _of(middle, q)), radius[p] + radius[q]
+            far, v, nowhere = _gap(
+                away, _single(ahead, p), _single(ahead, q), _single(up, p), _single(up, q), half[p], half[q], wide
+            )
+            i[pair], j[pair], gap[pair], (way[0, pair], way[1, pair], way[2, pair]) = p, q, far, v
+            known[pair] = (_LOST if nowhere else _KEPT) if far < wide * _ABOUT else 0
     number[:] = 0
     pairs, lost, widest = 0, 0, 0.0
-    for pair in range(i.size):
-        if known[pair] != 0:
-            p, q = i[pair], j[pair]
-            widest = max(max(widest, radius[p]), radius[q])
-            if every or gap[pair] < (radius[p] + radius[q]) * -dead:
-                number[p], number[q] = _INSIDE, _INSIDE
-    for pair in range(i.size):
+    for pair in range(i.size):  # written whatever it is: no branch that is hard to foretell
+        p, q, state = i[pair], j[pair], known[pair]
+        v = _of(way, pair)
+        i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
+        way[0, pairs], way[1, pairs], way[2, pairs] = v
+        pairs += 1 if state != 0 else 0
+    for pair in range(pairs):
         p, q = i[pair], j[pair]
-        if known[pair] != 0 and (number[p] == _INSIDE or number[q] == _INSIDE):
-            nowhere = known[pair] == _LOST
-            i[pairs], j[pairs], gap[pairs] = p, q, gap[pair]
-            number[p], number[q] = max(number[p], _BESIDE), max(number[q], _BESIDE)
-            way[0, pairs], way[1, pairs], way[2, pairs] = way[0, pair], way[1, pair], way[2, pair]
-            if nowhere:
-                known[lost] = pairs
-                lost += 1
-            pairs += 1
+        widest = max(max(widest, radius[p]), radius[q])
+        if every or gap[pair] < (radius[p] + radius[q]) * -dead:
+            number[p], number[q] = _INSIDE, _INSIDE
+    if not every:
+        near = pairs
+        pairs = 0
+        for pair in range(near):
+            p, q, state = i[pair], j[pair], known[pair]
+            v = _of(way, pair)
+            i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
+            way[0, pairs], way[1, pairs], way[2, pairs] = v
+            one, other = number[p], number[q]
+            if one == _INSIDE or other == _INSIDE:
+                number[p], number[q] = max(one, _BESIDE), max(other, _BESIDE)
+                pairs += 1
     count = 0
     for k in range(number.size):
-        if number[k] != 0:
-            rows[count], number[k] = k, count
-            count += 1
+        there = number[k]
+        rows[count], number[k] = k, count
+        count += 1 if there != 0 else 0
     for pair in range(pairs):
         i[pair], j[pair] = number[i[pair]], number[j[pair]]
+        nowhere = known[pair] == _LOST
+        known[lost] = pair
+        lost += 1 if nowhere else 0
     return pairs, count, lost, widest
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stood:
-    """How agents stood when a substep began, by species: places (n, 3) mm and headings."""
+    """How agents stood when a substep began, by species: places (n, 3) mm and, where contacts are hard, headings."""
 
     places: Mapping[str, Floats]
     headings: Mapping[str, Vector]
@@ -77,8 +78,9 @@ def stood(world: World) -> Stood | None:
     """How agents stand now, for `resolve`; None where bodies take no room."""
     if world.setting.contacts == "off":
         return None
-    species = world.populations.items()
-    headings = {name: vec.copy(vec.named(population.now, "heading")) for name, population in species}
+    species, headings = world.populations.items(), {}
+    if world.setting.contacts == "hard":
+        headings = {name: vec.copy(vec.named(population.now, "heading")) for name, population in species}
     return Stood({name: population.position for name, population in species}, headings)
 
 
@@ -100,8 +102,9 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     else:
         cut = np.zeros_like(near.middle)
     which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
+    work = _work(near)
     for left in range(effort.rounds - 1, -1, -1):
-        asked = _apart(near, agents, which, held, walked, deep, effort, share, cut)
+        asked = _apart(near, agents, which, held, walked, deep, effort, share, cut, work)
         some, wanted = rounds.led(asked)
         rows = near.rows.take(some)
         got = walking.walk(rows, wanted)
@@ -199,6 +202,15 @@ def _stands(crowd: Crowd, rows: Rows, began: Stood, dt: float) -> tuple[Floats, 
     return *vectors, *numbers
 
 
+def _work(near: Near) -> tuple[Any, ...] | None:
+    """Room for the kernels that part agents; None without kernels."""
+    if not compiled.wanted(len(near.i)):
+        return None
+    from antdsl.runtime.moving.contacts_compiled import arrays
+
+    return arrays(len(near.rows), len(near.i))
+
+
 def _apart(
     near: Near,
     agents: _Agents,
@@ -209,15 +221,17 @@ def _apart(
     effort: Effort,
     share: float,
     cut: Floats,
+    work: tuple[Any, ...] | None,
 ) -> Floats:
     """By what (3, k) mm rows are to be moved for some of the pairs (m), as measured after steps were `cut` by (3, k) mm; who is
-    `held` is not moved farther. Rows have `walked` (3, k) mm and were so `deep` (k) mm in others before."""
+    `held` is not moved farther. Rows have `walked` (3, k) mm and were so `deep` (k) mm in others before. `work`: room for
+    kernels."""
     magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - _FINE + 52)
     which, gone = which.copy(), cut.copy()
-    if compiled.wanted(len(near.i)):
-        from antdsl.runtime.moving.contacts_compiled import arrays, parted
+    if work is not None:
+        from antdsl.runtime.moving.contacts_compiled import parted
 
-        looks, lost, work = effort.looks, np.empty(len(near.i), np.intp), arrays(len(near.rows), len(near.i))
+        looks, lost = effort.looks, np.empty(len(near.i), np.intp)
         bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
         pairs = (near.i, near.j, near.gap, near.way, which)
         stand = (agents.mass, agents.yields, agents.reach, deep, held, agents.normal, walked, cut)

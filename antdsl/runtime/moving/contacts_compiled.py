@@ -21,8 +21,9 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
+from antdsl.numerics.sorting_compiled import listed
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
-from antdsl.runtime.moving.capsules_compiled import listed, measured_some
+from antdsl.runtime.moving.capsules_compiled import measured_some
 from antdsl.runtime.moving.cutting_compiled import add, negative, of, put
 
 _FINE, _SHARES, _SPREADS = 40, 1 << 20, 3  # as `contacts`
@@ -39,21 +40,25 @@ Stand = tuple[
     Array1[F64], Array1[F64], Array1[F64], Array1[F64], Array1[BOOL], Strided2[F64], Strided2[F64], Strided2[F64]
 ]  # fmt: skip
 # Room for work, of rows: two vectors, seven numbers, three whole numbers and a condition; of pairs: six numbers, two vectors and
-# four whole numbers
-Room = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64]]
+# four whole numbers; and the pairs about each row, of all, with where those of each start, below 0 until they are asked for
+Room = tuple[
+    Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64], Array1[I64],
+    Array1[I64],
+]  # fmt: skip
 
 _WEIGHT, _LOCKED, _SPREAD, _LIGHT, _HEAPED, _MOST, _ROOM = range(7)  # numbers of rows
 _NUMBER, _SOME, _CONTACTS = 0, 1, 2  # whole numbers of rows
-_NONE, _MET = -1, -2  # numbers of rows that are in no pair of a look, and that touch another
+_NONE = -1  # number of a row that is in no pair of a look
 _DEAD_ZONE, _DEEP, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
-_CHOSEN, _FIRST, _SECOND, _COUNTED = range(4)  # whole numbers of pairs
+_CHOSEN, _FIRST, _SECOND, _TOUCHING = range(4)  # whole numbers of pairs
 
 
 def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
-    """Arrays for `parted` to work in."""
+    """Arrays for `parted` to work in, of one crowd and its pairs."""
     return (
         np.empty((3, rows)), np.empty((3, rows)), np.empty((7, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
-        np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((4, pairs), np.int64),
+        np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((4, pairs), np.int64), np.full(rows + 1, -1, np.int64),
+        np.empty(2 * pairs, np.int64),
     )  # fmt: skip
 
 
@@ -161,28 +166,67 @@ def parted(
     Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
     middle, ahead, up, half, radius = bodies
     i, j, gap, way, which = pairs
-    number, some, changed, counted = room[3][_NUMBER], room[3][_SOME], room[4], room[7][_COUNTED]
+    number, some, changed = room[3][_NUMBER], room[3][_SOME], room[4]
+    chosen, touching, starts, about = room[7][_CHOSEN], room[7][_TOUCHING], room[8], room[9]
     for pair in independent(0, i.size):
-        counted[pair] = 1 if which[pair] else 0
-    those = listed(counted, i.size)
+        touching[pair] = 1 if which[pair] and gap[pair] < _dead(radius, i, j, pair) else 0
+    touch = listed(touching, i.size)
     number[:] = _NONE
     changed[:] = False
+    alone = looks == 1 and sweeps == 1  # then nobody is moved but who touches another
+    if touch and not alone and starts[0] < 0:
+        _group(i, j, starts, about)
     for left in range(looks - 1, -1, -1):
-        moved, rows = _look(radius, pairs, those, stand, gone, magic, sweeps, slow, room)
+        moved, rows = _look(radius, pairs, touch, stand, gone, magic, sweeps, slow, alone, room)
         if not moved or not left:
             break
-        chosen = room[7][_CHOSEN]
-        count, without = measured_some(middle, gone, ahead, up, half, radius, i, j, changed, gap, way, chosen, lost)
+        count, kept = 0, 0
+        for k in range(rows):
+            row = some[k]
+            if changed[row]:
+                for at in range(starts[row], starts[row + 1]):
+                    pair = about[at]
+                    if i[pair] == row or not changed[i[pair]]:
+                        chosen[count] = pair
+                        count += 1
+        without = measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, chosen, count, lost)
+        for n in range(touch):
+            pair = touching[n]
+            touching[kept] = pair
+            kept += 0 if changed[i[pair]] | changed[j[pair]] else 1
         for n in range(count):
-            if not which[chosen[n]]:
-                which[chosen[n]] = True
-                counted[those] = chosen[n]
-                those += 1
+            pair = chosen[n]
+            which[pair], touching[kept] = True, pair
+            kept += 1 if gap[pair] < _dead(radius, i, j, pair) else 0
+        touch = kept
         if without:
             return left, without
         for k in range(rows):
             changed[some[k]] = False
     return 0, 0
+
+
+@inlined
+def _dead(radius, i, j, pair):  # type: ignore[no-untyped-def]
+    """The gap of a pair below which it counts."""
+    return -((radius[i[pair]] + radius[j[pair]]) * _DEAD)
+
+
+@called
+def _group(i, j, starts, about):  # type: ignore[no-untyped-def]
+    """The pairs `about` each row: those of row k from `starts[k]` to before `starts[k + 1]`."""
+    starts[:] = 0
+    for pair in range(i.size):
+        starts[i[pair]] += 1
+        starts[j[pair]] += 1
+    total = 0
+    for k in range(starts.size):
+        total += starts[k]
+        starts[k] = total
+    for pair in range(i.size):
+        one, other = starts[i[pair]] - 1, starts[j[pair]] - 1
+        about[one], about[other] = pair, pair
+        starts[i[pair]], starts[j[pair]] = one, other
 
 
 @called
@@ -202,38 +246,47 @@ def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
 
 
 @called
-def _look(radius, pairs, those, stand, gone, magic, sweeps, slow, room):  # type: ignore[no-untyped-def]
-    """As `contacts._look`, of the pairs that are the first of `counted`; says who has changed, and whether anybody has; and
-    how many rows it has looked at, which are the first of `some`."""
-    i, j, gap, way, _ = pairs
+def _look(radius, pairs, touch, stand, gone, magic, sweeps, slow, alone, room):  # type: ignore[no-untyped-def]
+    """As `contacts._look`, where so many pairs `touch`, for all about their rows or for these `alone`; says who has changed, and
+    whether anybody has; and how many rows it has looked at, which are the first of `some`."""
+    i, j, gap, way, which = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
-    led, sums, of_rows, wholes, changed, numbers, ways, indices = room
+    led, sums, of_rows, wholes, changed, numbers, ways, indices, starts, about = room
     light, heap, most, far = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
     number, some, contacts = wholes[_NUMBER], wholes[_SOME], wholes[_CONTACTS]
     weight, least = of_rows[_WEIGHT], numbers[_DEAD_ZONE]
-    chosen, first, second, counted = indices[_CHOSEN], indices[_FIRST], indices[_SECOND], indices[_COUNTED]
-    for n in independent(0, those):
-        it = counted[n]
-        chosen[n] = 1 if gap[it] < -((radius[i[it]] + radius[j[it]]) * _DEAD) else 0
-    m, count = listed(chosen, those), 0
-    if not m:
+    chosen, first, second, those = indices[_CHOSEN], indices[_FIRST], indices[_SECOND], indices[_TOUCHING]
+    m, count = 0, 0
+    if not touch:
         return False, count
-    for n in range(m):
-        pair = counted[chosen[n]]
-        number[i[pair]], number[j[pair]] = _MET, _MET
-    for n in independent(0, those):
-        that = counted[n]
-        chosen[n] = 1 if (number[i[that]] == _MET) | (number[j[that]] == _MET) else 0
-    m = listed(chosen, those)
-    for n in range(m):
-        pair = counted[chosen[n]]
-        chosen[n], least[n] = pair, (radius[i[pair]] + radius[j[pair]]) * _DEAD
+    for n in range(touch):
         for side in range(2):
-            k = j[chosen[n]] if side else i[chosen[n]]
+            k = j[those[n]] if side else i[those[n]]
             if number[k] < 0:
                 number[k], some[count] = count, k
                 count += 1
-        first[n], second[n] = number[i[chosen[n]]], number[j[chosen[n]]]
+    if alone:
+        for n in range(touch):
+            chosen[n] = those[n]
+        m = touch
+    else:
+        met = count
+        for k in range(met):
+            row = some[k]
+            for at in range(starts[row], starts[row + 1]):
+                pair = about[at]
+                beside = i[pair] + j[pair] - row
+                there = number[beside]
+                if which[pair] and (there < 0 or there >= met or beside > row):  # a pair of two that touch is met twice
+                    if there < 0:
+                        number[beside], some[count] = count, beside
+                        count += 1
+                    chosen[m] = pair
+                    m += 1
+    for n in range(m):
+        pair = chosen[n]
+        least[n] = -_dead(radius, i, j, pair)
+        first[n], second[n] = number[i[pair]], number[j[pair]]
     for k in range(count):
         number[some[k]] = _NONE
     _limit(radius, stand, some, count, of_rows)

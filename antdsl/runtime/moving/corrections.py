@@ -11,7 +11,7 @@ from antdsl.ground.protocol import Move
 from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import length
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import Columns, Vector
 from antdsl.runtime.moving.capsules import Crowd
 from antdsl.runtime.moving.falling import floating, pushed_in_the_air
 from antdsl.runtime.moving.obstacles import slide_some
@@ -58,17 +58,17 @@ class Corrections:
             got[:, fair] = self._put(population, rows.take(fair), moved.take(fair))
         return got
 
-    def _asked(self, population: Population, rows: Rows, gone: Floats) -> tuple[Vector, Vector, Floats, Floats, Floats]:
+    def _asked(self, population: Population, rows: Rows, gone: Floats) -> tuple[Vector, Columns, Floats, Floats, Floats]:
         """What a walk by (3, k) mm is told of some agents: the way and the normal of the ground, float32, the same normal and
         headings, float64 (k, 3), and sizes (mm)."""
         now = population.now
         if compiled.wanted(len(rows)):
             from antdsl.runtime.moving.corrections_compiled import asked
 
-            one, other = np.empty((2, 3, len(rows)), np.float32)
+            step, feet = np.empty((2, 3, len(rows)), np.float32)
             up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
-            asked(rows, gone, population.normal, vec.named(now, "heading"), now["size"], one, other, up, heading, size)
-            return (one[0], one[1], one[2]), (other[0], other[1], other[2]), up.T, heading.T, size
+            asked(rows, gone, population.normal, vec.named(now, "heading"), now["size"], step, feet, up, heading, size)
+            return (step[0], step[1], step[2]), feet, up.T, heading.T, size
         normal = vec.columns(population.normal[rows], np.float32)
         way = (gone[0].astype(_F), gone[1].astype(_F), gone[2].astype(_F))
         heading = vec.rows(vec.take(vec.named(now, "heading"), rows))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, independent, inlined, kernel
+from antdsl.numerics.sorting_compiled import listed
 from antdsl.numerics.vectors_compiled import dot, minus, times
-from antdsl.runtime.moving.capsules_compiled import listed
 
 _BENDS, _GOES = 3, 0.5  # as `cutting`
 
