@@ -5,7 +5,6 @@ Others, items and fields are read as they were when the step began (`start`, `se
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from functools import partial
 
@@ -39,7 +38,7 @@ def sense(world: World) -> None:
     for population in world.populations.values():
         lifecycle.find_cells(world, population)
         tilting.lay(population, world.options.threads)
-        population.clear_temps()
+        population.clear_temps(world.options.threads)
     if world.detail is not None:
         world.detail.observe(world)
     world.backend.begin(world)
@@ -153,10 +152,11 @@ def _count_transitions(world: World, population: Population) -> None:
         before, after = population.start[name], population.now[name]
         (changed,) = (before != after).nonzero()
         if changed.size:
-            pairs = Counter(zip(before[changed].tolist(), after[changed].tolist(), strict=True))
-            for (one, other), number in sorted(pairs.items()):
-                key = f"{population.name}.{machine.states[one]}->{machine.states[other]}"
-                world.transitions[key] = world.transitions.get(key, 0) + number
+            count = len(machine.states)
+            numbers = np.bincount(before[changed].astype(np.int64) * count + after[changed])
+            for pair in numbers.nonzero()[0].tolist():
+                key = f"{population.name}.{machine.states[pair // count]}->{machine.states[pair % count]}"
+                world.transitions[key] = world.transitions.get(key, 0) + int(numbers[pair])
 
 
 # What settles an effect, by its row's op; the phase that the row names calls it.
