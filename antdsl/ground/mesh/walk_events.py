@@ -18,7 +18,7 @@ from antdsl.ground.mesh.topology import Topology
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
-_WAITING = 64  # agents who look out for other surfaces, for whom a thread pays
+_WAITING = 16  # agents who look out for other surfaces, for whom a thread pays
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,7 @@ from antdsl.runtime.moving.walks import led, walks_of
 from antdsl.runtime.world import Population, World
 
 _F = np.float32
-_ARRIVING = 256  # agents who are let arrive by themselves, for whom a thread pays
+_ARRIVING = 64  # agents who are let arrive by themselves, for whom a thread pays
 
 
 def move(world: World, population: Population, dt: np.float32, substep: int) -> None:
