@@ -134,14 +134,15 @@ def commit(world: World) -> None:
             population.events[name], population.raised[name] = population.raised[name], population.events[name]
             population.raised[name].fill(False)
         sorts = by_place and len(population) >= _SORT_FROM
-        begin_anew(population, world.options.threads, _by_place(population) if sorts else None)
+        threads = world.options.threads
+        begin_anew(population, threads, _by_place(population, threads) if sorts else None)
 
 
-def _by_place(population: Population) -> NDArray[np.intp]:
+def _by_place(population: Population, threads: int) -> NDArray[np.intp]:
     """Rows in order of place, along the curve of G. Morton (1966): who is near in space is near in memory. Nobody can tell."""
     low, high = population.position.min(axis=0), population.position.max(axis=0)
     width = max(float((high - low).max()), 1e-9) / 1023
-    return stable_order(interleaved(((population.position - low) / width).astype(np.uint64)))
+    return stable_order(interleaved(((population.position - low) / width).astype(np.uint64), threads))
 
 
 def _count_transitions(world: World, population: Population) -> None:
