@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,22 +31,23 @@ class Reached:
         known, version, strength = self._of
         return known is field and version == field.version and strength == least
 
-    def now(self) -> NDArray[np.uint8]:
+    def now(self, threads: int = 1) -> NDArray[np.uint8]:
         """Above 0 for cells around which it is reached by what the field holds now, uint8[cells + 1], the last one for no cell;
         it is written anew by the next call."""
         if not self._all:
-            changed = self._differing()
+            changed = self._differing(threads)
             if len(changed):
                 self._renew(changed)
         return self._count
 
-    def _differing(self) -> NDArray[np.int64]:
+    def _differing(self, threads: int) -> NDArray[np.int64]:
         """Cells that hold as much and did not before, or the other way round."""
         (field, _, least), holds = self._of, self._holds
         if compiled.wanted(len(holds)):
             from antdsl.fields.reached_compiled import differing
 
-            return self._changed[: differing(field.held, least, holds, self._changed)]
+            work = partial(differing, field.held, least, holds, self._changed)
+            return compiled.joined(compiled.in_parts(work, len(holds), threads, compiled.LIGHT), self._changed)[0]
         return np.flatnonzero((field.values.astype(np.float32) >= least) != holds)
 
     def _renew(self, changed: NDArray[np.int64]) -> None:

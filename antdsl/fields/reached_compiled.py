@@ -8,19 +8,19 @@ _PART = 512  # cells that are compared before those that differ are written down
 
 
 @kernel
-def differing(held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array1[I64]) -> I64:
-    """Write down the cells of which `holds` does not say whether what they hold, in float32, is as much as `least`; gives how
-    many there are."""
+def differing(held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64) -> tuple[int, int]:
+    """Write down the cells from `begin` to before `end` of which `holds` does not say whether what they hold, in float32, is as
+    much as `least`, in `changed` from `begin` on; gives `begin`, and how many there are."""
     other, count = scratch(_PART, I32), 0
-    for low in range(0, holds.size, 512):
-        high = min(low + _PART, holds.size)
+    for low in range(begin, end, 512):
+        high = min(low + _PART, end)
         for n in independent(low, high):
             other[n - low] = 1 if (np.float32(held[n]) >= least) != holds[n] else 0
         for n in range(low, high):
             if other[n - low] != 0:
-                changed[count] = n
+                changed[begin + count] = n
                 count += 1
-    return count
+    return begin, count
 
 
 @kernel

@@ -1,10 +1,12 @@
 """A job on several threads, as text in LLVM's language: workers wait for one without holding the interpreter's lock.
 
-A job is so many parts, and whoever is free takes the next: `left` counts down to 0 atomically. What tells of a job is written
-before `left` is raised, and no other job comes before `done` has counted all of its parts: whoever has taken a part may read
-it. A worker looks at `left` for some turns, then sleeps on a lock of its own (CPython's, which need no interpreter). Who wakes a
-sleeper has lowered its flag first, so that each lock is released once for each time that it is waited for. To wake one takes
-longer than all else: the one who asks wakes the first worker, and each of them two more."""
+A job is so many parts, and whoever is free takes the next: one word, `left`, says how many there are (its low half, which counts
+down to 0) and which is the first of them (its high half), and is changed atomically. Who asks takes the first part, a worker the
+last one: so each thread mostly has the same agents before it in one job after another, and finds in its cache what it has written
+of them. What tells of a job is written before `left` is raised, and no other job comes before `done` has counted all of its
+parts: whoever has taken a part may read it. A worker looks at `left` for some turns, then sleeps on a lock of its own (CPython's,
+which need no interpreter). Who wakes a sleeper has lowered its flag first, so that each lock is released once for each time that
+it is waited for. To wake one takes longer than all else: the one who asks wakes the first worker, and each of them two more."""
 
 from __future__ import annotations
 
@@ -163,24 +165,29 @@ laid:
   call void @llvm.memcpy.p0.p0.i64(ptr %here, ptr %own, i64 64, i1 false)
   ret void
 }
-; Take and do parts as long as there are any.
-define internal void @work(ptr %pool) {
+; Take and do parts as long as there are any, from the first one on or from the last one back.
+define internal void @work(ptr %pool, i1 %back) {
 entry:
   %left.at = call ptr @at(ptr %pool, i64 $LEFT$)
   %done.at = call ptr @at(ptr %pool, i64 $DONE$)
   br label %look
 look:
-  %left = load atomic i64, ptr %left.at monotonic, align 8
+  %both.now = load atomic i64, ptr %left.at monotonic, align 8
+  %left = and i64 %both.now, 4294967295
+  %first = lshr i64 %both.now, 32
   %none = icmp eq i64 %left, 0
   br i1 %none, label %end, label %take
 take:
-  %less = sub i64 %left, 1
-  %both = cmpxchg ptr %left.at, i64 %left, i64 %less seq_cst seq_cst
+  %step = select i1 %back, i64 -1, i64 4294967295
+  %less = add i64 %both.now, %step
+  %both = cmpxchg ptr %left.at, i64 %both.now, i64 %less seq_cst seq_cst
   %taken = extractvalue {i64, i1} %both, 1
   br i1 %taken, label %do, label %look
 do:
   %parts = call i64 @word(ptr %pool, i64 $OF$)
-  %k = sub i64 %parts, %left
+  %after = add i64 %first, %left
+  %last.one = sub i64 %after, 1
+  %k = select i1 %back, i64 %last.one, i64 %first
   call void @part(ptr %pool, i64 %k)
   %before = atomicrmw add ptr %done.at, i64 1 seq_cst
   %now = add i64 %before, 1
@@ -237,7 +244,8 @@ define void @start(ptr %pool, i64 %a, i64 %b) {
 }
 define void @finish(ptr %pool, i64 %a, i64 %b) {
   %left = call ptr @at(ptr %pool, i64 $LEFT$)
-  %nobodys = atomicrmw xchg ptr %left, i64 0 seq_cst
+  %both = atomicrmw xchg ptr %left, i64 0 seq_cst
+  %nobodys = and i64 %both, 4294967295
   %done = call ptr @at(ptr %pool, i64 $DONE$)
   %before = atomicrmw add ptr %done, i64 %nobodys seq_cst
   call void @wait(ptr %pool)
@@ -245,7 +253,7 @@ define void @finish(ptr %pool, i64 %a, i64 %b) {
 }
 define void @all(ptr %pool, i64 %a, i64 %b) {
   call void @start(ptr %pool, i64 0, i64 0)
-  call void @work(ptr %pool)
+  call void @work(ptr %pool, i1 false)
   call void @wait(ptr %pool)
   ret void
 }
@@ -282,12 +290,13 @@ turn:
   %ends = icmp ne i64 %over, 0
   br i1 %ends, label %end, label %look
 look:
-  %left = call i64 @now(ptr %pool, i64 $LEFT$)
+  %both = call i64 @now(ptr %pool, i64 $LEFT$)
+  %left = and i64 %both, 4294967295
   %some = icmp ne i64 %left, 0
   br i1 %some, label %busy, label %none
 busy:
   call void @rouse.two(ptr %pool, i64 %own, i64 %left)
-  call void @work(ptr %pool)
+  call void @work(ptr %pool, i1 true)
   br label %turn
 none:
   %more = icmp slt i64 %k, %turns
@@ -297,7 +306,8 @@ $PAUSE$  %next = add i64 %k, 1
   br label %turn
 long:
   store atomic i64 1, ptr %flag seq_cst, align 8
-  %still = call i64 @now(ptr %pool, i64 $LEFT$)
+  %both.still = call i64 @now(ptr %pool, i64 $LEFT$)
+  %still = and i64 %both.still, 4294967295
   %end.now = call i64 @now(ptr %pool, i64 $END$)
   %any = or i64 %still, %end.now
   %come = icmp ne i64 %any, 0

@@ -127,6 +127,17 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int
     return workers.in_parts(work, count, min(threads, cores()), count // max(1, least), _running)
 
 
+def parts(count: int, threads: int, least: int = PART) -> int:
+    """In how many parts `in_parts`, asked the same with 16 for `least` or more, does a kernel at most: of as many rooms each part
+    has one of its own (`parts_compiled.own`)."""
+    threads = min(threads, cores())
+    if threads < 2 or count < 2 * least:
+        return 1
+    from antdsl.numerics import workers
+
+    return workers.parts(count, min(threads, count // max(1, least)))
+
+
 def joined(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
     """What parts have written to arrays [.., n], each from where it begins on: `parts` tell of each where that is, and how many
     it has written."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from itertools import chain
 from operator import is_not
 from typing import Any
 
@@ -28,20 +27,22 @@ class RowCopies:
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []
-        self._table = np.zeros(_HEAD, np.int64)
+        self._threads = 0
+        self._table = self._parts = np.zeros(0, np.int64)
 
-    def copy(self, pairs: Pairs, threads: int) -> None:
-        """Copy arrays [n, ..], each in one piece, to others of the same length and type."""
-        if not pairs:
+    def copy(self, to: Sequence[NDArray[Any]], of: Sequence[NDArray[Any]], threads: int) -> None:
+        """Copy arrays `of` [n, ..], each in one piece, to those of the same length and type that are not the same."""
+        arrays = [*to, *of]
+        if not arrays or not compiled.wanted(len(arrays[0])):
+            for one, other in zip(to, of, strict=True):
+                if one is not other:
+                    one[:] = other
             return
-        if not compiled.wanted(len(pairs[0][0])):
-            for to, of in pairs:
-                to[:] = of
-            return
-        arrays = list(chain.from_iterable(pairs))
-        if len(arrays) != len(self._arrays) or any(map(is_not, arrays, self._arrays)):
-            self._arrays, self._table = arrays, _table(pairs, None)
-        _run(self._table, len(pairs[0][0]), threads)
+        if len(arrays) != len(self._arrays) or threads != self._threads or any(map(is_not, arrays, self._arrays)):
+            self._arrays, self._threads = arrays, threads
+            self._table = _table([pair for pair in zip(to, of, strict=True) if pair[0] is not pair[1]], None)
+            self._parts = _parts(self._table, len(arrays[0]), threads)
+        compiled.listed(_function(), self._parts, threads)
 
 
 def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
@@ -53,7 +54,8 @@ def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
             of.take(rows, axis=0, out=to, mode="clip")
         return
     rows = np.ascontiguousarray(rows)  # which lasts as long as its address is in use
-    _run(_table(pairs, rows), len(rows), threads)
+    table = _table(pairs, rows)
+    compiled.listed(_function(), _parts(table, len(rows), threads), threads)
 
 
 def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
@@ -65,14 +67,11 @@ def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
     return np.array(words, np.int64)
 
 
-def _run(table: NDArray[np.int64], count: int, threads: int) -> None:
+def _parts(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
+    """What `compiled.listed` is to do for so many rows."""
     most = max(1, min(EACH * threads, count // compiled.PART))
-    if most == 1:
-        _function()(address(table), 0, count)
-        return
     ends = [count * k // most for k in range(most + 1)]
-    parts = np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
-    compiled.listed(_function(), parts, threads)
+    return np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
 
 
 @cache

@@ -3,10 +3,13 @@ of places, along a curve that keeps together what is near."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from antdsl.numerics import compiled
 
 _BITS = 16  # NumPy sorts numbers of this width by counting
 
@@ -25,9 +28,14 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
     return order
 
 
-def interleaved(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:
+def interleaved(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
     """Numbers of cells [n,3] along the curve of G. Morton (1966), by their bits in turn; 21 bits of each axis count."""
     code = np.zeros(len(cells), np.uint64)
+    if compiled.wanted(len(cells)):
+        from antdsl.numerics.curves_compiled import interleaved as loop
+
+        compiled.in_parts(partial(loop, np.ascontiguousarray(cells), code), len(cells), threads, compiled.LIGHT)
+        return code
     for axis in range(3):
         code |= _spread(cells[:, axis]) << np.uint64(axis)
     return code

@@ -94,7 +94,7 @@ class Workers:
         run = None if parted is None else parted()
         if run is None:
             return None
-        found: list[T] = run(*work.args, 0, count, max(1, min(parts, PARTS, count // words.EVEN)), self.address)
+        found: list[T] = run(*work.args, 0, count, parts, self.address)
         return found
 
     def call(self, function: Callable[[int, int, int], None], listed: NDArray[np.int64]) -> None:
@@ -149,13 +149,19 @@ class Executed:
         self._executor.shutdown()
 
 
-def in_parts(work: Callable[[int, int], T], count: int, threads: int, parts: int, by_kernels: bool) -> list[T]:
-    """As `compiled.in_parts`, where so many parts pay."""
+def parts(count: int, threads: int) -> int:
+    """Parts of a kernel for so many numbers, for which so many threads pay: none is without a register that is whole."""
+    return max(1, min(EACH * threads, PARTS, count // words.EVEN))
+
+
+def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: int, by_kernels: bool) -> list[T]:
+    """As `compiled.in_parts`, where so many threads pay."""
     pool = _kept_for(threads, by_kernels)
 
     def together() -> list[T]:
-        found = pool.kernel(work, count, EACH * min(parts, threads)) if isinstance(pool, Workers) else None
-        return _pulled(pool, work, count, min(parts, threads)) if found is None else found
+        least = min(paying, threads, PARTS)
+        found = pool.kernel(work, count, parts(count, least)) if isinstance(pool, Workers) else None
+        return _pulled(pool, work, count, least) if found is None else found
 
     return _asked(pool, together, lambda: [work(0, count)])
 

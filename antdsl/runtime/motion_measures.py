@@ -5,8 +5,10 @@ Nothing here acts on the agents, and nothing is part of the state.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
+from itertools import chain
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -82,12 +84,13 @@ class Motion:
     overlapping: int = 0
     deep_max: float = 0.0
     half_max: float = 0.0  # the half chord of a tilt that `tilt_max` has been asked for
+    counted: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 1, _BINS + 1), np.int64))  # see `_add_counted`
     windows: dict[str, Window] = field(default_factory=dict)
 
     def reset(self) -> None:
         """Begin anew, say after a preroll; how the crowd was placed stays known."""
         fresh = Motion(placed=self.placed, overlapping=self.overlapping)
-        for name in (*_COUNTS, "half_max", "windows"):
+        for name in (*_COUNTS, "half_max", "counted", "windows"):
             setattr(self, name, getattr(fresh, name))
 
     def begin(self, world: World) -> None:
@@ -103,6 +106,7 @@ class Motion:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All counts by name, for a checkpoint."""
+        self._add_counted()
         found = {name: np.array(getattr(self, name)) for name in _COUNTS}
         for species, window in self.windows.items():
             found |= {f"window.{species}.{name}": np.array(getattr(window, name)) for name in _WAYS}
@@ -124,13 +128,13 @@ class Motion:
         """Count one step; called after the move, before the ground goes on."""
         second = max(1, round(1.0 / world.dt))
         every = second if world.setting.contacts == "off" else 1 + len(world) // _AT_EVERY_STEP
-        if self.steps % every == 0 and len(world) > 1:
-            self.deep_max = max(self.deep_max, float((depths(world) > _DEEP).mean()))
-        for population in world.populations.values():
-            if len(population):
-                self._step(world, population)
-                if self.steps % second == 0:
-                    self._bodies(world, population)
+        crowds = [population for population in world.populations.values() if len(population)]
+        for population in crowds:
+            self._step(world, population)
+        deep = self.steps % every == 0 and len(world) > 1
+        bodies = self.steps % second == 0
+        if deep or bodies:
+            self._bodies(world, deep, crowds if bodies else [])
         self.steps += 1
 
     def _step(self, world: World, population: Population) -> None:
@@ -176,24 +180,26 @@ class Motion:
         seen = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
         given = (*seen, now[9:12], now[12:15], *now[15:], population.position, window.start, window.path, window.age)
 
-        def part(begin: int, end: int) -> tuple[Any, ...]:
-            own = (self.turns, self.tilts) if begin == 0 else (np.zeros_like(self.turns), np.zeros_like(self.tilts))
-            found = _kernels().counted(*given, *own, *_bins(), window.straight, dt, *_MEANT, steps, begin, end)
-            return begin, own, *found
-
-        straight = []
-        counts = compiled.in_parts(part, len(population), threads, compiled.LIGHT)
-        for begin, (turns, tilts), ended, standing, half, share in counts:
-            if begin:
-                self.turns += turns
-                self.tilts += tilts
+        n = len(population)
+        several = compiled.parts(n, threads, compiled.LIGHT)
+        if self.counted.shape[1] < several:
+            self._add_counted()
+            self.counted = np.zeros((2, several, _BINS + 1), np.int64)
+        work = partial(_kernels().counted, *given, *self.counted, several, n, *_bins(), window.straight, dt, *_MEANT, steps)
+        counts = compiled.in_parts(work, n, threads, compiled.LIGHT)
+        for _, _, standing, half, share in counts:
             if half > self.half_max:
                 self.half_max = half
                 self.tilt_max = max(self.tilt_max, float(_angle(np.array([half], np.float32))[0]))
             self.step_max = max(self.step_max, share)
             self.standing += standing
-            straight.append(window.straight[begin : begin + ended])
-        return straight[0] if len(straight) == 1 else np.concatenate(straight)
+        return compiled.joined(counts, window.straight)[0]
+
+    def _add_counted(self) -> None:
+        """Add up what each part of a kernel has counted of turns and tilts in rows of its own."""
+        for total, rows in zip((self.turns, self.tilts), self.counted, strict=True):
+            total += rows.sum(axis=0)
+        self.counted.fill(0)
 
     def _window(self, population: Population) -> Window:
         """The window of a species, its rows brought into those of the agents."""
@@ -221,16 +227,31 @@ class Motion:
         self.windows[population.name] = fresh
         return fresh
 
-    def _bodies(self, world: World, population: Population) -> None:
-        """How far agents stand inside each other, 0 apart to 1 in one place, by the worst neighbour; and inside the ground."""
-        worst = worst_overlaps(*vec.named(population.now, "position"), population.now["radius"])
-        self.overlaps += np.bincount((worst * _BINS).astype(np.int64), minlength=_BINS + 1)
-        self.heads += len(population)
-        self.heads_inside += int(np.count_nonzero(heads_inside(world, population)))
+    def _bodies(self, world: World, deep: bool, crowds: list[Population]) -> None:
+        """How `deep` trunks are in each other; and of some crowds how far agents stand inside each other, 0 apart to 1 in one
+        place, by the worst neighbour, and whose heads are inside the ground. Each is looked for by itself, side by side."""
+        looks: list[Callable[[], NDArray[Any]]] = [partial(depths, world)] if deep else []
+        for population in crowds:
+            now = population.now
+            looks.append(partial(worst_overlaps, *vec.named(now, "position"), now["radius"]))
+            looks.append(partial(heads_inside, world, population))
+
+        def some(begin: int, end: int) -> list[NDArray[Any]]:
+            with np.errstate(all="ignore"):  # which each thread has for itself
+                return [look() for look in looks[begin:end]]
+
+        found = chain.from_iterable(compiled.in_parts(some, len(looks), world.options.threads, 1))
+        if deep:
+            self.deep_max = max(self.deep_max, float((next(found) > _DEEP).mean()))
+        for population in crowds:
+            self.overlaps += np.bincount((next(found) * _BINS).astype(np.int64), minlength=_BINS + 1)
+            self.heads += len(population)
+            self.heads_inside += int(np.count_nonzero(next(found)))
 
     def summary(self) -> dict[str, float]:
         """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing,
         heads_inside, overlap_start, deep_max (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
+        self._add_counted()
         return {
             "turn_p99": _percentile(self.turns) * 180.0,
             "tilt_p99": _percentile(self.tilts) * 180.0,

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, Strided2, independent, inlined, kernel, scratch
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
+from antdsl.numerics.parts_compiled import own
 
 _Vector = tuple[Array1[F32], Array1[F32], Array1[F32]]
 _PART = 512  # agents, of whom the numbers are worked out before they are counted
@@ -19,13 +20,13 @@ def _between(a, b, i):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _count(half, least, first, bins):  # type: ignore[no-untyped-def]
+def _count(half, least, first, bins, part):  # type: ignore[no-untyped-def]
     """The last bin whose least half chord is no more than this one's; `first`: where to begin to look, by its size."""
     k = first[np.int64(half * np.float32(4096.0))]
     k += 1 if half >= least[k + 1] else 0  # seldom more, so that what follows is foretold
     while half >= least[k + 1]:
         k += 1
-    bins[k] += 1
+    bins[part, k] += 1
 
 
 @kernel
@@ -44,8 +45,10 @@ def counted(
     began: Strided2[F64],
     path: Array1[F64],
     age: Array1[I64],
-    turns: Array1[I64],
-    tilts: Array1[I64],
+    turns: Array2[I64],
+    tilts: Array2[I64],
+    several: I64,
+    count: I64,
     least: Array1[F32],
     first: Array1[I64],
     straight: Array1[F64],
@@ -56,15 +59,16 @@ def counted(
     steps: I64,
     begin: I64,
     end: I64,
-) -> tuple[int, int, float, float]:
-    """Adds one step of agents from `begin` to before `end` to the measures: to the bins of turns and tilts, and to `path` and
-    `age` of the ways that they `began`. Gives how many ways have ended, whose straightness is written to `straight` from
-    `begin` on; how many stand; the greatest half chord of a tilt, and the greatest share of the longest step.
+) -> tuple[int, int, int, float, float]:
+    """Adds one step of agents from `begin` to before `end` of a `count` to the measures: to the bins of turns and tilts, of which
+    each of `several` parts has a row of its own, and to `path` and `age` of the ways that they `began`. Gives `begin`; how many
+    ways have ended, whose straightness is written to `straight` from there on; how many stand; the greatest half chord of a tilt,
+    and the greatest share of the longest step.
 
     `fastest` (mm/s) and `size` (mm) of each; `least` half chord of each bin, and the `first` to look at. `dt` s; `wish`: the
     least push that is meant; `still`: the share of speed that is standing; a way ends after `steps` and counts when it is `far`
     body lengths long."""
-    ended, standing = 0, 0
+    ended, standing, part = 0, 0, own(begin, count, several)
     tilted, longest = np.float32(0.0), np.float32(0.0)
     turn, tilt, share, speed = scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32)
     wanted = scratch(_PART, F32)
@@ -82,9 +86,9 @@ def counted(
             wanted[i - low] = _length(push[0][i], push[1][i], push[2][i])
         for i in range(low, high):
             at = i - low
-            _count(min(turn[at], np.float32(1.0)), least, first, turns)
+            _count(min(turn[at], np.float32(1.0)), least, first, turns, part)
             half = min(tilt[at], np.float32(1.0))
-            _count(half, least, first, tilts)
+            _count(half, least, first, tilts, part)
             tilted = max(tilted, half)
             if fastest[i] * dt > np.float32(0.0) and share[at] > longest:
                 longest = share[at]
@@ -100,4 +104,4 @@ def counted(
                     began[i, k] = place[i, k]
                 path[i] = 0.0
                 age[i] = 0
-    return ended, standing, np.float64(tilted), np.float64(longest)
+    return begin, ended, standing, np.float64(tilted), np.float64(longest)

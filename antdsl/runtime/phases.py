@@ -5,7 +5,6 @@ Others, items and fields are read as they were when the step began (`start`, `se
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from functools import partial
 
@@ -39,7 +38,7 @@ def sense(world: World) -> None:
     for population in world.populations.values():
         lifecycle.find_cells(world, population)
         tilting.lay(population, world.options.threads)
-        population.clear_temps()
+        population.clear_temps(world.options.threads)
     if world.detail is not None:
         world.detail.observe(world)
     world.backend.begin(world)
@@ -135,14 +134,15 @@ def commit(world: World) -> None:
             population.events[name], population.raised[name] = population.raised[name], population.events[name]
             population.raised[name].fill(False)
         sorts = by_place and len(population) >= _SORT_FROM
-        begin_anew(population, world.options.threads, _by_place(population) if sorts else None)
+        threads = world.options.threads
+        begin_anew(population, threads, _by_place(population, threads) if sorts else None)
 
 
-def _by_place(population: Population) -> NDArray[np.intp]:
+def _by_place(population: Population, threads: int) -> NDArray[np.intp]:
     """Rows in order of place, along the curve of G. Morton (1966): who is near in space is near in memory. Nobody can tell."""
     low, high = population.position.min(axis=0), population.position.max(axis=0)
     width = max(float((high - low).max()), 1e-9) / 1023
-    return stable_order(interleaved(((population.position - low) / width).astype(np.uint64)))
+    return stable_order(interleaved(((population.position - low) / width).astype(np.uint64), threads))
 
 
 def _count_transitions(world: World, population: Population) -> None:
@@ -153,10 +153,11 @@ def _count_transitions(world: World, population: Population) -> None:
         before, after = population.start[name], population.now[name]
         (changed,) = (before != after).nonzero()
         if changed.size:
-            pairs = Counter(zip(before[changed].tolist(), after[changed].tolist(), strict=True))
-            for (one, other), number in sorted(pairs.items()):
-                key = f"{population.name}.{machine.states[one]}->{machine.states[other]}"
-                world.transitions[key] = world.transitions.get(key, 0) + number
+            count = len(machine.states)
+            numbers = np.bincount(before[changed].astype(np.int64) * count + after[changed])
+            for pair in numbers.nonzero()[0].tolist():
+                key = f"{population.name}.{machine.states[pair // count]}->{machine.states[pair % count]}"
+                world.transitions[key] = world.transitions.get(key, 0) + int(numbers[pair])
 
 
 # What settles an effect, by its row's op; the phase that the row names calls it.

@@ -109,17 +109,20 @@ class Population:
     laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
     rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
     copies: RowCopies = field(default_factory=RowCopies)  # of registers, once what was written becomes what all see
+    _zeros: RowCopies = field(default_factory=RowCopies)  # to registers of one step
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
     _ranks: tuple[int, NDArray[np.int32]] | None = None
-    _temps: tuple[ir.SpeciesPlan, list[tuple[str, Any]]] | None = None  # of a plan, with their zeros
+    _temps: tuple[ir.SpeciesPlan, int, dict[str, NDArray[Any]]] | None = None  # of a plan and so many agents, with their zeros
 
-    def clear_temps(self) -> None:
+    def clear_temps(self, threads: int = 1) -> None:
         """Registers of one step begin at their zeros."""
-        if self._temps is None or self._temps[0] is not self.plan:
-            temps = [(name, register.zero) for name, register in self.plan.registers.items() if register.role == "temp"]
-            self._temps = (self.plan, temps)
-        for name, zero in self._temps[1]:
-            self.now[name].fill(zero)
+        n = len(self)
+        if self._temps is None or self._temps[0] is not self.plan or self._temps[1] != n:
+            temps = {name: each for name, each in self.plan.registers.items() if each.role == "temp"}
+            zeros = {(each.kind, each.zero): np.full(n, each.zero, DTYPES[each.kind]) for each in temps.values()}
+            self._temps = (self.plan, n, {name: zeros[each.kind, each.zero] for name, each in temps.items()})
+        zeros_of = self._temps[2]
+        self._zeros.copy(list(map(self.now.__getitem__, zeros_of)), list(zeros_of.values()), threads)
 
     def room(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
         """So many arrays for what one step works out, kept for the next one, which writes over them."""
@@ -337,9 +340,8 @@ def begin_anew(population: Population, threads: int, rows: NDArray[np.intp] | No
             if start[name] is array:
                 start[name] = now[name] = to
         population.version += 1
-        population.copies.copy([(now[name], array) for name, array in start.items() if now[name] is not array], threads)
-    else:
-        population.copies.copy([(start[name], array) for name, array in now.items() if start[name] is not array], threads)
+    every = list(map(start.__getitem__, now)), list(now.values())
+    population.copies.copy(*(every if rows is None else every[::-1]), threads)
 
 
 def _pick(population: Population, rows: NDArray[np.intp]) -> None:

@@ -28,13 +28,16 @@ def test_it_is_reached_where_as_much_is_smelled(kernels: bool, k: int, monkeypat
     if kernels:
         need_kernels()
     monkeypatch.setattr(compiled, "wanted", lambda count: kernels)
+    monkeypatch.setattr(compiled, "_running", kernels)
+    monkeypatch.setattr(compiled, "cores", lambda: 4)
+    monkeypatch.setattr(compiled, "LIGHT", 100)  # so that it goes in parts
     field = PheromoneField(SurfaceCells([meshes.terrain(150, 30)], 4.0))
     rng, every, least = np.random.default_rng(k), np.arange(len(field.cells)), np.float32(0.1)
     reached = Reached(field, least, k)
     for share in (0.0, 0.01, 0.012, 0.5, 1.0, 0.02, 0.0):
         held = rng.choice([0.1 - 1e-12, float(least), 3.0, np.inf], len(every))  # the first is 0.1 in float32
         field.values[:] = np.where(rng.random(len(every)) < share, held, rng.choice([0.0, 0.0999, np.nan], len(every)))
-        found = reached.now()
+        found = reached.now(3)
         assert np.array_equal(found[:-1] > 0, field.strongest(every, k)[0] >= least) and found[-1] == 0
         assert np.array_equal(reached.now(), found)
 

@@ -111,5 +111,5 @@ def test_the_compiled_twin_meets_the_same_to_the_bit() -> None:
     for k in range(N):
         one, way = tuple(origin[:, k].tolist()), tuple(step[:, k].tolist())
         end = tuple((origin[:, k] + step[:, k]).tolist())
-        count = gather(table.piece, boxes, one, end, 0.01, face[k], piece[k], found)
-        assert first_of(rows, boxes, found, count, one, way, 1e-6) == tuple(array[k] for array in expected)
+        count = gather(table.piece, boxes, one, end, 0.01, face[k], piece[k], (found, 0))
+        assert first_of(rows, boxes, (found, 0), count, one, way, 1e-6) == tuple(array[k] for array in expected)

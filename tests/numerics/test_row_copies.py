@@ -50,12 +50,16 @@ def test_rows_are_copied_time_after_time_and_to_other_arrays(threads: int) -> No
             to = [np.zeros_like(each) for each in of]
         for each in of:
             each[:] = each[::-1].copy()
-        copies.copy(list(zip(to, of, strict=True)), threads)
+        copies.copy(to, of, threads)
         assert all(np.array_equal(*pair) for pair in zip(to, of, strict=True))
-    few = [(np.zeros(3), np.arange(3.0))]
-    copies.copy(few, threads)
-    assert few[0][0].tolist() == [0, 1, 2]
-    copies.copy([], threads)
+    few = np.zeros(3)
+    copies.copy([few], [np.arange(3.0)], threads)
+    assert few.tolist() == [0, 1, 2]
+    copies.copy([few, few], [few, np.full(3, 4.0)], threads)
+    assert few.tolist() == [4, 4, 4]
+    copies.copy([few], [few], threads)
+    copies.copy([], [], threads)
+    assert few.tolist() == [4, 4, 4]
 
 
 @in_code
@@ -63,7 +67,7 @@ def test_where_arrays_lie_is_looked_up_once(threads: int, monkeypatch: pytest.Mo
     looked = []
     monkeypatch.setattr(row_copies, "_table", lambda *given, table=row_copies._table: looked.append(given) or table(*given))
     copies, of = RowCopies(), arrays(COUNT)
-    pairs = [(np.zeros_like(each), each) for each in of]
+    to = [np.zeros_like(each) for each in of]
     for _ in range(3):
-        copies.copy(list(pairs), threads)
+        copies.copy(list(to), list(of), threads)
     assert len(looked) == compiled.wanted(1)

@@ -21,6 +21,7 @@ from antdsl.machine_code import workers_text
 from antdsl.machine_code.kernels import F64, I64, Array1, independent, kernel
 from antdsl.machine_code.kernels.direct_text import PARTS
 from antdsl.numerics import compiled, workers
+from antdsl.numerics.parts_compiled import own
 
 pytestmark = pytest.mark.skipif(not workers.possible(), reason="no threads that wait in machine code")
 THREADS = (1, 2, 3, 7)
@@ -35,6 +36,13 @@ def squared(x: Array1[F64], out: Array1[F64], times: Array1[I64], begin: I64, en
     for n in range(begin, end):
         total += x[n]
     return end - begin, total, begin
+
+
+@kernel
+def in_rooms(rooms: Array1[I64], count: I64, begin: I64, end: I64) -> I64:
+    room = own(begin, count, rooms.size)
+    rooms[room] += end - begin
+    return room
 
 
 @kernel
@@ -166,7 +174,7 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool
     pool._start = interrupted  # type: ignore[assignment]
     with pytest.raises(KeyboardInterrupt):
         pool.do(work, 2)
-    assert bool(ended) == begun and len(at_work) == len(ended) and not pool._words[workers_text.LEFT]
+    assert bool(ended) == begun and len(at_work) == len(ended) and not pool._words[workers_text.LEFT] % 2**32
     pool._start = start
     pool.do(work, 2)
     assert ended.count(0) == 1
@@ -179,7 +187,7 @@ def test_functions_of_machine_code_are_called_with_each_row() -> None:
         compiled.listed(workers_text.code().function("turns"), np.array([(room.ctypes.data, 3, 0)] * count, np.int64), 3)
     pool = workers._kept[3, True]
     assert isinstance(pool, workers.Workers)
-    assert pool._words[workers_text.DONE] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT]
+    assert pool._words[workers_text.DONE] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT] % 2**32
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
@@ -274,3 +282,15 @@ def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> 
     assert came >= 3  # as it begins, once it is noted who asks, and after the work
     assert asked(pool, lambda: asked(pool, lambda: "together", lambda: "alone"), lambda: "nobody") == "alone"
     pool.end()
+
+
+@pytest.mark.parametrize("threads", THREADS)
+@pytest.mark.parametrize("by_kernels", (True, False))
+def test_each_part_has_a_room_of_its_own(threads: int, by_kernels: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_running", by_kernels)
+    for count in (1, 15, 16, 17, 100, 129, 500, 5_001, 100_003):
+        for least in (16, 64, 1_000):
+            rooms = np.zeros(compiled.parts(count, threads, least), np.int64)
+            found = compiled.in_parts(partial(in_rooms, rooms, count), count, threads, least)
+            assert len(set(found)) == len(found) <= len(rooms) and rooms.sum() == count
+            assert len(found) == len(rooms) or not by_kernels

@@ -216,7 +216,7 @@ def test_rows_are_put_in_order_in_arrays_with_room():
 
 def test_parts_on_threads_give_the_same_bits_as_one(by_kernels, monkeypatch):
     by_kernels(True)
-    shot, whole, split = case_of("foraging").make(1_500), compiled.in_parts, []
+    shot, whole, parts, split = case_of("foraging").make(1_500), compiled.in_parts, compiled.parts, []
 
     def parted(work, count, threads, least=0):
         split.append(min(threads, count // 50) > 1)
@@ -230,6 +230,7 @@ def test_parts_on_threads_give_the_same_bits_as_one(by_kernels, monkeypatch):
 
     alone, counted = stepped(1)
     monkeypatch.setattr(compiled, "in_parts", parted)
+    monkeypatch.setattr(compiled, "parts", lambda count, threads, least=0: parts(count, threads, 50))
     found, other = stepped(3)
     assert found == alone and sum(split) > 15
     assert counted.keys() == other.keys() and all(np.array_equal(counted[name], other[name]) for name in counted)

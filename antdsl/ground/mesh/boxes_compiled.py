@@ -16,9 +16,11 @@ _DEEP = 128  # boxes that wait to be opened: more than trees of 2**40 triangles 
 
 @called
 def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[no-untyped-def]
-    """Writes into `found` the places in the order of all triangles, but `face` and those of `piece`, whose boxes overlap a box:
-    that around the points `one` and `two`, `size` mm larger. Returns how many. `boxes` are the arrays of `Boxes`."""
+    """Writes into `found`, an array and where in it to begin, the places in the order of all triangles, but `face` and those of
+    `piece`, whose boxes overlap a box: that around the points `one` and `two`, `size` mm larger. Returns how many. `boxes` are
+    the arrays of `Boxes`."""
     order, first, bounds = boxes
+    places, behind = found
     count, waiting = 0, 0
     low_x, low_y, low_z = min(one[0], two[0]) - size, min(one[1], two[1]) - size, min(one[2], two[2]) - size
     high_x, high_y, high_z = max(one[0], two[0]) + size, max(one[1], two[1]) + size, max(one[2], two[2]) + size
@@ -38,7 +40,7 @@ def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[n
                 for line in (0, 8, 16):
                     fetch_ahead(bounds, 6 * (first[level - 1] + WIDE * child) + line)
             elif order[child] != face and pieces[order[child]] != piece:
-                found[count] = child
+                places[behind + count] = child
                 count += 1
     return count
 
@@ -48,6 +50,7 @@ def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no
     """The first triangle met of the first `count` in `found`, after what part of a way that goes on by `fine` mm, and its weights
     there. `table` is `packed`."""
     order, _, bounds = boxes
+    places, behind = found
     face, part, b1, b2 = -1, np.inf, 0.0, 0.0
     if count == 0:
         return face, part, b1, b2
@@ -57,7 +60,7 @@ def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no
     low_x, low_y, low_z = min(origin[0], end_x), min(origin[1], end_y), min(origin[2], end_z)
     high_x, high_y, high_z = max(origin[0], end_x), max(origin[1], end_y), max(origin[2], end_z)
     for k in range(count):
-        b = found[k]
+        b = places[behind + k]
         if _apart(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
             continue
         f = order[b]

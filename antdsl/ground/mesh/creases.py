@@ -26,6 +26,7 @@ _NOISE = 1e-4  # of a ground's extent: distances in float32 err by less
 _ALONG = 192  # cells along the longest side of a ground
 _SMOOTH = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
 _NONE = np.iinfo(np.int32).max
+_ASKED = 512  # places for which a thread pays
 
 
 @cache
@@ -107,7 +108,7 @@ class Creases:
         for rung in range(asked.bit_length()):
             if asked >> rung & 1:
                 work = partial(close, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
-                compiled.in_parts(work, len(rows), threads)
+                compiled.in_parts(work, len(rows), threads, _ASKED)
         kept: Index = rows[rungs == -1]
         return kept
 

@@ -34,6 +34,7 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
+from antdsl.numerics.parts_compiled import own
 from antdsl.numerics.vectors_compiled import inside as _inside
 
 # `packed` faces, `link` and `forked` of the topology, the first face of each mesh.
@@ -178,7 +179,7 @@ def walk_on(
     scale: tuple[F64, F64, F64],
     touch: F64,
     straight: BOOL,
-    found: Array1[I64],
+    rooms: tuple[Array1[I64], I64, I64],
     reals: Strided2[F64],
     wholes: Strided2[I64],
     how: Array1[U8],
@@ -191,13 +192,16 @@ def walk_on(
     """The same for agents that wait, from `begin` to before `end`; returns how many still do, as their numbers are none.
 
     `sides` are `piece` and `way` of the topology and `cuts` the arrays of its cuts, `boxes` those of `Boxes`, `scale` least, fine
-    and under of `Scale`, and its `touch`; ways end at open borders if they are to be `straight`; `found` has room for all faces.
+    and under of `Scale`, and its `touch`; ways end at open borders if they are to be `straight`; `rooms` has
+    room for all faces in each of so many, and says how many agents wait.
     """
     table, link, forked, first = surface
     sub_first, sub_count, clear, reach, noise = near
     first_cut, _ = cuts
     to_mesh, to_face, to_b1, to_b2, to_over = placed
     place, above, ahead, direction, gone = moved
+    places, count, several = rooms
+    found = places, own(begin, several, count) * boxes[0].size
     waiting = 0
     for k in range(begin, end):
         event = wholes[EVENT, k]

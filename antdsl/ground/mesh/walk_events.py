@@ -19,7 +19,7 @@ from antdsl.ground.mesh.topology import NO_LINK, Topology
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
-_WAITING = 64  # agents who look out for other surfaces, for whom a thread pays
+_WAITING = 16  # agents who look out for other surfaces, for whom a thread pays
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +128,8 @@ class CrowdWalk:
         sides, tree = (table.piece, table.way), (boxes.order, boxes.first, boxes.bounds)
         cuts = (table.cuts.first, table.cuts.other)
         known = (*self.tables(), sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch, straight)
-
-        def further(begin: int, end: int) -> int:
-            found = np.empty(boxes.order.size, np.int64)
-            waiting: int = loop.walk_on(*known, found, reals, wholes, how, placed, moved, blocked, begin, end)
-            return waiting
-
-        return wholes[loop.AGENT], left + sum(compiled.in_parts(further, wholes.shape[1], threads, _WAITING))
+        count = wholes.shape[1]
+        parts = compiled.parts(count, threads, _WAITING)
+        rooms = (np.empty(parts * boxes.order.size, np.int64), parts, count)
+        further = partial(loop.walk_on, *known, rooms, reals, wholes, how, placed, moved, blocked)
+        return wholes[loop.AGENT], left + sum(compiled.in_parts(further, count, threads, _WAITING))

@@ -39,7 +39,7 @@ from antdsl.runtime.world import Population, World
 
 _F = np.float32
 _ON_FACES = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
-_ARRIVING = 256  # agents who are let arrive by themselves, for whom a thread pays
+_ARRIVING = 64  # agents who are let arrive by themselves, for whom a thread pays
 
 
 def move(world: World, population: Population, dt: np.float32, substep: int) -> None:

@@ -1,8 +1,5 @@
 """The cell grid of a search, sorted by machine code: the same cells as `senses.neighbours.CellGrid`, agents of a cell in any
-order.
-
-Counting sort: number of each agent's cell and how many are in each, their sums from the first cell on, then each agent to its
-place (D. E. Knuth, The Art of Computer Programming 3, 5.2)."""
+order. Each thread sorts a part of the agents (`cell_sort`)."""
 
 from __future__ import annotations
 
@@ -14,21 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.fours import FOUR, four_at, put_quadruples, quadruples_from
-from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, WIDTH, Lanes, Module
+from antdsl.machine_code.lanes import WIDTH
 from antdsl.machine_code.memory import address
 from antdsl.numerics import compiled
-from antdsl.runtime.backends.native.block import Writer
-from antdsl.runtime.backends.native.layout import Layout
+from antdsl.numerics.cores import cores
+from antdsl.runtime.backends.native.cell_sort import COLUMNS, KEYS, NAMES
 from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.cell_order import Shape
 
-NAMES = ("grid.bounds", "grid.keys", "grid.sort", "grid.beside")
-_LAST = ("places", "bounds", "whole", "at")
-_KEYS = ("numbers", "x", "y", "z", "keys", "starts", "sorted x", "sorted y", "sorted z", *_LAST)
-_COLUMNS = ("at", "whole", "0", "1", "2", "3", "beside")
 _AGAIN = 64  # steps after which a crowd has cells anew, and is asked whether it lies in one sheet
 _SPARE = 1 / 32  # of its extent, that a box goes on for beyond a crowd
 _FILLED = 0.8  # of its extent: a crowd that is less wide gets other cells
@@ -40,119 +32,10 @@ _PARTED = 8_192  # agents for whom several threads pay
 _NO_KEYS = np.zeros(1, np.int64)  # cells are listed
 _WHOLE = 1e300  # mm: the width of a cell that has all places in it
 
-_REALS, _WHOLE_NUMBERS = Struct("=9d"), Struct("=8q")
+_REALS, _WHOLE_NUMBERS = Struct("=9d"), Struct("=10q")
 
 Arrays = Mapping[str, NDArray[Any] | None]
 Function = Callable[[int, int, int], Any]  # of a table, the first row and the one after the last
-
-
-def write(module: Module) -> None:
-    """The functions of the sort."""
-    layout = Layout({(name,): k for k, name in enumerate(_KEYS)})
-    beside = Layout({(name,): k for k, name in enumerate(_COLUMNS)})
-    writers = ((_bounds, layout), (_keys, layout), (_sort, layout), (_beside, beside))
-    for name, (made, of) in zip(NAMES, writers, strict=True):
-        w = Writer(module, of)
-        made(w)
-        module.functions[name] = w.function(name)
-
-
-def _real(w: Writer, k: int) -> Lanes:
-    e = w.e
-    return e.splat(e.load_one(w.base("numbers"), e.constant(k, I64, one=True), F64))
-
-
-def _bounds(w: Writer) -> None:
-    """Least and greatest x, y and z, and 1 where all of them are numbers, else 0."""
-    e = w.e
-    rows = e.op("sub i64 %end, %begin", I64, one=True)
-    low, high, good = [e.slot(F32) for _ in AXES], [e.slot(F32) for _ in AXES], e.slot(I32)
-    for k in range(3):
-        e.put(low[k], e.constant(np.inf, F32))
-        e.put(high[k], e.constant(-np.inf, F32))
-    e.put(good, e.constant(1, I32))
-    with e.loop(rows, WIDTH) as at:
-        inside = (e.splat(at) + e.iota()) < e.splat(rows)
-        for k, axis in enumerate(AXES):
-            place = e.load(w.base(axis), at, F32)
-            least, most = e.get(low[k], F32), e.get(high[k], F32)
-            e.put(low[k], e.where(inside & (place < least), place, least))
-            e.put(high[k], e.where(inside & (place > most), place, most))
-            e.put(good, e.get(good, I32) & e.convert(~inside | np.isfinite(place), I32))
-    for k in range(3):
-        for part, slot, word in ((0, low[k], "fmin"), (3, high[k], "fmax")):
-            name = f"llvm.vector.reduce.{word}.v8f32"
-            e.module.declare(name, F32, [f"<{WIDTH} x {F32}>"])
-            e.put(
-                e.field(w.base("bounds").name, 8 * (part + k)),
-                e.convert(e.one(f"call float @{name}({e.get(slot, F32).typed})", F32), F64),
-            )
-    all_good = e.one(f"icmp eq i8 {e.mask_bits(e.get(good, I32) != 0).name}, -1", BOOL)
-    e.put(e.field(w.base("bounds").name, 48), e.one(f"uitofp i1 {all_good.name} to double", F64))
-
-
-def _keys(w: Writer) -> None:
-    """The number of each agent's cell."""
-    e = w.e
-    low, inverse, most = ([_real(w, 3 * part + k) for k in range(3)] for part in range(3))
-    number = [e.whole(each) for each in most]
-    rows = e.op("sub i64 %end, %begin", I64, one=True)
-    with e.loop(rows, WIDTH) as offset:
-        at = e.op(f"add i64 %begin, {offset.name}", I64, one=True)
-        cells = []
-        for k, axis in enumerate(AXES):
-            place = (e.convert(e.load(w.base(axis), at, F32), F64) - low[k]) * inverse[k]
-            cells.append(e.whole(np.floor(e.between(place, e.constant(0.0, F64), most[k] - 1.0))))
-        line = e.multiplied(e.multiplied(cells[2], number[1]) + cells[1], number[0]) + cells[0]
-        e.store(w.base("keys"), at, line)
-
-
-def _sort(w: Writer) -> None:
-    """Counts of the cells, where each begins, and the agents to their places."""
-    e = w.e
-    rows = e.op("sub i64 %end, %begin", I64, one=True)
-    starts, many = w.base("starts"), e.load_one(w.base("whole"), e.constant(7, I64, one=True), I64)
-    with e.loop(many, WIDTH) as at:  # there is room behind the last one
-        e.store(starts, at, e.constant(0, I32))
-    with e.loop(rows) as at:
-        key = e.convert(e.load_one(w.base("keys"), at, I32), I64)
-        place = e.address(starts, e.one(f"add i64 {key.name}, 2", I64), I32)
-        e.put(place.name, e.one(f"add i32 {e.get(place.name, I32, one=True).name}, 1", I32))
-    total = e.slot(I32, one=True)
-    e.put(total, e.constant(0, I32, one=True))
-    with e.loop(many) as at:
-        place = e.address(starts, at, I32)
-        so_far = e.one(f"add i32 {e.get(total, I32, one=True).name}, {e.get(place.name, I32, one=True).name}", I32)
-        e.put(total, so_far)
-        e.put(place.name, so_far)
-    with e.loop(rows) as at:
-        key = e.convert(e.load_one(w.base("keys"), at, I32), I64)
-        cursor = e.address(starts, e.one(f"add i64 {key.name}, 1", I64), I32)
-        small = e.get(cursor.name, I32, one=True)
-        e.put(cursor.name, e.one(f"add i32 {small.name}, 1", I32))
-        four = f"{FOUR} poison"
-        values = [e.load_one(w.base(axis), at, F32) for axis in AXES]
-        for k, value in enumerate((*values, e.one(f"bitcast i32 {e.convert(at, I32).name} to float", F32))):
-            four = e.op(f"insertelement {four}, {value.typed}, i64 {k}", F32).name
-            four = f"{FOUR} {four}"
-        e.do(f"store {four}, ptr {four_at(e, w.base('places'), small).name}, align 4")
-        e.put(e.address(w.base("at"), at, I32).name, small)
-    with e.loop(rows, WIDTH) as at:  # there is room behind the last one
-        for axis, value in zip(AXES, quadruples_from(e, w.base("places"), at), strict=False):
-            e.store(w.base(f"sorted {axis}"), at, value)
-
-
-def _beside(w: Writer) -> None:
-    """Four registers side by side, in the order of the cells. Who is in none is written behind the last one."""
-    e = w.e
-    rows = e.op("sub i64 %end, %begin", I64, one=True)
-    behind = e.splat(e.convert(e.load_one(w.base("whole"), e.constant(6, I64, one=True), I64), I32))
-    with e.loop(rows, WIDTH) as offset:
-        row = e.one(f"add i64 %begin, {offset.name}", I64)
-        at = e.load(w.base("at"), row, I32)
-        inside = ((e.splat(offset) + e.iota()) < e.splat(rows)) & (at >= 0)
-        at = e.where(inside, at, behind)
-        put_quadruples(e, w.base("beside"), at, [e.load(w.base(str(k)), row, F32) for k in range(4)])
 
 
 class _Places:
@@ -163,8 +46,8 @@ class _Places:
         self.lie: list[int] = []
         self.corners: list[float] = []  # least and greatest of each
         self.step = -1  # of the corners
-        self._bounds, self._table = np.zeros(7), np.zeros(len(_KEYS), np.int64)
-        self._table[_KEYS.index("bounds")] = address(self._bounds)
+        self._bounds, self._table = np.zeros(7), np.zeros(len(KEYS), np.int64)
+        self._table[KEYS.index("bounds")] = address(self._bounds)
         self._address = address(self._table)
 
     def look(self, other: Population, step: int, bounds: Function, rooms: Rooms) -> None:
@@ -214,7 +97,7 @@ class _Sorted:
         if known == step:
             return 0
         if known < 0:
-            table, laid = np.zeros(len(_COLUMNS), np.int64), np.zeros((self.count + WIDTH, 4), np.float32)
+            table, laid = np.zeros(len(COLUMNS), np.int64), np.zeros((self.count + WIDTH, 4), np.float32)
             self.tables = {**self.tables, names: laid}
             arrays = (self.tables["at"], self.tables["whole"], laid)
             table[[0, 1, -1]] = [address(each) for each in arrays if each is not None]
@@ -224,54 +107,62 @@ class _Sorted:
 
 
 class _Crowd(_Sorted):
-    """Arrays that a crowd is sorted with into cells of one size, kept from step to step."""
+    """Arrays that a crowd is sorted with into cells of one size by so many threads, kept from step to step. What functions are
+    called with for each part: `listed` with places as they lie, `turned` in the order of the cells' axes."""
 
-    def __init__(self, count: int) -> None:
-        self._numbers, self._table = np.zeros(9), np.zeros(len(_KEYS), np.int64)
-        self._keys = np.zeros(count + WIDTH, np.int32)
-        self.floats, self.whole = np.zeros(9), np.zeros(8, np.int64)
+    def __init__(self, count: int, threads: int) -> None:
+        bounds = _shared(count, threads)
+        self.threads, self._parts = threads, len(bounds)
+        self._numbers, self._tables = np.zeros(9), np.zeros((2, len(bounds), len(KEYS)), np.int64)
+        self._keys, self._before = np.zeros(count + WIDTH, np.int32), np.zeros((0, 0), np.int32)
+        self.floats, self.whole = np.zeros(9), np.zeros(10, np.int64)
         own: dict[str, NDArray[Any]] = {axis: np.zeros(count + WIDTH, np.float32) for axis in AXES}
         own |= {"places": np.zeros((count + WIDTH, 4), np.float32), "floats": self.floats, "whole": self.whole, "keys": _NO_KEYS}
         own["at"] = np.zeros(count + WIDTH, np.int32)
         super().__init__(count, own | {"starts": np.zeros(0, np.int32)})
         self.asked = 0  # the last step in which somebody did
-        self._table[0], self._table[4] = address(self._numbers), address(self._keys)
-        self._table[6:9] = [address(own[axis]) for axis in AXES]
-        self._table[9], self._table[11], self._table[12] = (address(own[name]) for name in ("places", "whole", "at"))
-        self._turned = self._table.copy()  # with places in the order of the cells' axes
+        lasting: dict[str, NDArray[Any]] = {"numbers": self._numbers, "keys": self._keys}
+        lasting.update({name: own[name] for name in ("places", "whole", "at")}, **{f"sorted {axis}": own[axis] for axis in AXES})
+        for name, array in lasting.items():
+            self._tables[..., KEYS.index(name)] = address(array)
         self._axes: tuple[int, ...] = ()
         self._lie: list[int] = []
         self.box: _Box | None = None  # that the cells are of
-        self.address, self.turned = address(self._table), address(self._turned)
+        self.address = address(self._tables)
+        self.listed, self.turned = (
+            np.array([(address(table), *part) for table, part in zip(tables, bounds, strict=True)], np.int64)
+            for tables in self._tables
+        )
 
     def lies(self, lie: list[int]) -> None:
         """Where places lie in memory."""
         if lie is not self._lie:
             self._lie = lie
-            self._table[1:4] = lie
-            self._turned[1:4] = [lie[axis] for axis in self._axes]
+            self._tables[..., 1:4] = [[lie], [[lie[axis] for axis in self._axes]]]
 
     def shaped(self, shape: Shape) -> None:
         """Cells for it."""
         many = shape.cells + 2
         starts = self.tables["starts"]
-        if starts is None or len(starts) < many + WIDTH:
-            starts = np.zeros(many + (many >> 3) + WIDTH, np.int32)
+        if starts is None or len(starts) < many + 2 * WIDTH:
+            starts = np.zeros(many + (many >> 3) + 2 * WIDTH, np.int32)
+            self._before = np.zeros((self._parts - 1, len(starts)), np.int32)
             self.tables = {**self.tables, "starts": starts}
-            self._table[5] = self._turned[5] = address(starts)
+            owned = [*map(address, self._before), address(starts)]
+            self._tables[..., -3:] = [(address(starts), each, address(self._before)) for each in owned]
         self._axes, self._lie = shape.axes, []
         (a, b, c), low, size = shape.width, shape.low, shape.size
         inverse = (1 / a, 1 / b, 1 / c)
         _REALS.pack_into(self.floats.data, 0, *low, a, b, c, *inverse)
         _REALS.pack_into(self._numbers.data, 0, *low, *inverse, *size)
-        _WHOLE_NUMBERS.pack_into(self.whole.data, 0, *shape.axes, *size, self.count, many)
+        _WHOLE_NUMBERS.pack_into(self.whole.data, 0, *shape.axes, *size, self.count, many, self._parts - 1, len(starts))
 
 
 class Grids:
     """Sorts crowds into cells by machine code, whose functions are had by their names; arrays are kept from step to step."""
 
     def __init__(self, functions: Callable[[str], Function], rooms: Rooms) -> None:
-        self._bounds, self._number, self._sort, self._beside = (functions(name) for name in NAMES)
+        self._bounds, self._number, self._starts, self._sort, self._columns, self._beside = map(functions, NAMES)
         self._rooms = rooms
         self._found: dict[tuple[str, float], _Sorted] = {}  # of this step
         self._places: dict[str, _Places] = {}
@@ -299,26 +190,17 @@ class Grids:
             self._found[other.name, size] = found
         for names, columns in beside:
             if table := found.lay(names, columns, self._step):
-                self._in_parts(world, self._beside, table, len(other))
+                parts = np.array([(table, *part) for part in _shared(len(other), world.options.threads)], np.int64)
+                compiled.listed(self._beside, parts, world.options.threads)
         return found.tables
-
-    def _in_parts(self, world: World, function: Function, table: int, count: int) -> None:
-        """Call a function for so many rows, by several threads where that pays."""
-        threads = world.options.threads if count >= _PARTED else 1
-        if threads < 2:
-            function(table, 0, count)
-            return
-        part = -(-count // (WIDTH * threads)) * WIDTH
-        parts = np.array([(table, begin, min(begin + part, count)) for begin in range(0, count, part)], np.int64)
-        compiled.listed(function, parts, threads)
 
     def _sorted(self, world: World, other: Population, size: float) -> _Crowd | None:
         """None where NumPy has to sort: where some are without a place, and of a crowd so far apart that its cells are not
         listed."""
         count = len(other)
-        crowd = self._kept.get((other.name, size))
-        if crowd is None or crowd.count != count:
-            crowd = self._kept[other.name, size] = _Crowd(count)
+        crowd, threads = self._kept.get((other.name, size)), world.options.threads
+        if crowd is None or crowd.count != count or crowd.threads != threads:
+            crowd = self._kept[other.name, size] = _Crowd(count, threads)
         crowd.asked = self._step
         places = self._places.get(other.name)
         if places is None:
@@ -334,8 +216,10 @@ class Grids:
             crowd.shaped(shape)
             crowd.box = box
         crowd.lies(places.lie)
-        self._in_parts(world, self._number, crowd.turned, count)
-        self._sort(crowd.address, 0, count)
+        compiled.listed(self._number, crowd.turned, threads)
+        self._starts(crowd.address, 0, 0)
+        compiled.listed(self._sort, crowd.listed, threads)
+        compiled.listed(self._columns, crowd.listed, threads)
         return crowd
 
     def _shape(self, other: Population, places: list[NDArray[np.float32]], box: _Box, size: float) -> Shape | None:
@@ -358,6 +242,13 @@ class Grids:
             known, until = shape.is_sheet(places), self._step + _AGAIN
         self._sheets[other.name] = (len(other), until, known)
         return known
+
+
+def _shared(count: int, threads: int) -> list[tuple[int, int]]:
+    """The first row and the one after the last that each thread has of so many, where several pay."""
+    threads = max(1, min(threads, cores())) if count >= _PARTED else 1
+    part = -(-count // (WIDTH * threads)) * WIDTH
+    return [(begin, min(begin + part, count)) for begin in range(0, count, part)]
 
 
 def _coarser(shape: Shape, most: int) -> Shape:

@@ -268,7 +268,7 @@ class Tables:
             field, least = world.fields[str(name)], numbers[place]
             if reached is None or not reached.of(field, least):
                 reached = Reached(field, least, int(str(count)))
-            return address(reached.now())
+            return address(reached.now(world.options.threads))
 
         return find
 
