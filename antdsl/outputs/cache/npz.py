@@ -10,7 +10,6 @@ import zipfile
 from collections import deque
 from collections.abc import Container, Iterable, Mapping
 from functools import lru_cache
-from io import FileIO
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from antdsl import limits
 from antdsl.bounded import TooLarge, open_bounded
 from antdsl.outputs.cache.zip_parts import Parts, Stored, stored
 from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
-from antdsl.whole import whole
+from antdsl.whole import whole_opened
 
 __all__ = [
     "ArrayFileError",
@@ -99,24 +98,25 @@ def write_whole(path: Path, data: bytes | Parts, *, sync: bool) -> None:
     """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing. `data`: its bytes, or
     parts that are these end to end.
 
-    The file is there already, empty, and is opened to be written anew: ext4 begins to bring such a one onto the disk as it is
-    closed, and to make sure later that many of them are there takes two thirds of the time."""
-    with whole(path) as part, open(part, "wb", buffering=0) as file:
-        put(file, [data] if isinstance(data, bytes) else data)
+    The file is emptied before anything is in it, by which ext4 takes it for one that is written anew, and begins to bring it
+    onto the disk as it is closed: to make sure later that many of them are there takes two thirds of the time."""
+    with whole_opened(path) as handle:
+        os.ftruncate(handle, 0)
+        put(handle, [data] if isinstance(data, bytes) else data)
         if sync:
-            os.fsync(file.fileno())
+            os.fsync(handle)
     if sync:
         sync_folder(path.parent)
 
 
-def put(file: FileIO, parts: Parts) -> None:
-    """Write parts end to end. All in one call where the system has one for it: it finds room for a large piece at once in half
-    the time that it takes for many small ones."""
-    left = deque(memoryview(part) for part in parts if len(part))
+def put(handle: int, parts: Parts) -> None:
+    """Write parts end to end into an open file. All in one call where the system has one for it: it finds room for a large piece
+    at once in half the time that it takes for many small ones."""
+    left = deque(parts)
     while left:
         some = list(islice(left, _AT_ONCE))
-        done = os.writev(file.fileno(), some) if hasattr(os, "writev") else file.write(some[0])
-        while done and done >= len(left[0]):
+        done = os.writev(handle, some) if hasattr(os, "writev") else os.write(handle, some[0])
+        while left and done >= len(left[0]):
             done -= len(left.popleft())
         if done:
             left[0] = left[0][done:]

@@ -5,16 +5,17 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from io import FileIO
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
-from antdsl.outputs.cache.hashes import HASHES, Line, line_of, read_lines, with_checkpoint
+from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import npz_file, put, sync_file, sync_folder, write_whole
+from antdsl.outputs.cache.zip_parts import Stored
 
+_APPENDED = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
 
@@ -25,17 +26,17 @@ class Scribe:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._lines = FileIO(folder / HASHES, "a")
+        self._lines = os.open(folder / HASHES, _APPENDED, 0o666)
         self._unsynced: list[Path] = []
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
-    def frame(self, frame: int, arrays: Arrays, state: str, feet: str) -> Found:
-        """Write a frame and its line, with the hashes of its state and of its feet."""
+    def frame(self, frame: int, file: Stored, line: Line) -> Found:
+        """Write a frame as this file, and its line."""
         began = time.perf_counter()
-        path, file = frame_path(self.folder, frame), npz_file(arrays)
+        path = frame_path(self.folder, frame)
         write_whole(path, file.parts, sync=False)
         self._unsynced.append(path)
-        self._line(frame, line_of(frame, state, file, feet))
+        self._line(frame, line)
         return _spent("write", began)
 
     def _line(self, frame: int, line: Line) -> None:
@@ -61,12 +62,12 @@ class Scribe:
             sync_file(path)
         self._unsynced.clear()
         sync_folder(self.folder / "frames")
-        os.fsync(self._lines.fileno())
+        os.fsync(self._lines)
         return _spent("sync", began)
 
     def close(self) -> None:
         """Nothing more is written."""
-        self._lines.close()
+        os.close(self._lines)
 
 
 def _spent(what: str, since: float) -> Found:
