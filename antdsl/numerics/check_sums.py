@@ -3,8 +3,9 @@
 The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast CRC Computation for
 Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009: what has been read is kept as four registers with the same remainder
 as all of it. To go on by so many bits, each half of 16 bytes of them is multiplied by the remainder of x to that power. What is
-left in the end, 16 bytes and fewer than 16 more, goes byte by byte by a table. A register has 16 bytes, or 64 where the products of as many are made at
-once (VPCLMULQDQ) and registers of that width slow nothing down (`machine`), which is almost three times as fast."""
+left in the end, 16 bytes and fewer than 16 more, goes byte by byte by a table. A register has 16 bytes, or 64 where the products
+of as many are made at once (VPCLMULQDQ) and registers of that width slow nothing down (`machine`), which is almost three times as
+fast."""
 
 from __future__ import annotations
 
@@ -33,7 +34,6 @@ _BYTE = np.dtype(np.uint8)
 _DATA, _LENGTH, _BEFORE = RESULTS, RESULTS + 1, RESULTS + 2  # words of a call's table; the first is what is given back
 _Words = ctypes.c_int64 * (_BEFORE + 1)
 _FEATURE, _WIDE = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")  # as LLVM names them; the wide ones are used where `machine` does
-
 
 
 def crc32(data: bytes | memoryview, before: int = 0) -> int:
@@ -177,9 +177,7 @@ def text(target: machine.Target) -> str:
     state, whole = "0", put(f"bitcast <2 x i64> {found} to <16 x i8>")
     for k in range(_BLOCK):
         state = with_byte(state, put(f"extractelement <16 x i8> {whole}, i32 {k}"))
-    _, state = going_on(
-        "bytes", "blocks.end", (at, "i32", state), 1, lambda kept, at: with_byte(kept, put(f"load i8, ptr {at}"))
-    )
+    _, state = going_on("bytes", "blocks.end", (at, "i32", state), 1, lambda kept, at: with_byte(kept, put(f"load i8, ptr {at}")))
     state = put(f"xor i32 {state}, -1")
     lines.append(f"  store i64 {put(f'zext i32 {state} to i64')}, ptr %t, align 8")
     body = "  br label %inside\ninside:\n" + "\n".join(lines)

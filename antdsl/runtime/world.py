@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from antdsl.ground.protocol import Footing, Ground
 from antdsl.machine_code.memory import roomy_rows, roomy_space
 from antdsl.numerics.row_copies import RowCopies, pick
+from antdsl.numerics.row_hash import RowHash
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
 from antdsl.runtime.requests import Effects
@@ -109,9 +110,17 @@ class Population:
     laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
     rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
     copies: RowCopies = field(default_factory=RowCopies)  # of registers, once what was written becomes what all see
+    hashed: RowHash = field(default_factory=RowHash)  # of the state
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
     _ranks: tuple[int, NDArray[np.int32]] | None = None
+    _stated: tuple[ir.SpeciesPlan, tuple[str, ...]] | None = None
     _temps: tuple[ir.SpeciesPlan, list[tuple[str, Any]]] | None = None  # of a plan, with their zeros
+
+    def state_registers(self) -> tuple[str, ...]:
+        """The names of registers that belong to the state, in order."""
+        if self._stated is None or self._stated[0] is not self.plan:
+            self._stated = self.plan, tuple(name for name in sorted(self.now) if self.plan.registers[name].role != "temp")
+        return self._stated[1]
 
     def clear_temps(self) -> None:
         """Registers of one step begin at their zeros."""
