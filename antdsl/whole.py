@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -26,7 +25,7 @@ def _new(path: Path, ending: str, mode: int) -> tuple[str, int]:
     """The same, open to be written: its path, and its handle."""
     place, name = os.path.split(path)
     for left in reversed(range(_TRIES)):
-        new = os.path.join(place, f".{name[:_LONGEST]}.{secrets.token_hex(6)}{ending}")
+        new = os.path.join(place, f".{name[:_LONGEST]}.{os.urandom(6).hex()}{ending}")
         try:
             return new, os.open(new, _NEW, mode)
         except FileExistsError:
