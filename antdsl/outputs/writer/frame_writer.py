@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoin
 from antdsl.outputs.cache.npz import npz_file, put, sync_file, sync_folder, write_whole
 from antdsl.outputs.cache.zip_parts import Stored
 
-_APPENDED = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
 
@@ -26,7 +26,7 @@ class Scribe:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._lines = os.open(folder / HASHES, _APPENDED, 0o666)
+        self._lines = FileIO(folder / HASHES, "a")
         self._unsynced: list[Path] = []
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
@@ -41,7 +41,7 @@ class Scribe:
 
     def _line(self, frame: int, line: Line) -> None:
         self._last = {frame: line}
-        put(self._lines, [line.text(frame)])
+        put(self._lines.fileno(), [line.text(frame)])
 
     def checkpoint(self, frame: int, arrays: Arrays) -> Found:
         """Write a checkpoint, durably, after everything before it, its hash included: one without is from before there were
@@ -62,12 +62,12 @@ class Scribe:
             sync_file(path)
         self._unsynced.clear()
         sync_folder(self.folder / "frames")
-        os.fsync(self._lines)
+        os.fsync(self._lines.fileno())
         return _spent("sync", began)
 
     def close(self) -> None:
         """Nothing more is written."""
-        os.close(self._lines)
+        self._lines.close()
 
 
 def _spent(what: str, since: float) -> Found:
