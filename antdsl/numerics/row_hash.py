@@ -43,7 +43,7 @@ def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> 
         from antdsl.numerics.row_hash_compiled import Table
 
         kept = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
-        return _told(Table(kept, ids=ids is not None).sums(count))
+        return _told(Table(kept, keys, ids=ids is not None).sums(count))
     words = _words(columns)
     sums = [0, 0]
     for begin in range(0, count, BLOCK):
@@ -86,7 +86,7 @@ class RowHash:
         if table is None or len(arrays) != len(self._arrays) or not table.lie(arrays, self._arrays):
             from antdsl.numerics.row_hash_compiled import Table
 
-            self._table = table = Table(arrays, ids=ids is not None)
+            self._table = table = Table(arrays, keys, ids=ids is not None)
         self._arrays = arrays
         return _told(table.sums(count))
 

@@ -18,7 +18,6 @@ from antdsl.machine_code import codes, machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.memory import address
-from antdsl.numerics.row_hash import keys
 
 _Part = tuple[int, int, int]  # which column, how many bytes from its begin on, and from one value to the next
 
@@ -42,9 +41,9 @@ class _Form:
 
 class Table:
     """Where the columns of a table lie, for machine code. `columns` [n] or [n, k], of 1, 2, 4 or 8 bytes a value, not kept here.
-    `ids`: whether the first of them is those of the rows; otherwise the numbers of the rows are."""
+    `keys` gives the four of a word by its number. `ids`: whether the first of them is those of the rows; otherwise the numbers of the rows are."""
 
-    def __init__(self, columns: Sequence[NDArray[Any]], *, ids: bool) -> None:
+    def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:
         self._forms = [_Form(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
         words: list[tuple[int, list[_Part]]] = [] if ids else [(NUMBERS, [])]
         half: list[_Part] = []
