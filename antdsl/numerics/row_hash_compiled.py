@@ -41,7 +41,8 @@ class _Form:
 
 class Table:
     """Where the columns of a table lie, for machine code. `columns` [n] or [n, k], of 1, 2, 4 or 8 bytes a value, not kept here.
-    `keys` gives the four of a word by its number. `ids`: whether the first of them is those of the rows; otherwise the numbers of the rows are."""
+    `keys` gives the four of a word by its number. `ids`: whether the first column is those of the rows; otherwise the numbers of
+    the rows are."""
 
     def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:
         self._forms = [_Form(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]

@@ -34,7 +34,7 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
     with FolderLock(folder):
         clear(folder)
         (folder / "manifest.json").unlink(missing_ok=True)  # until all is there the folder is no cache
-        static = npz_file(cache.static().items())
+        static = npz_file(cache.static())
         write_whole(folder / STATIC, static.parts, sync=True)
         yield from _frames(cache, folder, width)
         sync_folder(folder / "frames")
@@ -55,7 +55,7 @@ def _frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
         for past in [each for each in near if each < number - width // 2]:
             del near[past]
         arrays = {**cache.frame(number), "orient": smoothed(near, number, width)}
-        file = npz_file(arrays.items())
+        file = npz_file(arrays)
         write_whole(frame_path(folder, number), file.parts, sync=False)
         lines.append(line_of(number, states.get(number, ""), file).text(number))
         yield number

@@ -243,11 +243,12 @@ def test_nothing_that_is_handed_over_is_memory_of_the_world(monkeypatch: pytest.
     made = FrameMaker.frame
     seen: set[str] = set()
 
-    def watched(self: FrameMaker, world: World) -> Iterator[tuple[str, NDArray[Any]]]:
-        for name, array in made(self, world):
+    def watched(self: FrameMaker, world: World) -> dict[str, NDArray[Any]]:
+        arrays = made(self, world)
+        for name, array in arrays.items():
             seen.add(name)
             assert not any(np.shares_memory(array, own) for own in held(world)), name
-            yield name, array
+        return arrays
 
     monkeypatch.setattr(FrameMaker, "frame", watched)
     shot = stick_bodies.opened(stick_bodies.write_scene(tmp_path, 6, "hill", count=16))

@@ -84,7 +84,7 @@ def test_who_knows_the_headers_sees_every_bit_that_differs_and_every_cut() -> No
 
 def test_the_rest_of_a_member_is_not_copied() -> None:
     array = np.arange(10)
-    found = npz.npz_file({"a": array}.items())
+    found = npz.npz_file({"a": array})
     assert any(isinstance(part, memoryview) and np.shares_memory(np.frombuffer(part, np.uint8), array) for part in found.parts)
 
 

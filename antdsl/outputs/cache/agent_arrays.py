@@ -5,7 +5,7 @@ agent's rank by id."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from antdsl.numerics import compiled
 from antdsl.runtime.world import AXES, Population, World
 
+Arrays = dict[str, NDArray[Any]]
 _KINDS: Mapping[str, tuple[Any, tuple[int, ...]]] = {
     "P": (np.float32, (3,)), "v": (np.float32, (3,)), "orient": (np.float32, (4,)), "Cd": (np.float32, (3,)),
     "state": (np.int16, ()), "species": (np.int16, ()),
@@ -34,22 +35,23 @@ class AgentArrays:
         self.scale, self.factors, self.pairs = scale, factors, pairs
         self.colours = {name: _colours(p) for name, p in world.populations.items()}
 
-    def arrays(self, world: World, attributes: tuple[str, ...]) -> Iterator[tuple[str, NDArray[Any]]]:
-        """The arrays of these names, each made as it is asked for."""
+    def arrays(self, world: World, attributes: tuple[str, ...]) -> Arrays:
+        """The arrays of these names."""
         populations = [world.populations[name] for name in sorted(world.populations)]
-        count = sum(map(len, populations))
-        for attribute in dict.fromkeys(attributes):
+        count, found = sum(map(len, populations)), Arrays()
+        for attribute in attributes:
             if attribute == "id":
                 ids = [population.sorted_ids()[0] for population in populations]
-                yield "id", ids[0] if len(ids) == 1 else np.concatenate(ids)
+                found["id"] = ids[0] if len(ids) == 1 else np.concatenate(ids)
                 continue
             kind, shape = _KINDS.get(attribute, (np.float32, ()))
-            found, begin = np.empty((count, *shape), kind), 0
+            found[attribute] = np.empty((count, *shape), kind)
+            begin = 0
             for number, population in enumerate(populations):
                 end = begin + len(population)
-                self._write(world, attribute, number, population, found[begin:end])
+                self._write(world, attribute, number, population, found[attribute][begin:end])
                 begin = end
-            yield attribute, found
+        return found
 
     def _write(self, world: World, attribute: str, number: int, population: Population, out: NDArray[Any]) -> None:
         """Write an attribute of a species, the one of a number, into its rows of an array."""

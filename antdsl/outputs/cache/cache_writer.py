@@ -213,7 +213,7 @@ class CacheWriter:
         those checkpoints that are `damaged`. `worst`: the greatest surface error of the frames that are kept, None where it is
         not known."""
         clear(self.folder, kept_up_to, damaged)
-        file = npz_file(static.items())
+        file = npz_file(static)
         write_whole(self.folder / STATIC, file.parts, sync=True)
         write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(file)}))
         world.carved = {}

@@ -3,7 +3,7 @@ units."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Literal
 
@@ -73,30 +73,27 @@ class FrameMaker:
         }
         self.agents = AgentArrays(world, self.scale, self.factors, self.pairs)
 
-    def frame(self, world: World) -> Iterator[tuple[str, NDArray[Any]]]:
-        """All arrays of the frame that the world stands at, by name, each made as it is asked for."""
-        yield "frame", np.array(world.frame, np.int64)
+    def frame(self, world: World) -> Arrays:
+        """All arrays of the frame that the world stands at."""
+        arrays: Arrays = {"frame": np.array(world.frame, np.int64)}
         rows = {name: world.populations[name].in_id_order() for name in sorted(world.populations)}
-        yield from self.agents.arrays(world, self.attributes)
+        arrays |= self.agents.arrays(world, self.attributes)
         for name in rows:
-            yield from clips_playing(world.populations[name]).items()
-            yield from shown(world.populations[name], world.setting).items()
-            yield from self._pairs(world.populations[name], rows[name]).items()
-            yield from placed_feet(world, name, self.scale).items()
+            arrays |= clips_playing(world.populations[name])
+            arrays |= shown(world.populations[name], world.setting)
+            arrays |= self._pairs(world.populations[name], rows[name])
+            arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
-            cells, values = _not_zero(np.asarray(field.values))
-            yield f"field.{name}.cells", cells
-            yield f"field.{name}.values", values
+            arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _not_zero(np.asarray(field.values))
             if "places" in field.added:
                 places = field.added["places"][:, :3] + world.origin
-                yield f"field.{name}.added", (places * self.scale).astype(np.float32)
+                arrays[f"field.{name}.added"] = (places * self.scale).astype(np.float32)
         for name, items in world.items.items():
             for attribute, amount in items.amounts.items():
-                yield f"items.{name}.{attribute}", amount.copy()
-        yield from self._moved(world, rows).items()
-        yield from events_of(world, self.events, self.scale).items()
-        if self.pieces is not None:
-            yield from self.pieces.frame(world).items()
+                arrays[f"items.{name}.{attribute}"] = amount.copy()
+        arrays |= self._moved(world, rows)
+        arrays |= events_of(world, self.events, self.scale)
+        return arrays if self.pieces is None else arrays | self.pieces.frame(world)
 
     def _pairs(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
         """Values per pair: whose, about whom and what, by both ids."""

@@ -46,13 +46,12 @@ _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever 
 
 def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """The bytes of an NPZ file with these arrays, in order."""
-    return b"".join(npz_file(arrays.items()).parts)
+    return b"".join(npz_file(arrays).parts)
 
 
-def npz_file(arrays: Iterable[tuple[str, NDArray[Any]]]) -> Stored:
-    """The same in parts. Those of arrays are the arrays' own memory, nothing of which may change until they have been used. Each
-    is read as it comes: one that has just been made lies near the processor."""
-    return stored(_member(name, array) for name, array in arrays)
+def npz_file(arrays: Mapping[str, NDArray[Any]]) -> Stored:
+    """The same in parts. Those of arrays are the arrays' own memory, nothing of which may change until they have been used."""
+    return stored(_member(name, array) for name, array in arrays.items())
 
 
 def _member(name: str, array: NDArray[Any]) -> tuple[Form, memoryview]:

@@ -47,7 +47,7 @@ class Scribe:
         """Write a checkpoint, durably, after everything before it, its hash included: one without is from before there were
         any."""
         began = time.perf_counter()
-        file = npz_file(arrays.items())
+        file = npz_file(arrays)
         lines = self._last or read_lines(self.folder / HASHES)
         self._line(frame, with_checkpoint(frame, lines[frame], file))
         found = self.sync()
