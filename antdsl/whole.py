@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -11,20 +10,27 @@ from pathlib import Path
 PART = ".part"
 _LONGEST = 40  # characters of a name that are kept, so that no system finds the new one too long
 _TRIES = 8
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
 def new_beside(path: Path, ending: str = PART, mode: int = 0o666) -> Path:
     """An empty file of our own beside a path. Whatever is there, also a link or a pipe, is neither opened nor written into nor
     taken away. Raises OSError where none can be made."""
+    new, handle = _new(path, ending, mode)
+    os.close(handle)
+    return Path(new)
+
+
+def _new(path: Path, ending: str, mode: int) -> tuple[str, int]:
+    """The same, open to be written: its path, and its handle."""
+    place, name = os.path.split(path)
     for left in reversed(range(_TRIES)):
-        new = path.with_name(f".{path.name[:_LONGEST]}.{secrets.token_hex(6)}{ending}")
+        new = os.path.join(place, f".{name[:_LONGEST]}.{os.urandom(6).hex()}{ending}")
         try:
-            os.close(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), mode))
+            return new, os.open(new, _NEW, mode)
         except FileExistsError:
             if not left:
                 raise
-        else:
-            return new
     raise AssertionError
 
 
@@ -37,16 +43,36 @@ def whole(path: Path, ending: str = PART, mode: int = 0o666) -> Iterator[Path]:
     part = new_beside(path, ending, mode)
     try:
         yield part
-        _replace(part, path)
+        _replace(str(part), path)
     except BaseException as problem:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        if isinstance(problem, OSError) and problem.errno is not None and problem.filename in (None, str(part), part):
-            problem.filename, problem.filename2 = str(path), None
+        _undo(str(part), path, problem)
         raise
 
 
-def _replace(part: Path, path: Path) -> None:
+@contextmanager
+def whole_opened(path: Path) -> Iterator[int]:
+    """The same as a handle of the file, open to be written."""
+    part, handle = _new(path, PART, 0o666)
+    try:
+        try:
+            yield handle
+        finally:
+            os.close(handle)
+        _replace(part, path)
+    except BaseException as problem:
+        _undo(part, path, problem)
+        raise
+
+
+def _undo(part: str, path: Path, problem: BaseException) -> None:
+    """Remove what was written, and have an OSError name `path`."""
+    with suppress(OSError):
+        os.unlink(part)
+    if isinstance(problem, OSError) and problem.errno is not None and problem.filename in (None, part, Path(part)):
+        problem.filename, problem.filename2 = str(path), None
+
+
+def _replace(part: str, path: Path) -> None:
     """`os.replace`; where a reader may hold the old file open (Windows) a few more times."""
     for attempt in range(5):
         try:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from antdsl.fields.cells import NEAREST, Cells, Links, SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.numerics import compiled
+from antdsl.numerics.row_hash import RowHash
 from antdsl.numerics.sorting import stable_order
 from antdsl.scene.stability import largest_stable_diffusion
 
@@ -52,6 +53,7 @@ class PheromoneField:
         self._padded = np.zeros(len(cells) + 1)  # one past the end: what a cell that is not there holds
         self._pending = np.zeros(len(cells), np.int64)
         self.version = 0  # changes whenever some array of it, or of its cells, becomes another one
+        self.hashed = RowHash()  # of `values`
         self._touched = False
         self._left: list[tuple[NDArray[np.integer[Any]], NDArray[np.float64]]] = []  # cells, and what claims have left in them
         self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}

@@ -3,32 +3,37 @@
 The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast CRC Computation for
 Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009: what has been read is kept as four registers with the same remainder
 as all of it. To go on by so many bits, each half of 16 bytes of them is multiplied by the remainder of x to that power. What is
-left in the end, 16 bytes, `zlib` finishes with the rest. A register has 16 bytes, or 64 where the products of as many are made at
-once (VPCLMULQDQ) and registers of that width slow nothing down (`machine`), which is almost three times as fast."""
+left in the end, 16 bytes and fewer than 16 more, goes byte by byte by a table. A register has 16 bytes, or 64 where the products
+of as many are made at once (VPCLMULQDQ) and registers of that width slow nothing down (`machine`), which is almost three times as
+fast."""
 
 from __future__ import annotations
 
 import ctypes
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.entries import entry
+from antdsl.machine_code.kernels.direct import Wanted, direct
+from antdsl.machine_code.kernels.direct_text import RESULTS, WHOLE
 from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.memory import address
 from antdsl.numerics import compiled
 
-LEAST = 16_384  # bytes; of fewer the call takes as long as it saves
+LEAST = 1_024  # bytes; of fewer the call takes as long as it saves
 _BLOCK = 16  # bytes of a factor
 _REGISTERS = 4  # read at once
 _ALL = 0xFFFFFFFF
 _POLYNOMIAL = 0x104C11DB7
+_BYTE = np.dtype(np.uint8)
+_DATA, _LENGTH, _BEFORE = RESULTS, RESULTS + 1, RESULTS + 2  # words of a call's table; the first is what is given back
+_Words = ctypes.c_int64 * (_BEFORE + 1)
 _FEATURE, _WIDE = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")  # as LLVM names them; the wide ones are used where `machine` does
-
-Fold = Callable[[int, int, int], bytes]
 
 
 def crc32(data: bytes | memoryview, before: int = 0) -> int:
@@ -37,34 +42,27 @@ def crc32(data: bytes | memoryview, before: int = 0) -> int:
     if len(data) < LEAST or not compiled.running():
         return zlib.crc32(data, before)
     fold = _fold()
-    if fold is None:
-        return zlib.crc32(data, before)
-    call, stride = fold
-    whole = len(data) // stride
-    kept = call(address(np.frombuffer(data, np.uint8)), whole, before ^ _ALL)
-    return zlib.crc32(data[whole * stride :], zlib.crc32(kept, _ALL))
+    return zlib.crc32(data, before) if fold is None else fold(np.frombuffer(data, _BYTE), before)
 
 
 @cache
-def _fold() -> tuple[Fold, int] | None:
-    """What gives 16 bytes with the remainder of so many strides from an address on, after a remainder, and the bytes of a stride;
-    None where the processor has no products without carry."""
+def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
+    """The CRC-32 of an array [n], one stride or more, after what has one; None where the processor has no products without
+    carry."""
     target = machine.host()
     if not has_products(target):
         return None
     code = codes.code(text(target))
     function = code.function("fold")  # what is called lies in `code`
 
-    words = ctypes.c_int64 * 5
-
-    def fold(place: int, strides: int, before: int) -> bytes:
-        table = words(place, strides, before)
-        at = ctypes.addressof(table)
-        function(at, 0, 0)
-        return ctypes.string_at(at + 8 * 3, _BLOCK)
+    def fold(data: NDArray[np.uint8], before: int) -> int:
+        table = _Words(*[0] * _DATA, address(data), len(data), before)
+        function(ctypes.addressof(table), 0, 0)
+        return table[0]
 
     fold.code = code  # type: ignore[attr-defined]
-    return fold, _REGISTERS * _BLOCK * blocks(target)
+    wanted = [Wanted((0,), _DATA, dtype=_BYTE, axes=1), Wanted((1,), _BEFORE, WHOLE)]
+    return direct("fold", code, wanted, _BEFORE + 1, [WHOLE], fold) or fold
 
 
 def has_products(target: machine.Target) -> bool:
@@ -87,9 +85,19 @@ def _power(bits: int) -> int:
     return int(f"{found:032b}"[::-1], 2) << 1
 
 
+def _table() -> str:
+    """What each byte leaves."""
+    found = []
+    for byte in range(256):
+        for _ in range(8):
+            byte = byte >> 1 ^ (int(f"{_POLYNOMIAL & _ALL:032b}"[::-1], 2) if byte & 1 else 0)
+        found.append(f"i32 {byte}")
+    return f"@table = internal constant [256 x i32] [{', '.join(found)}]"
+
+
 def text(target: machine.Target) -> str:
-    """What is compiled, in LLVM's language: a function of a table with the address, the number of strides (one or more) and the
-    remainder before them, which puts 16 bytes behind these."""
+    """What is compiled, in LLVM's language: a function of a table with an address, a number of bytes (one stride or more) and the
+    CRC-32 before them, which puts that of all into its first word."""
     module, many = Module(target), blocks(target)
     kinds = {count: (f"<{2 * count} x i64>", "" if count == 1 else f".{128 * count}") for count in {1, many}}
     for kind, ending in kinds.values():
@@ -115,8 +123,33 @@ def text(target: machine.Target) -> str:
         low, high = (put(f"{call} {which})") for which in (0x00, 0x11))
         return put(f"xor {kind} {put(f'xor {kind} {low}, {high}')}, {onto}")
 
-    place = put("load ptr, ptr %t")
-    words = [put(f"load i64, ptr {put(f'getelementptr i64, ptr %t, i64 {k}')}") for k in (1, 2)]
+    def going_on(label: str, before: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]) -> tuple[str, str]:
+        """A loop while there are `step` more bytes, behind the block `before`. `first`: the place that it begins at, and the type
+        and the value of what is kept, which `turn` makes anew from that value and the address of bytes. The place and the value
+        behind the loop."""
+        kind = first[1]
+        lines.append(f"  br label %{label}\n{label}:")
+        lines.append(f"  %{label}.at = phi i64 [ {first[0]}, %{before} ], [ %{label}.next, %{label}.turn ]")
+        lines.append(f"  %{label}.kept = phi {kind} [ {first[2]}, %{before} ], [ %{label}.then, %{label}.turn ]")
+        lines.append(f"  %{label}.next = add i64 %{label}.at, {step}")
+        lines.append(f"  %{label}.more = icmp sle i64 %{label}.next, {length}")
+        lines.append(f"  br i1 %{label}.more, label %{label}.turn, label %{label}.end\n{label}.turn:")
+        found = turn(f"%{label}.kept", put(f"getelementptr i8, ptr {place}, i64 %{label}.at"))
+        lines.append(f"  %{label}.then = bitcast {kind} {found} to {kind}\n  br label %{label}\n{label}.end:")
+        return f"%{label}.at", f"%{label}.kept"
+
+    def with_byte(state: str, byte: str) -> str:
+        wide = put(f"zext i8 {byte} to i32")
+        low = put(f"and i32 {put(f'xor i32 {state}, {wide}')}, 255")
+        left = put(f"load i32, ptr {put(f'getelementptr i32, ptr @table, i32 {low}')}")
+        return put(f"xor i32 {put(f'lshr i32 {state}, 8')}, {left}")
+
+    place, length, before = (
+        put(f"load {kind}, ptr {put(f'getelementptr i64, ptr %t, i64 {k}')}")
+        for kind, k in (("ptr", _DATA), ("i64", _LENGTH), ("i64", _BEFORE))
+    )
+    stride = _REGISTERS * _BLOCK * many
+    words = put(f"udiv i64 {length}, {stride}"), put(f"xor i64 {before}, {_ALL}")
     first = [loaded(place, register) for register in range(_REGISTERS)]
     first[0] = put(f"xor {wide} {first[0]}, {put(f'insertelement {wide} zeroinitializer, i64 {words[1]}, i64 0')}")
     lines.append("  br label %head\nhead:")
@@ -124,9 +157,9 @@ def text(target: machine.Target) -> str:
     lines.append("  %done = phi i64 [ 1, %inside ], [ %next, %turn ]")
     lines += [f"  {kept[k]} = phi {wide} [ {first[k]}, %inside ], [ %then{k}, %turn ]" for k in range(_REGISTERS)]
     lines.append(f"  %more = icmp slt i64 %done, {words[0]}\n  br i1 %more, label %turn, label %last\nturn:")
-    at = put(f"getelementptr i8, ptr {place}, i64 {put(f'mul i64 %done, {_REGISTERS * _BLOCK * many}')}")
+    at = put(f"getelementptr i8, ptr {place}, i64 {put(f'mul i64 %done, {stride}')}")
     for k in range(_REGISTERS):
-        then = moved(kept[k], 8 * _REGISTERS * _BLOCK * many, loaded(at, k), many)
+        then = moved(kept[k], 8 * stride, loaded(at, k), many)
         lines.append(f"  %then{k} = bitcast {wide} {then} to {wide}")
     lines.append("  %next = add i64 %done, 1\n  br label %head\nlast:")
     found = kept[0]
@@ -136,6 +169,16 @@ def text(target: machine.Target) -> str:
     found = parts[0]
     for part in parts[1:]:
         found = moved(found, 8 * _BLOCK, part, 1)
-    lines.append(f"  store <2 x i64> {found}, ptr {put('getelementptr i64, ptr %t, i64 3')}, align 8")
+    sixteen = ("<2 x i64>", found)
+    at, found = going_on(
+        "blocks", "last", (put(f"mul i64 {words[0]}, {stride}"), *sixteen), _BLOCK,
+        lambda kept, at: moved(kept, 8 * _BLOCK, put(f"load <2 x i64>, ptr {at}, align 1"), 1),
+    )  # fmt: skip
+    state, whole = "0", put(f"bitcast <2 x i64> {found} to <16 x i8>")
+    for k in range(_BLOCK):
+        state = with_byte(state, put(f"extractelement <16 x i8> {whole}, i32 {k}"))
+    _, state = going_on("bytes", "blocks.end", (at, "i32", state), 1, lambda kept, at: with_byte(kept, put(f"load i8, ptr {at}")))
+    state = put(f"xor i32 {state}, -1")
+    lines.append(f"  store i64 {put(f'zext i32 {state} to i64')}, ptr %t, align 8")
     body = "  br label %inside\ninside:\n" + "\n".join(lines)
-    return module.text() + "\n" + entry(module, "fold", body) + "\n"
+    return module.text() + "\n" + _table() + "\n" + entry(module, "fold", body) + "\n"

@@ -15,14 +15,17 @@ the keys and looks for one that is missed: this finds faults, not forgeries.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import compiled
+
+if TYPE_CHECKING:
+    from antdsl.numerics.row_hash_compiled import Table
 
 BLOCK = 1 << 14  # rows at once: their lanes stay near the processor
 _HALF = 0xFFFFFFFF
@@ -36,21 +39,20 @@ def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> 
     """16 bytes for a table with these columns, [n] each, of 1, 2, 4 or 8 bytes a value. `ids` int64[n] are different from each
     other; None: the numbers of the rows, for a table whose rows have an order."""
     count = len(columns[0]) if ids is None else len(ids)
-    words = _words(columns)
     if compiled.wanted(count):
-        fold, finish, numbered = _kernels()
-        if ids is None and len(words) == 1 == len(words[0][1]):
-            return _told(numbered(words[0][1][0], _keys(0, 1)))
-    else:
-        fold, finish = _fold, _finish
+        from antdsl.numerics.row_hash_compiled import Table
+
+        kept = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
+        return _told(Table(kept, keys, ids=ids is not None).sums(count))
+    words = _words(columns)
     sums = [0, 0]
     for begin in range(0, count, BLOCK):
         size = min(BLOCK, count - begin)
         first, second = np.zeros((2, size), np.int64)
         block = np.arange(begin, begin + size, dtype=np.int64) if ids is None else np.ascontiguousarray(ids[begin : begin + size])
-        fold([(0, (block,))], first, second, 0)
-        fold(words, first, second, begin)
-        for lane, found in enumerate(finish(first, second)):
+        _fold([(0, (block,))], first, second, 0)
+        _fold(words, first, second, begin)
+        for lane, found in enumerate(_finish(first, second)):
             sums[lane] += int(found)
     return _told(sums)
 
@@ -62,12 +64,43 @@ def _told(sums: Sequence[int]) -> bytes:
 def hashed_rows(ids: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> bytes:
     """What a digest has to take in of agents with these ids: the names and types of their columns, and the hash of the rows. The
     agents are the last axis of a column."""
-    arrays = columns.values()
-    named = _named(tuple(columns), tuple([array.dtype for array in arrays]))
-    parts: list[NDArray[Any]] = []
-    for array in arrays if len(ids) else ():
-        parts.extend([array] if array.ndim == 1 else array.reshape(-1, len(ids)))
-    return named + row_hash(ids, parts)
+    parts = [part for column in columns.values() for part in _parts(column)] if len(ids) else []
+    return named(tuple(columns), columns.values()) + row_hash(ids, parts)
+
+
+class RowHash:
+    """`row_hash` of tables that mostly lie where they did time after time, which is looked up once."""
+
+    def __init__(self) -> None:
+        self._arrays: list[NDArray[Any]] = []  # the ids first, where there are any
+        self._table: Table | None = None
+
+    def of(self, ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> bytes:
+        """Of columns [n] or [n, k], the rows of which count as k columns. Those of fewer than four bytes a value lie in one
+        piece."""
+        arrays = list(columns) if ids is None else [ids, *columns]
+        count = len(arrays[0])
+        if not compiled.wanted(count):
+            return row_hash(ids, [part for column in columns for part in _parts(column.T)])
+        table = self._table
+        if table is None or len(arrays) != len(self._arrays) or not table.lie(arrays, self._arrays):
+            from antdsl.numerics.row_hash_compiled import Table
+
+            self._table = table = Table(arrays, keys, ids=ids is not None)
+        self._arrays = arrays
+        return _told(table.sums(count))
+
+
+def _parts(column: NDArray[Any]) -> Sequence[NDArray[Any]]:
+    """The arrays [n] of one whose last axis has the rows."""
+    if column.ndim < 3:
+        return [column] if column.ndim == 1 else list(column)
+    return list(column.reshape(-1, column.shape[-1]))
+
+
+def named(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
+    """What a digest has to take in of columns besides the hash of the rows: their names and types."""
+    return _named(names, tuple([column.dtype for column in columns]))
 
 
 @lru_cache(64)
@@ -98,11 +131,11 @@ def _words(columns: Sequence[NDArray[Any]]) -> Words:
 
 
 @cache
-def _keys(*numbers: int) -> Longs:
-    """The keys of words by their numbers in the row: for each, of its first and its second half in one lane, then in the other,
-    32 bits each. Two numbers of SplitMix64 that begins at 0."""
+def keys(number: int) -> Longs:
+    """The keys of a word by its number in the row: of its first and its second half in one lane, then in the other, 32 bits each.
+    Two numbers of SplitMix64 that begins at 0."""
     found: list[int] = []
-    for each in (2 * number + k for number in numbers for k in (1, 2)):
+    for each in (2 * number + 1, 2 * number + 2):
         z = each * 0x9E3779B97F4A7C15 & _WHOLE
         z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & _WHOLE
         z = (z ^ z >> 27) * 0x94D049BB133111EB & _WHOLE
@@ -118,8 +151,8 @@ def _fold(words: Words, first: Longs, second: Longs, begin: int) -> None:
         if len(parts) == 1:
             pairs = parts[0].reshape(-1, 2)
             parts = [pairs[:, 0], pairs[:, 1]] if sys.byteorder == "little" else [pairs[:, 1], pairs[:, 0]]
-        keys = _keys(number).astype(np.uint32)
-        for lane, of_a, of_b in ((first, *keys[:2]), (second, *keys[2:])):
+        own = keys(number).astype(np.uint32)
+        for lane, of_a, of_b in ((first, *own[:2]), (second, *own[2:])):
             product = np.multiply(parts[0] + of_a, parts[1] + of_b, dtype=np.uint64)
             lane += product.view(np.int64)
 
@@ -133,29 +166,3 @@ def _finish(first: Longs, second: Longs) -> tuple[int, int]:
         h = (h ^ h >> np.uint64(33)) * np.uint64(0xC4CEB9FE1A85EC53)
         found.append(int((h ^ h >> np.uint64(33)).sum(dtype=np.uint64)))
     return found[0], found[1]
-
-
-@cache
-def _kernels() -> tuple[Any, Any, Any]:
-    from antdsl.numerics import row_hash_compiled as kernels
-
-    def fold(words: Words, first: Longs, second: Longs, begin: int) -> None:
-        wholes = [(number, word[0]) for number, word in words if len(word) == 1]
-        halves = [(number, word) for number, word in words if len(word) == 2]
-        for numbers, some in _fours(wholes):
-            kernels.fold_wholes(some, _keys(*numbers), first, second, begin)
-        for number, word in wholes[len(wholes) // 4 * 4 :]:
-            kernels.fold_whole(word, _keys(number), first, second, begin)
-        for numbers, some in _fours(halves):
-            kernels.fold_halves(*zip(*some, strict=True), _keys(*numbers), first, second, begin)
-        for number, (low, high) in halves[len(halves) // 4 * 4 :]:
-            kernels.fold_half(low, high, _keys(number), first, second, begin)
-
-    return fold, kernels.finish, kernels.numbered
-
-
-def _fours(words: Sequence[tuple[int, Any]]) -> Iterator[tuple[tuple[int, ...], tuple[Any, ...]]]:
-    """Numbers and arrays of four words at a time, as far as there are so many."""
-    for k in range(0, len(words) // 4 * 4, 4):
-        numbers, some = zip(*words[k : k + 4], strict=True)
-        yield numbers, some

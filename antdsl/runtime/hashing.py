@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from hashlib import sha256
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from antdsl.numerics.row_hash import hashed_rows, row_hash
+from antdsl.numerics.row_hash import named
 from antdsl.runtime.world import Population, World
 
 STATE_HASH = 2  # which way states are hashed; numbers of another way say nothing about a state
-
-Columns = Mapping[str, NDArray[Any]]
+_ALWAYS = ("born", "quarantined", "position", "normal")
 
 
 def state_hash(world: World) -> str:
@@ -24,14 +20,14 @@ def state_hash(world: World) -> str:
     for name in sorted(world.populations):
         population = world.populations[name]
         digest.update(f"\0{name}\0{len(population)}".encode())
-        digest.update(hashed_rows(population.ids, _columns(population)))
+        digest.update(_rows(population))
         digest.update(np.int64(population.next_id).tobytes())
     for name in sorted(world.items):
         for attribute, amounts in sorted(world.items[name].amounts.items()):
             digest.update(f"\0{name}\0{attribute}\0".encode() + amounts.tobytes())
     for name in sorted(world.fields):
         values = world.fields[name].values
-        digest.update(f"\0{name}\0{len(values)}".encode() + row_hash(None, [values]))
+        digest.update(f"\0{name}\0{len(values)}".encode() + world.fields[name].hashed.of(None, [values]))
     for name in sorted(world.solids):
         digest.update(f"\0{name}\0".encode() + world.solids[name].digest())
     for name in sorted(world.flows):
@@ -40,11 +36,12 @@ def state_hash(world: World) -> str:
     return digest.hexdigest()[:32]
 
 
-def _columns(population: Population) -> Columns:
-    """All that belongs to the state of agents, by name."""
-    found: dict[str, NDArray[Any]] = {"born": population.born, "quarantined": population.quarantined}
-    found |= {"position": population.position.T, "normal": population.normal.T}
-    found |= {f"footing.{name}": array.T for name, array in population.footing.columns.items()}
-    registers = population.plan.registers
-    found |= {name: population.now[name] for name in sorted(population.now) if registers[name].role != "temp"}
-    return found | {f"event.{name}": population.events[name] for name in sorted(population.events)}
+def _rows(population: Population) -> bytes:
+    """The hash of all that belongs to the state of agents."""
+    names, footing, now = population.state_registers(), population.footing.columns, population.now
+    events = sorted(population.events)
+    told = (*_ALWAYS, *map("footing.{}".format, footing), *names, *map("event.{}".format, events))
+    columns = [population.born, population.quarantined, population.position, population.normal, *footing.values()]
+    columns += [now[name] for name in names]
+    columns += [population.events[name] for name in events]
+    return named(told, columns) + population.hashed.of(population.ids, columns)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from antdsl.ground.protocol import Footing, Ground
 from antdsl.machine_code.memory import roomy_rows, roomy_space
 from antdsl.numerics.row_copies import RowCopies, pick
+from antdsl.numerics.row_hash import RowHash
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
 from antdsl.runtime.requests import Effects
@@ -109,10 +110,18 @@ class Population:
     laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
     rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
     copies: RowCopies = field(default_factory=RowCopies)  # of registers, once what was written becomes what all see
+    hashed: RowHash = field(default_factory=RowHash)  # of the state
     _zeros: RowCopies = field(default_factory=RowCopies)  # to registers of one step
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
     _ranks: tuple[int, NDArray[np.int32]] | None = None
+    _stated: tuple[ir.SpeciesPlan, tuple[str, ...]] | None = None
     _temps: tuple[ir.SpeciesPlan, int, dict[str, NDArray[Any]]] | None = None  # of a plan and so many agents, with their zeros
+
+    def state_registers(self) -> tuple[str, ...]:
+        """The names of registers that belong to the state, in order."""
+        if self._stated is None or self._stated[0] is not self.plan:
+            self._stated = self.plan, tuple(name for name in sorted(self.now) if self.plan.registers[name].role != "temp")
+        return self._stated[1]
 
     def clear_temps(self, threads: int = 1) -> None:
         """Registers of one step begin at their zeros."""

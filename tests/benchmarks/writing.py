@@ -4,7 +4,15 @@
 are off in both worlds (they are worked out where a cache is written, and nowhere else: `antdsl bench --cache` tells what they
 cost), steps take one thread, and the thread that writes counts, with checkpoints and until the last frame of a turn is in the
 file. `--rounds` turns each of `--steps` steps, in turn; the first of each is not counted. Told are milliseconds a frame, and the
-ratio of the two with where it lies with 95 %."""
+ratio of the two with where it lies with 95 %.
+
+What a write costs the system depends on the memory that it finds. A virtual machine may have given memory that is free back to
+its host (`page_reporting` of Linux): a page of that is made anew the first time that it is touched, and a file of 1.7 MB takes 2
+to 5 ms in place of 0.5. So before each turn, of either world, as much memory as its files may take several times over is asked
+for, touched and let go, and no turn pays for what another process has left; `--memory-as-it-is` leaves that away.
+
+A file system may make files more slowly where many have just been removed (ext4 does not use their numbers again for some
+minutes, and looks at each of them): `--folder` says where caches are made, the usual place of temporary files otherwise."""
 
 from __future__ import annotations
 
@@ -16,6 +24,8 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 
+import numpy as np
+
 from antdsl.bench.cases import CASES, case_of
 from antdsl.bench.measuring import with_code
 from antdsl.bench.ratios import in_turn, interval
@@ -25,6 +35,7 @@ from antdsl.outputs.recording import Recording, begin, record
 from antdsl.runtime import Options, World, bind, step
 from antdsl.scene.values import parse_frames
 
+TIMES = 4  # as much memory as the files of a turn take is asked for before it
 WARM = 8  # steps before anything is measured: rows come into order of place, machine code is there
 
 
@@ -49,14 +60,20 @@ def wait_for(folder: Path, frame: int) -> None:
         time.sleep(0.002)
 
 
-def measured(case: str, agents: int, steps: int, rounds: int) -> list[tuple[float, float]]:
-    """CPU seconds of a frame, without a cache and with one, turn by turn."""
+def touch(size: int) -> None:
+    """Have so many bytes of memory that is free be there."""
+    np.ones(size, np.uint8)
+
+
+def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None, *, as_it_is: bool) -> list[tuple[float, float]]:
+    """CPU seconds of a frame, without a cache and with one, turn by turn. `place`: where the cache is made; `as_it_is`: whether
+    memory is taken as it is."""
     shot = case_of(case).make(agents)
     last = WARM + (rounds + 1) * steps + 1
     shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{last}")))
     options = Options(backend="native", threads=1)
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place, "cache")
+    with tempfile.TemporaryDirectory(dir=place) as temporary:
+        folder = Path(temporary, "cache")
         recording = begin(shot, folder, options, resume=False, force=False)
         recording.world = bind(shot.plan, shot.setting, options)
         worlds = bind(shot.plan, shot.setting, options), recording.world
@@ -66,8 +83,10 @@ def measured(case: str, agents: int, steps: int, rounds: int) -> list[tuple[floa
                 next(way)
             with_code(world)
         wait_for(folder, worlds[1].frame)
+        size = 0 if as_it_is else TIMES * steps * frame_path(folder, worlds[1].frame).stat().st_size
 
         def turn(number: int) -> float:
+            touch(size)
             began = time.process_time()
             for _ in range(steps):
                 frame = next(ways[number])
@@ -88,9 +107,11 @@ def main() -> None:
     parser.add_argument("--agents", type=int, nargs="+", default=[15_000])
     parser.add_argument("--steps", type=int, default=24)
     parser.add_argument("--rounds", type=int, default=10)
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--memory-as-it-is", action="store_true")
     given = parser.parse_args()
     for agents in given.agents:
-        found = measured(given.case, agents, given.steps, given.rounds)
+        found = measured(given.case, agents, given.steps, given.rounds, given.folder, as_it_is=given.memory_as_it_is)
         plain, written = (1000 * fmean(turn[k] for turn in found) for k in (0, 1))
         ratio = interval([with_cache / without for without, with_cache in found])
         print(

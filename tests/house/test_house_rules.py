@@ -128,6 +128,7 @@ OWN_FILES = {
     "preview/serving/pages.py": "the page that comes with antdsl",
     "preview/serving/returning.py": "its own keys, of the last starts",
     "machine_code/object_cache.py": "folders, part by part",
+    "numerics/cores.py": "what the system tells about processor time",
     "scene/paths.py": "folders, part by part",
     "scene/geometry/usd/trial.py": "the null device",
     "syntax/grammar.py": "the grammar",

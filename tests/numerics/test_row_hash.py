@@ -105,3 +105,24 @@ def test_numbers_are_these() -> None:
     ids, columns = np.array([3, 1], np.int64), {"x": np.array([1.5, -0.0]), "n": np.array([7, 9], np.int32)}
     assert row_hash.row_hash(ids, list(columns.values())).hex() == "6c6528ad5946376db350e10234b09e90"
     assert row_hash.row_hash(None, [np.array([0.0, 1.0])]).hex() == "0609ad30bccd182a2c957d93e52e48cf"
+
+
+@pytest.mark.parametrize("on", [False, True], ids=["numpy", "kernels"])
+def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows(monkeypatch: pytest.MonkeyPatch, on: bool) -> None:
+    """Arrays of other places, lengths, types and steps, some the same as before with other values in them."""
+    kernels(monkeypatch, on)
+    known, numbered = row_hash.RowHash(), row_hash.RowHash()
+    for count in (70, 70, 71, 5, 0, 70):
+        ids, columns = table(count)
+        columns["place"] = np.ascontiguousarray(columns["place"].T)  # [n, 3]
+        columns["wide"] = np.arange(2.0 * count).reshape(count, 2) + 0.5
+        for turn in range(4):
+            if turn == 1:
+                columns["f8"][:] += 1.0  # type: ignore[operator]
+            elif turn == 2:
+                columns |= {"i4": columns["i4"].copy(), "place": columns["place"].copy(), "wide": columns["wide"][:, ::-1]}
+            elif turn == 3:
+                columns |= {"i4": columns["i8"], "f4": columns["place"][:, 1], "more": columns["zero"]}
+            parts = [part for array in columns.values() for part in array.T.reshape(-1, count)] if count else []
+            assert known.of(ids, list(columns.values())) == row_hash.row_hash(ids, parts)
+            assert numbered.of(None, [columns["f8"]]) == row_hash.row_hash(None, [columns["f8"]])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from antdsl.outputs.cache import npz, zip_parts
-from antdsl.outputs.cache.zip_parts import NotStored, Stored, read_headers, stored
+from antdsl.outputs.cache.zip_parts import NotStored, Stored, form_of, read_headers, stored
 
 MEMBERS = [
     ("frame.npy", b"head", np.int64(7).tobytes()), ("P.npy", b"a head of its own", bytes(range(256)) * 40),
@@ -21,7 +21,7 @@ MEMBERS = [
 
 
 def made(count: int = len(MEMBERS)) -> Stored:
-    return stored((name, head, memoryview(rest)) for name, head, rest in MEMBERS[:count])
+    return stored((form_of(name, head, len(rest)), memoryview(rest)) for name, head, rest in MEMBERS[:count])
 
 
 def parts() -> list[bytes | memoryview]:
@@ -65,7 +65,7 @@ def test_headers_are_read_from_blocks_of_any_length(limit: int | None, most: int
 
 
 def test_who_knows_the_headers_sees_every_bit_that_differs_and_every_cut() -> None:
-    file = stored((name, head, memoryview(rest[:40])) for name, head, rest in MEMBERS)
+    file = stored((form_of(name, head, len(rest[:40])), memoryview(rest[:40])) for name, head, rest in MEMBERS)
     data, headers = b"".join(file.parts), b"".join(file.headers)
 
     def seen(other: bytes) -> bool:

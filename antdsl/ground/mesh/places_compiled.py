@@ -27,6 +27,9 @@ def places(
     `normal` (3, m), by mesh from `first` on. `vertices`: three numbers of each."""
     for begin in range(0, mesh.size, _FETCHED):
         end = min(begin + _FETCHED, mesh.size)
+        for n in range(end, min(end + _FETCHED, mesh.size)):
+            if mesh[n] >= 0 and face[n] >= 0 and mesh[n] < first.size:
+                fetch_ahead(faces, 3 * (first[mesh[n]] + face[n]))
         for n in range(begin, end):
             if mesh[n] >= 0 and face[n] >= 0:
                 if mesh[n] >= first.size:

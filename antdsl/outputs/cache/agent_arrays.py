@@ -86,9 +86,7 @@ def write_placed(
         elif attribute == "v":
             kernels.vectors(_columns(population, "velocity"), ranks, scale, out)
         else:
-            parts = tuple(np.empty((4, len(out)), np.float32))
-            kernels.orientations(_columns(population, "heading"), _columns(population, "up"), parts)
-            kernels.turned(parts, ranks, out)
+            kernels.orientations(_columns(population, "heading"), _columns(population, "up"), ranks, out)
         return
     rows = population.in_id_order()
     if attribute == "P":

@@ -39,11 +39,11 @@ class CacheError(Exception):
 
 def frame_path(folder: Path, frame: int) -> Path:
     """Where a frame is kept; numbers have at least four digits, as frames in pictures do."""
-    return folder / "frames" / f"frame.{frame:04d}.npz"
+    return folder / f"frames/frame.{frame:04d}.npz"
 
 
 def checkpoint_path(folder: Path, frame: int) -> Path:
-    return folder / "checkpoints" / f"checkpoint.{frame:04d}.npz"
+    return folder / f"checkpoints/checkpoint.{frame:04d}.npz"
 
 
 def numbered(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int], list[Path]]:

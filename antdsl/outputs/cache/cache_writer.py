@@ -27,7 +27,7 @@ from antdsl.outputs.cache.cache_reader import (
     open_cache,
 )
 from antdsl.outputs.cache.frames import FrameMaker
-from antdsl.outputs.cache.hashes import HASHES, hash_of_static, read_lines
+from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of, read_lines
 from antdsl.outputs.cache.lock import LOCK, FolderLock
 from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, write_manifest
 from antdsl.outputs.cache.npz import npz_file, write_whole
@@ -229,14 +229,15 @@ class CacheWriter:
         times.append(time.perf_counter())
         state, feet = state_hash(world), feet_hash(world.feet)
         times.append(time.perf_counter())
-        arrays = self._maker.frame(world)
+        file = npz_file(self._maker.frame(world))
+        line = line_of(world.frame, state, file, feet)
         times.append(time.perf_counter())
         spent = dict(zip(("measure", "hash", "frame"), (end - start for start, end in pairwise(times)), strict=True))
         found = {"hash": state, "surface_error": self._worst}
         scribe, frame = self._scribe, world.frame
 
         def write() -> Mapping[str, Any]:
-            return {**found, "seconds": {**spent, **scribe.frame(frame, arrays, state, feet)["seconds"]}}
+            return {**found, "seconds": {**spent, **scribe.frame(frame, file, line)["seconds"]}}
 
         self._behind.hand_over(write)
 

@@ -119,11 +119,10 @@ def _signed(size, sign):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def orientations(heading: Three, up: Three, out: Four) -> None:
-    """As `agent_arrays.orientation`, of agents as rows lie, component by component."""
+def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]) -> None:
+    """As `agent_arrays.orientation`, each to the place of its rank."""
     px, py, pz = heading
     qx, qy, qz = up
-    ox, oy, oz, ow = out
     for i in independent(0, px.size):
         hx, hy, hz = np.float64(px[i]), np.float64(py[i]), np.float64(pz[i])
         ux, uy, uz = np.float64(qx[i]), np.float64(qy[i]), np.float64(qz[i])
@@ -143,19 +142,9 @@ def orientations(heading: Three, up: Three, out: Four) -> None:
         cosine = cosine if size > 1e-12 else 1.0
         bw = np.sqrt(max(0.5 + 0.5 * cosine, 0.0))
         bx = _signed(np.sqrt(max(0.5 - 0.5 * cosine, 0.0)), beside)
-        ox[i] = np.float32(aw * bx)
-        oy[i] = np.float32(ay * bw + az * bx)
-        oz[i] = np.float32(az * bw - ay * bx)
-        ow[i] = np.float32(aw * bw)
-
-
-@kernel
-def turned(of: Four, ranks: Array1[I32], out: Array2[F32]) -> None:
-    """Quaternions of agents, each to the place of its rank."""
-    x, y, z, w = of
-    for i in range(ranks.size):
         k = ranks[i]
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = x[i], y[i], z[i], w[i]
+        out[k, 0], out[k, 1] = np.float32(aw * bx), np.float32(ay * bw + az * bx)
+        out[k, 2], out[k, 3] = np.float32(az * bw - ay * bx), np.float32(aw * bw)
 
 
 @kernel

@@ -10,8 +10,8 @@ import zipfile
 from collections import deque
 from collections.abc import Container, Iterable, Mapping
 from functools import lru_cache
-from io import FileIO
 from itertools import islice
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, open_bounded
-from antdsl.outputs.cache.zip_parts import Parts, Stored, stored
+from antdsl.outputs.cache.zip_parts import Form, Parts, Stored, form_of, stored
 from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
-from antdsl.whole import whole
+from antdsl.whole import whole_opened
 
 __all__ = [
     "ArrayFileError",
@@ -54,12 +54,20 @@ def npz_file(arrays: Mapping[str, NDArray[Any]]) -> Stored:
     return stored(_member(name, array) for name, array in arrays.items())
 
 
-def _member(name: str, array: NDArray[Any]) -> tuple[str, bytes, memoryview]:
-    (kind, as_it_is), of = _kind(name, array.dtype), array.data
-    if as_it_is and of.nbytes and of.c_contiguous:
-        return f"{name}.npy", _header(kind, array.shape), of.cast("B")
-    data = np.asarray(array, order="C").astype(kind, copy=False).reshape(-1).view(_BYTE).data
-    return f"{name}.npy", _header(kind, array.shape), data
+def _member(name: str, array: NDArray[Any]) -> tuple[Form, memoryview]:
+    (form, kind), of = _form(name, array.dtype, array.shape), array.data
+    if not kind and of.nbytes and of.c_contiguous:
+        return form, of.cast("B")
+    return form, np.asarray(array, order="C").astype(kind or array.dtype, copy=False).reshape(-1).view(_BYTE).data
+
+
+@lru_cache(1024)  # a frame's arrays are mostly of the shapes that they had before
+def _form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[Form, str]:
+    """The form of members of a name, a type and a shape, and what type they have in a file, empty where arrays have these bytes
+    here, by which memory is known as numbers of the system."""
+    kind = _kind(name, dtype)
+    as_it_is = dtype.isnative and dtype.str == kind
+    return form_of(f"{name}.npy", _header(kind, shape), dtype.itemsize * prod(shape)), "" if as_it_is else kind
 
 
 def to_member(
@@ -67,28 +75,21 @@ def to_member(
 ) -> None:
     """Add an array of a type and shape to an open NPZ file, from parts that are it end to end, one in memory at a time."""
     entry = zipfile.ZipInfo(f"{name}.npy", _STAMP)
-    kind, _ = _kind(name, dtype)
+    kind = _kind(name, dtype)
     with file.open(entry, "w", force_zip64=True) as member:
         member.write(_header(kind, shape))
         for part in parts:
             member.write(np.asarray(part, order="C").astype(kind, copy=False).tobytes())
 
 
-def _kind(name: str, dtype: np.dtype[Any]) -> tuple[str, bool]:
-    kind, as_it_is = _little(dtype)
+def _kind(name: str, dtype: np.dtype[Any]) -> str:
+    """What a type is in a file."""
+    kind = dtype.newbyteorder("<").str
     if kind not in DTYPES:
         raise ValueError(f"array `{name}` of type {dtype} cannot be kept")
-    return kind, as_it_is
+    return kind
 
 
-@lru_cache(64)
-def _little(dtype: np.dtype[Any]) -> tuple[str, bool]:
-    """What a type is in a file, and whether arrays have these bytes here, by which memory is known as numbers of the system."""
-    kind = dtype.newbyteorder("<").str
-    return kind, dtype.isnative and dtype.str == kind
-
-
-@lru_cache(1024)  # a frame's arrays are mostly of the shapes that they had before
 def _header(kind: str, shape: tuple[int, ...]) -> bytes:
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape!r}, }}".encode("ascii")
     header += b" " * (-(len(MAGIC) + 2 + len(header) + 1) % 64) + b"\n"
@@ -99,24 +100,25 @@ def write_whole(path: Path, data: bytes | Parts, *, sync: bool) -> None:
     """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing. `data`: its bytes, or
     parts that are these end to end.
 
-    The file is there already, empty, and is opened to be written anew: ext4 begins to bring such a one onto the disk as it is
-    closed, and to make sure later that many of them are there takes two thirds of the time."""
-    with whole(path) as part, open(part, "wb", buffering=0) as file:
-        put(file, [data] if isinstance(data, bytes) else data)
+    The file is emptied before anything is in it, by which ext4 takes it for one that is written anew, and begins to bring it
+    onto the disk as it is closed: to make sure later that many of them are there takes two thirds of the time."""
+    with whole_opened(path) as handle:
+        os.ftruncate(handle, 0)
+        put(handle, [data] if isinstance(data, bytes) else data)
         if sync:
-            os.fsync(file.fileno())
+            os.fsync(handle)
     if sync:
         sync_folder(path.parent)
 
 
-def put(file: FileIO, parts: Parts) -> None:
-    """Write parts end to end. All in one call where the system has one for it: it finds room for a large piece at once in half
-    the time that it takes for many small ones."""
-    left = deque(memoryview(part) for part in parts if len(part))
+def put(handle: int, parts: Parts) -> None:
+    """Write parts end to end into an open file. All in one call where the system has one for it: it finds room for a large piece
+    at once in half the time that it takes for many small ones."""
+    left = deque(parts)
     while left:
         some = list(islice(left, _AT_ONCE))
-        done = os.writev(file.fileno(), some) if hasattr(os, "writev") else file.write(some[0])
-        while done and done >= len(left[0]):
+        done = os.writev(handle, some) if hasattr(os, "writev") else os.write(handle, some[0])
+        while left and done >= len(left[0]):
             done -= len(left.popleft())
         if done:
             left[0] = left[0][done:]

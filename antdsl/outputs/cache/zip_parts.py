@@ -11,7 +11,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from struct import Struct
 
 from antdsl.numerics.check_sums import crc32
@@ -48,47 +47,49 @@ class Stored:
     headers: Sequence[bytes]
 
 
-def stored(members: Iterable[tuple[str, bytes, memoryview]]) -> Stored:
-    """A file with these members, in order: of each its name, and its content as a head and the rest. `rest` is a part as it is,
-    so nothing of it may change until the parts have been used."""
+def stored(members: Iterable[tuple[Form, memoryview]]) -> Stored:
+    """A file with these members, in order: of each its form, and its content behind the head. The content is a part as it is, so
+    nothing of it may change until the parts have been used."""
     parts: list[bytes | memoryview] = []
     headers: list[bytes] = []
     entries: list[bytes] = []
     at = 0
-    for name, head, rest in members:
-        form = _form(name, head, len(rest), LIMIT)
-        check = crc32(rest, form.check)
-        header = check.to_bytes(4, "little").join(form.header)
+    for form, rest in members:
+        check = crc32(rest, form.check).to_bytes(4, "little")
+        before, after = form.header
+        header = before + check + after
         headers.append(header)
-        parts += (header + head, rest)
+        parts += (header + form.head, rest)
         entries.append(_entry(form, check, at))
         at += len(header) + form.size
-    headers.append(b"".join(entries) + _end(len(entries), sum(map(len, entries)), at))
+    directory = b"".join(entries)
+    headers.append(directory + _end(len(entries), len(directory), at))
     return Stored([*parts, headers[-1]], headers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Form:
+class Form:
     """What is the same of all members of a name, a head and a size: the CRC-32 of the head, and what stands before and after that
-    of the whole in their header and in their entry of the directory, of one that begins at 0."""
+    of the whole in their header, and in their entry of the directory, the latter before and after the place of the member."""
 
+    head: bytes
     size: int
     check: int
     words: bytes
     flags: int
     header: tuple[bytes, bytes]
-    entry: tuple[bytes, bytes]
+    entry: tuple[bytes, bytes, bytes]
 
 
-@lru_cache(1024)
-def _form(name: str, head: bytes, rest: int, limit: int) -> _Form:
-    """The form of members with `rest` bytes behind the head; `limit`: how large a size is told in four bytes."""
+def form_of(name: str, head: bytes, rest: int) -> Form:
+    """The form of members with `rest` bytes behind the head."""
     words, size = name.encode(), len(head) + rest
     flags = 0 if name.isascii() else _UTF8
-    told, version, extra = (size, _PLAIN, b"") if size <= limit else (_ELSEWHERE, _LONG, _longs(size, size))
+    told, version, extra = (size, _PLAIN, b"") if size <= LIMIT else (_ELSEWHERE, _LONG, _longs(size, size))
     local = _LOCAL.pack(_MEMBER, version, flags, 0, _TIME, _DATE, 0, told, told, len(words), len(extra)) + words + extra
-    central = _central(words, flags, size, 0, limit)
-    return _Form(size, crc32(head), words, flags, _around(local, _LOCAL_CHECK), _around(central, _CENTRAL_CHECK))
+    before, after = _around(_central(words, flags, size, 0), _CENTRAL_CHECK)
+    entry = before, *_around(after, _PLACE - _CENTRAL_CHECK - 4)
+    return Form(head, size, crc32(head), words, flags, _around(local, _LOCAL_CHECK), entry)
 
 
 def _around(record: bytes, at: int) -> tuple[bytes, bytes]:
@@ -158,20 +159,20 @@ class _Pieces:
         yield from self._blocks
 
 
-def _entry(form: _Form, check: int, at: int) -> bytes:
+def _entry(form: Form, check: bytes, at: int) -> bytes:
     """What the directory says of a member that begins at a place."""
-    before, after = form.entry if at <= LIMIT else _around(_central(form.words, form.flags, form.size, at, LIMIT), _CENTRAL_CHECK)
     if at <= LIMIT:
-        place = _PLACE - _CENTRAL_CHECK - 4
-        after = after[:place] + at.to_bytes(4, "little") + after[place + 4 :]
-    return before + check.to_bytes(4, "little") + after
+        before, after, rest = form.entry
+        return before + check + after + at.to_bytes(4, "little") + rest
+    before, after = _around(_central(form.words, form.flags, form.size, at), _CENTRAL_CHECK)
+    return before + check + after
 
 
-def _central(words: bytes, flags: int, size: int, at: int, limit: int) -> bytes:
+def _central(words: bytes, flags: int, size: int, at: int) -> bytes:
     """The same without the CRC-32."""
-    longs = [size, size] if size > limit else []
+    longs = [size, size] if size > LIMIT else []
     told, place = (_ELSEWHERE if longs else size), at
-    if at > limit:
+    if at > LIMIT:
         longs, place = [*longs, at], _ELSEWHERE
     version, extra = (_LONG, _longs(*longs)) if longs else (_PLAIN, b"")
     return _CENTRAL.pack(

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from queue import Empty, Queue, SimpleQueue
+from queue import SimpleQueue
 from typing import Any
 
-_WAITING = 2  # works handed over that wait for the one under way
+_MOST = 3  # works handed over that are not done: one under way, and those that wait for it
 
 Found = Mapping[str, Any]
 Work = Callable[[], Found]
@@ -24,8 +24,9 @@ class Behind:
 
     def __init__(self, told: Callable[[Found], None]) -> None:
         self._told = told
-        self._work: Queue[Work | None] = Queue(_WAITING)
-        self._found: SimpleQueue[Found] = SimpleQueue()
+        self._work: SimpleQueue[Work | None] = SimpleQueue()
+        self._found: SimpleQueue[Found | None] = SimpleQueue()  # one for each work, None where it was not done
+        self._left = 0  # works of which nothing has been heard
         self._problem: BaseException | None = None
         # a daemon: a disk that never answers must not keep the program from ending; all it could leave is a file beside its place
         self._thread = threading.Thread(target=self._live, name="cache writer", daemon=True)
@@ -33,8 +34,9 @@ class Behind:
 
     def hand_over(self, work: Work) -> None:
         """Have work done; waits where too much is under way."""
-        self._hear()
+        self._hear(_MOST - 1)
         self.check()
+        self._left += 1
         self._work.put(work)
 
     def finish(self) -> None:
@@ -42,26 +44,27 @@ class Behind:
         if self._thread.is_alive():
             self._work.put(None)
             self._thread.join()
-        self._hear()
+        self._hear(self._left)
 
     def check(self) -> None:
         """Raise what went wrong."""
         if self._problem is not None:
             raise self._problem
 
-    def _hear(self) -> None:
-        """Tell of what was found out since."""
-        while True:
-            try:
-                found = self._found.get_nowait()
-            except Empty:
-                return
-            self._told(found)
+    def _hear(self, most: int) -> None:
+        """Tell of what was found out since; waits until nothing is to be heard of so many works at most."""
+        while self._left > most or not self._found.empty():
+            found = self._found.get()
+            self._left -= 1
+            if found is not None:
+                self._told(found)
 
     def _live(self) -> None:
         while (work := self._work.get()) is not None:
+            found = None
             if self._problem is None:
                 try:
-                    self._found.put(work())
+                    found = work()
                 except BaseException as problem:  # raised in the caller's thread
                     self._problem = problem
+            self._found.put(found)

@@ -12,8 +12,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
-from antdsl.outputs.cache.hashes import HASHES, Line, line_of, read_lines, with_checkpoint
+from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import npz_file, put, sync_file, sync_folder, write_whole
+from antdsl.outputs.cache.zip_parts import Stored
 
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
@@ -29,18 +30,18 @@ class Scribe:
         self._unsynced: list[Path] = []
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
-    def frame(self, frame: int, arrays: Arrays, state: str, feet: str) -> Found:
-        """Write a frame and its line, with the hashes of its state and of its feet."""
+    def frame(self, frame: int, file: Stored, line: Line) -> Found:
+        """Write a frame as this file, and its line."""
         began = time.perf_counter()
-        path, file = frame_path(self.folder, frame), npz_file(arrays)
+        path = frame_path(self.folder, frame)
         write_whole(path, file.parts, sync=False)
         self._unsynced.append(path)
-        self._line(frame, line_of(frame, state, file, feet))
+        self._line(frame, line)
         return _spent("write", began)
 
     def _line(self, frame: int, line: Line) -> None:
         self._last = {frame: line}
-        put(self._lines, [line.text(frame)])
+        put(self._lines.fileno(), [line.text(frame)])
 
     def checkpoint(self, frame: int, arrays: Arrays) -> Found:
         """Write a checkpoint, durably, after everything before it, its hash included: one without is from before there were
