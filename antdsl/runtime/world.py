@@ -39,11 +39,8 @@ if TYPE_CHECKING:
 from antdsl.senses.touching import Touching
 
 DTYPES: Mapping[ir.Kind, type[np.generic]] = {
-    ir.Kind.F32: np.float32,
-    ir.Kind.BOOL: np.bool_,
-    ir.Kind.I32: np.int32,
-    ir.Kind.I64: np.int64,
-}
+    ir.Kind.F32: np.float32, ir.Kind.BOOL: np.bool_, ir.Kind.I32: np.int32, ir.Kind.I64: np.int64,
+}  # fmt: skip
 AXES = ("x", "y", "z")
 PUSHED = "moved"  # mm, by contacts in one step; a register of those whose program asks
 MOVED = tuple(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in AXES)
