@@ -78,8 +78,10 @@ class Table:
         for k, (column, other) in enumerate(zip(columns, before, strict=True)):
             if column is other:
                 continue
-            form = self._forms[k]
+            form, piece = self._forms[k], column.flags.c_contiguous  # which one row always is
             if column.dtype is not form.dtype or column.strides != form.strides or column.shape[1:] != form.more:
+                return False
+            if piece != form.piece:
                 return False
             begin = address(column) if form.piece else column.ctypes.data
             for slot, offset in self._slots[k]:

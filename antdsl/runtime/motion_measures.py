@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import chain
+from math import fsum
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -146,7 +147,7 @@ class Motion:
         if len(straight):
             self.ways += len(straight)
             self.circling += int(np.count_nonzero(straight < _CIRCLING))
-            self.straightness += float(straight.sum())
+            self.straightness += fsum(straight)  # the same in any order of rows
 
     def _counted_plainly(
         self, population: Population, window: Window, dt: np.float32, steps: int, threads: int

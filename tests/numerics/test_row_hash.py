@@ -112,7 +112,7 @@ def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows(m
     """Arrays of other places, lengths, types and steps, some the same as before with other values in them."""
     kernels(monkeypatch, on)
     known, numbered = row_hash.RowHash(), row_hash.RowHash()
-    for count in (70, 70, 71, 5, 0, 70):
+    for count in (70, 70, 71, 1, 5, 0, 1, 70):
         ids, columns = table(count)
         columns["place"] = np.ascontiguousarray(columns["place"].T)  # [n, 3]
         columns["wide"] = np.arange(2.0 * count).reshape(count, 2) + 0.5
@@ -126,3 +126,14 @@ def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows(m
             parts = [part for array in columns.values() for part in array.T.reshape(-1, count)] if count else []
             assert known.of(ids, list(columns.values())) == row_hash.row_hash(ids, parts)
             assert numbered.of(None, [columns["f8"]]) == row_hash.row_hash(None, [columns["f8"]])
+
+
+@pytest.mark.parametrize("on", [False, True], ids=["numpy", "kernels"])
+def test_a_column_of_one_row_lies_in_one_piece_and_one_of_more_with_its_step_may_not(
+    monkeypatch: pytest.MonkeyPatch, on: bool
+) -> None:
+    kernels(monkeypatch, on)
+    places, known = np.arange(15.0).reshape(5, 3), row_hash.RowHash()
+    for count in (1, 5, 1, 3):
+        columns = [places[:count, 0]]
+        assert known.of(np.arange(count), columns) == row_hash.row_hash(np.arange(count), columns)

@@ -11,6 +11,7 @@ from compilers import need_kernels
 from meaning import WAYS, Seen, crowd, item, play
 from plan_text import WORLD, plan_of
 
+from antdsl.bench.cases import case_of
 from antdsl.numerics import compiled
 from antdsl.passes import optimise
 from antdsl.runtime import MeshData, Options, Setting, bind, state_hash, step
@@ -194,3 +195,14 @@ def test_loops_and_arrays_agree(monkeypatch: pytest.MonkeyPatch) -> None:
             step(world)
         found.append(state_hash(world))
     assert found[0] == found[1]
+
+
+def test_how_straight_ways_are_is_told_the_same_for_any_order_of_rows() -> None:
+    shot, found = case_of("boids").make(200), set()
+    for order in (None, 3, 5):
+        world = bind(shot.plan, shot.setting, Options(backend="numpy", shuffle_rows=order))
+        for _ in range(50):
+            step(world)
+        assert world.motion.ways > 100
+        found.add(world.motion.straightness)
+    assert len(found) == 1
