@@ -25,7 +25,11 @@ def preview(
     set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     threads: int = typer.Option(
-        0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores. Changes no result."
+        0,
+        "--threads",
+        min=0,
+        max=256,
+        help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use. Changes no result.",
     ),
     host: str = typer.Option(
         None, "--host", metavar="HOST", help="Listen at another address than this machine's own; needs --let-others-in."

@@ -99,7 +99,7 @@ def render(
     resume: bool = typer.Option(
         False, "--resume", help="Draw only frames whose pictures are not there, whole and as they would be drawn."
     ),
-    threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores."),
+    threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores that it may use."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
     no_tls: bool = NO_TLS,

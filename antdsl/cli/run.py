@@ -48,7 +48,11 @@ def run(
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     threads: int = typer.Option(
-        0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores. Changes no result."
+        0,
+        "--threads",
+        min=0,
+        max=256,
+        help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use. Changes no result.",
     ),
     chunk: int = typer.Option(16_384, "--chunk", min=1, max=10_000_000, help="Agents worked on at once. Changes no result."),
     summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
@@ -131,12 +135,12 @@ def run(
 
 
 def at_once(asked: int, quiet: bool = False) -> int:
-    """How many threads to use where so many are asked for, 0 being all: more than there are cores would only wait for each other,
-    and libraries complain about it."""
+    """How many threads to use where so many are asked for, 0 being all: more than cores that may be used would only wait for each
+    other, and libraries complain about it."""
     there = cores()
     if asked > there and not quiet:
         say(
-            f"`--threads {asked}`: there {'is 1 core' if there == 1 else f'are {there} cores'} here, so {there} at a time",
+            f"`--threads {asked}`: this process may use {there} core{'s' * (there > 1)} here, so {there} at a time",
             err=True,
         )
     return min(asked or there, there)

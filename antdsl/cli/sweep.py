@@ -65,7 +65,9 @@ def sweep(
     ),
     design_seed: int = typer.Option(SEED, "--design-seed", metavar="N", min=1, max=2**31 - 1, help="Another draw of a design."),
     seeds: str = typer.Option("5", "--seeds", metavar="N", help="Run each with the seeds 1 to N, or with A..B."),
-    jobs: int = typer.Option(0, "--jobs", min=0, max=256, help="Runs at a time; 0 takes all cores. Changes no result."),
+    jobs: int = typer.Option(
+        0, "--jobs", min=0, max=256, help="Runs at a time; 0 takes all cores that it may use. Changes no result."
+    ),
     out: Path = typer.Option(
         None, "--out", metavar="DIR", help="Where the table goes. [default: out/sweep beside the first scene]", show_default=False
     ),

@@ -35,7 +35,7 @@ def test(
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
     threads: int = typer.Option(
-        0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores."
+        0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use."
     ),
     backend: Backend = typer.Option(
         Backend.native, "--backend", help="As of `run`; `reference` is slow and plain: one agent at a time. Changes no verdict."

@@ -45,7 +45,8 @@ class Recording:
     surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None where those before are not known of
     steps: int = 0  # after the first
     seconds: dict[str, float] = field(default_factory=dict)
-    behind: dict[str, float] = field(default_factory=dict)  # of frames: made (part of `hand_over`), and written meanwhile
+    made: dict[str, float] = field(default_factory=dict)  # frames: parts of `hand_over`
+    behind: dict[str, float] = field(default_factory=dict)  # frames and checkpoints written meanwhile
     started: float = field(default_factory=time.perf_counter)
     way: str | None = None  # from the cache to its scene, where that is not the one between the files that are used
     meter: Meter | None = None  # measures the steps after the first
@@ -60,8 +61,9 @@ class Recording:
 
     def written(self, found: Mapping[str, Any]) -> None:
         """Take in what was found out about a frame as it was written."""
-        for what, seconds in found["seconds"].items():
-            self.behind[what] = self.behind.get(what, 0.0) + seconds
+        for of, name in ((self.made, "made"), (self.behind, "seconds")):
+            for what, seconds in found.get(name, {}).items():
+                of[what] = of.get(what, 0.0) + seconds
         self.hash = found.get("hash", self.hash)
         self.surface_error = found.get("surface_error", self.surface_error)
 

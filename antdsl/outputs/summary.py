@@ -18,7 +18,10 @@ def summary(recording: Recording) -> dict[str, Any]:
         "agents": len(world),
         "frames": 0 if recording.frame is None else recording.frame - recording.shot.frames.first + 1,
         "fps": round(steps / stepping, 3) if stepping > 0 else 0.0,
-        "seconds": {name: round(value, 6) for name, value in {**recording.seconds, **recording.behind, **world.timings}.items()},
+        "seconds": {
+            name: round(value, 6)
+            for name, value in {**recording.seconds, **recording.made, **recording.behind, **world.timings}.items()
+        },
         "states": states(recording),
         "transitions": dict(world.transitions),
         "items": {

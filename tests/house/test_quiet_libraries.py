@@ -42,7 +42,7 @@ def test_doctor_lists_every_extra() -> None:
 
 @pytest.mark.parametrize(
     ("there", "asked", "taken", "told"),
-    [(2, 4, 2, "there are 2 cores here"), (1, 4, 1, "there is 1 core"), (2, 0, 2, ""), (2, 2, 2, ""), (8, 3, 3, "")],
+    [(2, 4, 2, "may use 2 cores here"), (1, 4, 1, "may use 1 core here"), (2, 0, 2, ""), (2, 2, 2, ""), (8, 3, 3, "")],
 )
 def test_more_threads_than_cores_are_not_started_and_that_is_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], there: int, asked: int, taken: int, told: str

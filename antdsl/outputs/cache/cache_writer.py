@@ -237,7 +237,7 @@ class CacheWriter:
         scribe, frame = self._scribe, world.frame
 
         def write() -> Mapping[str, Any]:
-            return {**found, "seconds": {**spent, **scribe.frame(frame, file, line)["seconds"]}}
+            return {**found, "made": spent, **scribe.frame(frame, file, line)}
 
         self._behind.hand_over(write)
 
