@@ -54,7 +54,7 @@ def faced(
     grid: Grid,
     origin: Strided2[F64],
     way: Strided2[F64],
-    normals: Strided2[F64],
+    normals: Array2[F64],
     named: Array1[I64],
     which: Array1[I64],
     found: Array2[F64],
@@ -65,19 +65,28 @@ def faced(
     part of the way and normal (x y z), [4, n]. Gives `begin`, how many hit, and of how many the grid cannot tell."""
     shape, count, left = grid[0], 0, 0
     zero = shape[6], shape[7], shape[8]
-    cells = scratch(2 * AHEAD, I64)
+    cells, faces, many = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), normals.shape[1]
     for low in range(begin, end, AHEAD):
         high = min(low + AHEAD, end)
         _fetch(grid, origin, zero, way, cells, low, high)
+        hit = 0
         for i in range(low, high):
             a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
             t, face = _first(grid, a, (way[i, 0], way[i, 1], way[i, 2]))
             left += 1 if face == FURTHER else 0
             if face >= 0:
-                k, f = begin + count, named[face]
-                which[k], found[0, k] = i, t
-                found[1, k], found[2, k], found[3, k] = normals[0, f], normals[1, f], normals[2, f]
-                count += 1
+                k = begin + count + hit
+                which[k], found[0, k], faces[hit] = i, t, face
+                fetch_ahead(named, face)
+                hit += 1
+        for n in range(hit):
+            faces[n] = named[faces[n]]
+            for axis in range(3):
+                fetch_ahead(normals, axis * many + faces[n])
+        for n in range(hit):
+            for axis in range(3):
+                found[1 + axis, begin + count + n] = normals[axis, faces[n]]
+        count += hit
     return begin, count, left
 
 
