@@ -6,5 +6,6 @@ SHORTEST = 1e-30  # of a vector of float32: a shorter one points nowhere
 FAR_OFF = 1e-4  # relative, and in mm: more than any rounding of a place or a direction
 
 NOTHING, FURTHER = -1, -2  # instead of a face: there is none, and the grid cannot tell
+BEYOND, UNSURE = -3, -4  # of a search within a distance: the nearest is farther and faces the place, and that is not known
 LONGEST = 16.0  # cubes along the three axes that a ray passes: of longer ones, thousands at once are faster in a tree
 RINGS = 4  # of cubes around a place in which its nearest face is looked for

@@ -178,14 +178,14 @@ class TriangleGrid:
         """How far (mm) places are out of the faces, below 0 behind the nearest, NaN for who has to ask elsewhere, and the unit
         way out, float32[4,n]; and how many have to. Compiled."""
         found = np.empty((4, len(place[0])), np.float32)
-        work = partial(_kernels().apart, self.tables, _plain(*place), found)
+        work = partial(_nearest_kernels().apart, self.tables, _plain(*place), found)
         return found, sum(compiled.in_parts(work, len(place[0]), threads, _RAYS))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """The place nearest to each point [n,3], its square distance and its face; FURTHER where none is near enough to tell."""
         if compiled.wanted(len(points)):
             place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
-            _kernels().nearests(self.tables, points, place, square, face)
+            _nearest_kernels().nearests(self.tables, points, place, square, face)
             return place, square, face
         with np.errstate(all="ignore"):
             return self._nearest(points)
@@ -220,6 +220,13 @@ def _kernels() -> Any:
     from antdsl.casting import triangle_grid_compiled
 
     return triangle_grid_compiled
+
+
+@cache
+def _nearest_kernels() -> Any:
+    from antdsl.casting import nearest_faces_compiled
+
+    return nearest_faces_compiled
 
 
 def _ring(middle: Index, ring: int, size: Index) -> tuple[Index, Index]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.casting.faces_compiled import along, nearest_on, square_of, towards
-from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, RINGS, SHORTEST, TOUCHING
+from antdsl.casting.faces_compiled import along, towards
+from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, SHORTEST
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,
@@ -54,7 +54,7 @@ def faced(
     grid: Grid,
     origin: Strided2[F64],
     way: Strided2[F64],
-    normals: Strided2[F64],
+    normals: Array2[F64],
     named: Array1[I64],
     which: Array1[I64],
     found: Array2[F64],
@@ -65,19 +65,28 @@ def faced(
     part of the way and normal (x y z), [4, n]. Gives `begin`, how many hit, and of how many the grid cannot tell."""
     shape, count, left = grid[0], 0, 0
     zero = shape[6], shape[7], shape[8]
-    cells = scratch(2 * AHEAD, I64)
+    cells, faces, many = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), normals.shape[1]
     for low in range(begin, end, AHEAD):
         high = min(low + AHEAD, end)
         _fetch(grid, origin, zero, way, cells, low, high)
+        hit = 0
         for i in range(low, high):
             a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
             t, face = _first(grid, a, (way[i, 0], way[i, 1], way[i, 2]))
             left += 1 if face == FURTHER else 0
             if face >= 0:
-                k, f = begin + count, named[face]
-                which[k], found[0, k] = i, t
-                found[1, k], found[2, k], found[3, k] = normals[0, f], normals[1, f], normals[2, f]
-                count += 1
+                k = begin + count + hit
+                which[k], found[0, k], faces[hit] = i, t, face
+                fetch_ahead(named, face)
+                hit += 1
+        for n in range(hit):
+            faces[n] = named[faces[n]]
+            for axis in range(3):
+                fetch_ahead(normals, axis * many + faces[n])
+        for n in range(hit):
+            for axis in range(3):
+                found[1 + axis, begin + count + n] = normals[axis, faces[n]]
+        count += hit
     return begin, count, left
 
 
@@ -148,49 +157,6 @@ def feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
     if (x * w[0] + y * w[1]) + z * w[2] > 0:
         x, y, z = -x, -y, -z
     return (x, y, z, t * far), face
-
-
-@kernel
-def apart(grid: Grid, places: Three, found: Array2[F32], begin: I64, end: I64) -> I64:
-    """As `TriangleGrid.apart` of places from `begin` to before `end`, into `found`: gap, NaN for who has to ask elsewhere, and
-    way out; how many have."""
-    x, y, z = places
-    count = 0
-    for i in range(begin, end):
-        gap, out = way_out(grid, (x[i], y[i], z[i]))
-        count += 1 if gap != gap else 0
-        found[0, i], found[1, i], found[2, i], found[3, i] = gap, out[0], out[1], out[2]
-    return count
-
-
-@inlined
-def way_out(grid, place):  # type: ignore[no-untyped-def]
-    """As `apart`, of one place: how far it is out of the faces, NaN where the grid cannot tell, and the way out."""
-    shape, normals = grid[0], grid[7]
-    p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
-    square, face, q = _nearest(grid, (p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]))
-    gap, x, y, z = np.float32(np.nan), np.float32(0), np.float32(0), np.float32(0)
-    if face >= 0:
-        distance = np.sqrt(square)
-        n = normals[face, 0], normals[face, 1], normals[face, 2]
-        away = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
-        side = -1.0 if (away[0] * n[0] + away[1] * n[1]) + away[2] * n[2] < 0 else 1.0
-        gap = np.float32(distance * side)
-        part = side / max(distance, TOUCHING)
-        if distance < TOUCHING:
-            x, y, z = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
-        else:
-            x, y, z = np.float32(away[0] * part), np.float32(away[1] * part), np.float32(away[2] * part)
-    return gap, (x, y, z)
-
-
-@kernel
-def nearests(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
-    """As `TriangleGrid.nearest`, into the last three arrays."""
-    for i in range(face.size):
-        p = (points[i, 0], points[i, 1], points[i, 2])
-        square[i], face[i], q = _nearest(grid, p)
-        place[i, 0], place[i, 1], place[i, 2] = q[0], q[1], q[2]
 
 
 @called
@@ -289,90 +255,3 @@ def _between(p, inverse, moves, size):  # type: ignore[no-untyped-def]
         return (0.0, 1.0) if p >= 0.0 and p < size else (np.inf, -np.inf)
     one, two = -p * inverse, (size - p) * inverse
     return (one, two) if one < two else (two, one)
-
-
-@called
-def _nearest(grid, p):  # type: ignore[no-untyped-def]
-    """The square distance of a place's nearest face, which one, and the place on it."""
-    shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
-    width, off = shape[3], shape[4]
-    part = 1.0 / width
-    ax, ay, az = (p[0] - shape[0]) * part, (p[1] - shape[1]) * part, (p[2] - shape[2]) * part
-    best, face, place, least = np.inf, FURTHER, p, np.inf
-    before, second, third = FURTHER, FURTHER, FURTHER  # faces that were asked about last: neighbouring cubes have them too
-    if not (_around(ax, size[0]) and _around(ay, size[1]) and _around(az, size[2])):
-        return best, face, place
-    mx, my, mz = _middle(ax, size[0]), _middle(ay, size[1]), _middle(az, size[2])
-    ring, looking = 0, True
-    while looking and ring <= RINGS:
-        low, high = max(mz - ring, 0), min(mz + ring, size[2] - 1)
-        for x in range(max(mx - ring, 0), min(mx + ring, size[0] - 1) + 1):
-            for y in range(max(my - ring, 0), min(my + ring, size[1] - 1) + 1):
-                if _off(ax, x) + _off(ay, y) > best * part * part * (1 + 1e-6):
-                    continue
-                # On the sides of the ring all cubes of a row are new, and lie side by side; elsewhere its two ends.
-                side = abs(x - mx) == ring or abs(y - my) == ring
-                row = (x * size[1] + y) * size[2]
-                z = low
-                while z <= high:
-                    last = high if side else z
-                    if side or abs(z - mz) == ring:
-                        for k in range(first[row + z], first[row + last + 1]):
-                            if _farther(bound, k, p, off, least):
-                                continue
-                            f = listed[k]
-                            if f == face or before == f or second == f or third == f:
-                                continue
-                            before, second, third = f, before, second
-                            q = nearest_on(corners, f, p)
-                            d = square_of(minus(q, p))
-                            if d < best or (d == best and f < face):
-                                best, face, place, least = d, f, q, np.sqrt(d) + off
-                    z = last + 1 if side or z == high else high
-        known = _known(ax, mx, ring, size[0])
-        known = min(known, _known(ay, my, ring, size[1]))
-        known = min(known, _known(az, mz, ring, size[2])) * width
-        looking = not best <= known * known
-        ring += 1
-    if looking:
-        best, face, place = np.inf, FURTHER, p
-    return best, face, place
-
-
-@inlined
-def _farther(bound, k, p, off, least):  # type: ignore[no-untyped-def]
-    """Whether a face is farther away than `least` for certain: its plane is, or its ball, seen along the plane."""
-    above = ((bound[k, 0] * p[0] + bound[k, 1] * p[1]) + bound[k, 2] * p[2]) + bound[k, 3]
-    if abs(above) > least:
-        return True
-    x, y, z = p[0] - bound[k, 4], p[1] - bound[k, 5], p[2] - bound[k, 6]
-    away = bound[k, 7] + off
-    across = (x * x + y * y + z * z) - above * above
-    # How far it is along the plane at most, if it is no farther than `least`.
-    room = least * least - above * above
-    return across > away * away and across > away * away + room + 2.0 * away * np.sqrt(room)
-
-
-@inlined
-def _around(at, size):  # type: ignore[no-untyped-def]
-    return at >= -RINGS and at <= size + RINGS
-
-
-@inlined
-def _middle(at, size):  # type: ignore[no-untyped-def]
-    return min(np.int64(np.floor(max(at, 0.0))), size - 1)
-
-
-@inlined
-def _known(at, middle, ring, size):  # type: ignore[no-untyped-def]
-    below, above = middle - ring, middle + ring + 1
-    low = np.inf if below <= 0 else at - np.float64(below)
-    high = np.inf if above >= size else np.float64(above) - at
-    return min(low, high)
-
-
-@inlined
-def _off(at, cell):  # type: ignore[no-untyped-def]
-    """The square distance (cubes) of a place from a layer of cubes along one axis, less what their faces may stand out."""
-    off = max(max(np.float64(cell) - at, at - np.float64(cell + 1)) - 1e-5, 0.0)
-    return off * off

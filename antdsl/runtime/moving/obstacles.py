@@ -239,8 +239,8 @@ def _keep_off(
     of who is inside. A ray along a round wall sees nothing of it, and the ground may carry one sideways."""
     gap, out = scene.apart(*place, size + margin, threads)
     wall = vec.unit(vec.flat((out[0], out[1], out[2]), up), (_F(0) * size,) * 3)
-    least = np.minimum(margin - gap, size * _F(0.5))
-    bent = vec.add(step, vec.scale(wall, np.maximum(least - vec.dot(step, wall), _F(0))))
+    least = np.minimum(margin - gap, size * _F(0.5)) - vec.dot(step, wall)
+    bent = vec.choose(least <= 0, step, vec.add(step, vec.scale(wall, least)))
     long = vec.length(bent)
     return vec.scale(bent, np.where(long > size, size / np.where(long > 0, long, _F(1)), _F(1))), gap
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from antdsl.casting.nearest_faces_compiled import fetch_around, fetch_lists, way_out
 from antdsl.casting.tolerances import FURTHER
-from antdsl.casting.triangle_grid_compiled import Grid, feel, way_out
-from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, independent, inlined, kernel
+from antdsl.casting.triangle_grid_compiled import AHEAD, Grid, feel
+from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
 from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -16,6 +17,7 @@ _LEAST, _MARGIN = _F(1e-9), _F(0.5)  # as `obstacles`
 _TINY = _F(1e-12)  # as `vectors.unit`
 _SLACK = _F(1e-4)  # as `obstacle_clearance`
 _WIDER = _F(1) + _SLACK
+_LOOKS = 1 + 1e-6  # more than rounding makes of a distance
 _LONGER = _F(1) + _F(1e-6)  # as `obstacles`
 
 
@@ -48,7 +50,8 @@ def _kept(step, up, size, margin, clear, gap, out):  # type: ignore[no-untyped-d
         wall = (_ZERO, _ZERO, _ZERO)
     least, half = margin - gap, size * _HALF
     least = (half if half < least else least) - dot(step, wall)
-    step = plus(step, times(wall, _ZERO if least <= 0 else least))
+    if not least <= 0:
+        step = plus(step, times(wall, least))
     long = np.sqrt(dot(step, step))
     if long > size:
         step = times(step, size / long)
@@ -75,33 +78,54 @@ def along(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64, I64]:
-    """`begin`; how many agents from there to before `end` may touch an obstacle on their step, which is `clear` of them; how many
-    of these meet it on the step that keeps the margin; and of how many the grid cannot tell. From number `begin` on: their `rows`
-    with place, that step, the `up` of the ground (3, n) and the margin, `found` [10, n]; who of them has `met` a face, how much
-    of the step (mm) is free, and the normal, `hits` [4, n]."""
-    count, hit, left = 0, 0, 0
+    """`begin`; how many agents from there to before `end` may touch an obstacle on their step, which is `clear` of them, without
+    those who are outside and whose nearest face is farther than they look: their steps stay; how many of these meet it on the
+    step that keeps the margin; and of how many the grid cannot tell. From number `begin` on: their `rows` with place, that step,
+    the `up` of the ground (3, n) and the margin, `found` [10, n]; who of them has `met` a face, how much of the step (mm) is
+    free, and the normal, `hits` [4, n]."""
+    asking = begin
     for i in range(begin, end):
-        size, margin, asked = _asked(step, radius, clear, i)
-        if not asked:
-            continue
-        at, above = (place[0][i], place[1][i], place[2][i]), (up[0, i], up[1, i], up[2, i])
-        gap, out = way_out(grid, at)
-        left += 1 if gap != gap else 0
-        bent, size, asked = _kept((step[0][i], step[1][i], step[2][i]), above, size, margin, clear[i], gap, out)
-        k = begin + count
-        rows[k], found[9, k] = i, margin
-        for axis in range(3):
-            found[axis, k], found[3 + axis, k], found[6 + axis, k] = at[axis], bent[axis], above[axis]
+        _, _, asked = _asked(step, radius, clear, i)
         if asked:
-            normal, face = feel(grid, at, times(bent, _ONE / size), size + margin)
-            left += 1 if face == FURTHER else 0
-            if face >= 0:
-                h = begin + hit
-                free = _F(normal[3]) - margin
-                free = _ZERO if free < _ZERO else size if free > size else free
-                met[h], hits[0, h], hits[1, h], hits[2, h], hits[3, h] = count, free, _F(normal[0]), _F(normal[1]), _F(normal[2])
-                hit += 1
-        count += 1
+            rows[asking] = i
+            asking += 1
+    count, hit, left = 0, 0, 0
+    cubes = scratch(9 * AHEAD, I64)
+    for low in range(begin, asking, AHEAD):
+        high = min(low + AHEAD, asking)
+        for n in range(low, high):
+            i = rows[n]
+            fetch_around(grid, (place[0][i], place[1][i], place[2][i]), cubes, n - low)
+        fetch_lists(grid, cubes, 9 * (high - low))
+        for n in range(low, high):
+            i = rows[n]
+            size, margin, _ = _asked(step, radius, clear, i)
+            at, above = (place[0][i], place[1][i], place[2][i]), (up[0, i], up[1, i], up[2, i])
+            gap, out = way_out(grid, at, np.float64((size + margin) * _WIDER + _SLACK) * _LOOKS)
+            if gap == _FAR:
+                continue
+            left += 1 if gap != gap else 0
+            bent, size, asked = _kept((step[0][i], step[1][i], step[2][i]), above, size, margin, clear[i], gap, out)
+            k = begin + count
+            rows[k], found[9, k] = i, margin
+            for axis in range(3):
+                found[axis, k], found[3 + axis, k], found[6 + axis, k] = at[axis], bent[axis], above[axis]
+            if asked:
+                normal, face = feel(grid, at, times(bent, _ONE / size), size + margin)
+                left += 1 if face == FURTHER else 0
+                if face >= 0:
+                    h = begin + hit
+                    free = _F(normal[3]) - margin
+                    free = _ZERO if free < _ZERO else size if free > size else free
+                    met[h], hits[0, h], hits[1, h], hits[2, h], hits[3, h] = (
+                        count,
+                        free,
+                        _F(normal[0]),
+                        _F(normal[1]),
+                        _F(normal[2]),
+                    )
+                    hit += 1
+            count += 1
     return begin, count, hit, left
 
 
