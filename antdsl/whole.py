@@ -41,35 +41,33 @@ def whole(path: Path, ending: str = PART, mode: int = 0o666) -> Iterator[Path]:
     that is written ends in, for those who go by it; `mode`: who may read and write it, less what the system keeps from new
     files."""
     part = new_beside(path, ending, mode)
-    try:
+    with _placed(str(part), path):
         yield part
-        _replace(str(part), path)
-    except BaseException as problem:
-        _undo(str(part), path, problem)
-        raise
 
 
 @contextmanager
 def whole_opened(path: Path) -> Iterator[int]:
     """The same as a handle of the file, open to be written."""
     part, handle = _new(path, PART, 0o666)
-    try:
+    with _placed(part, path):
         try:
             yield handle
         finally:
             os.close(handle)
+
+
+@contextmanager
+def _placed(part: str, path: Path) -> Iterator[None]:
+    """Move what has been written to its place; where anything fails remove it, and have an OSError name `path`."""
+    try:
+        yield
         _replace(part, path)
     except BaseException as problem:
-        _undo(part, path, problem)
+        with suppress(OSError):
+            os.unlink(part)
+        if isinstance(problem, OSError) and problem.errno is not None and problem.filename in (None, part, Path(part)):
+            problem.filename, problem.filename2 = str(path), None
         raise
-
-
-def _undo(part: str, path: Path, problem: BaseException) -> None:
-    """Remove what was written, and have an OSError name `path`."""
-    with suppress(OSError):
-        os.unlink(part)
-    if isinstance(problem, OSError) and problem.errno is not None and problem.filename in (None, part, Path(part)):
-        problem.filename, problem.filename2 = str(path), None
 
 
 def _replace(part: str, path: Path) -> None:

@@ -14,6 +14,18 @@ def at(table, k):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def of(vectors, i):  # type: ignore[no-untyped-def]
+    """One of vectors (3, n)."""
+    return vectors[0, i], vectors[1, i], vectors[2, i]
+
+
+@inlined
+def put(vectors, i, v):  # type: ignore[no-untyped-def]
+    """Write one of vectors (3, n)."""
+    vectors[0, i], vectors[1, i], vectors[2, i] = v
+
+
+@inlined
 def plus(a, b):  # type: ignore[no-untyped-def]
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 

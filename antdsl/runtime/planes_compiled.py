@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, independent, inlined, kernel
-from antdsl.numerics.vectors_compiled import cross, dot, minus, times
+from antdsl.numerics.vectors_compiled import cross, dot, minus, put, times
 
 Vectors32 = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Vectors64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
@@ -43,11 +43,6 @@ def _across(up):  # type: ignore[no-untyped-def]
     return times(side, 1 / np.sqrt(dot(side, side)))
 
 
-@inlined
-def _put(vectors, k, v):  # type: ignore[no-untyped-def]
-    vectors[0, k], vectors[1, k], vectors[2, k] = v
-
-
 @kernel
 def stand(
     rows: Array1[I64],
@@ -69,9 +64,9 @@ def stand(
             way = times(way, 1 / size)
         else:
             way = _across(u)
-        _put(above, k, u)
-        _put(ahead, k, way)
-        _put(left, k, cross(u, way))
+        put(above, k, u)
+        put(ahead, k, way)
+        put(left, k, cross(u, way))
 
 
 @kernel
@@ -93,7 +88,7 @@ def move(
     for k in independent(begin, end):
         row = rows[k]
         v, w, x, y = _known_of(velocity, row), _known_of(wish, k), _of(ahead, k), _of(left, k)
-        _put(own, k, v)
+        put(own, k, v)
         laid[0, k], laid[1, k], laid[2, k], laid[3, k] = dot(v, x), dot(v, y), dot(w, x), dot(w, y)
         speed = np.float64(max_speed[row])
         fastest[k] = min(speed if speed > 0.0 else 0.0, _FASTEST)

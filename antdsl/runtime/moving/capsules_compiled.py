@@ -20,7 +20,7 @@ from antdsl.machine_code.kernels import (
     kernel,
 )
 from antdsl.numerics.sorting_compiled import listed
-from antdsl.numerics.vectors_compiled import dot, minus, plus, times
+from antdsl.numerics.vectors_compiled import dot, minus, of, plus, times
 
 _OPPOSITE, _NOWHERE, _ABOUT, _SEEN = -0.5, 1e-6, 1.5, 1.6  # as `capsules`
 _ZERO = np.float32(0)
@@ -32,12 +32,6 @@ _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is i
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Capsules = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
-
-
-@inlined
-def _of(vectors, i):  # type: ignore[no-untyped-def]
-    """One of vectors (3, k)."""
-    return vectors[0, i], vectors[1, i], vectors[2, i]
 
 
 @inlined
@@ -132,9 +126,9 @@ def measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, c
     for n in independent(0, count):
         pair = some[n]
         p, q = i[pair], j[pair]
-        away = minus(plus(_of(middle, p), _of(gone, p)), plus(_of(middle, q), _of(gone, q)))
+        away = minus(plus(of(middle, p), of(gone, p)), plus(of(middle, q), of(gone, q)))
         gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
-            away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
+            away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
         )
         lost[n] = 1 if nowhere else 0
     without = listed(lost, count)
@@ -194,9 +188,9 @@ def before(
                 fetch_ahead(radius, row)
         for pair in independent(some, min(some + _FETCHED, i.size)):
             p, q = i[pair], j[pair]
-            away = minus(minus(_of(middle, p), _of(walked, p)), minus(_of(middle, q), _of(walked, q)))
+            away = minus(minus(of(middle, p), of(walked, p)), minus(of(middle, q), of(walked, q)))
             gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
-                away, _of(ahead, p), _of(ahead, q), _of(up, p), _of(up, q), half[p], half[q], radius[p] + radius[q]
+                away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
             )
             lost[pair] = 1 if nowhere else 0
     deep[:] = 0.0
@@ -243,7 +237,7 @@ def met(
             p, q = i[pair], j[pair]
             if key[p] > key[q]:
                 p, q = j[pair], i[pair]
-            away, wide = minus(_of(middle, p), _of(middle, q)), radius[p] + radius[q]
+            away, wide = minus(of(middle, p), of(middle, q)), radius[p] + radius[q]
             far, v, nowhere = _gap(
                 away, _single(ahead, p), _single(ahead, q), _single(up, p), _single(up, q), half[p], half[q], wide
             )
@@ -253,7 +247,7 @@ def met(
     pairs, lost, widest = 0, 0, 0.0
     for pair in range(i.size):  # written whatever it is: no branch that is hard to foretell
         p, q, state = i[pair], j[pair], known[pair]
-        v = _of(way, pair)
+        v = of(way, pair)
         i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
         way[0, pairs], way[1, pairs], way[2, pairs] = v
         pairs += 1 if state != 0 else 0
@@ -267,7 +261,7 @@ def met(
         pairs = 0
         for pair in range(near):
             p, q, state = i[pair], j[pair], known[pair]
-            v = _of(way, pair)
+            v = of(way, pair)
             i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
             way[0, pairs], way[1, pairs], way[2, pairs] = v
             one, other = number[p], number[q]

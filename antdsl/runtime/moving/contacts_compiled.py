@@ -22,9 +22,9 @@ from antdsl.machine_code.kernels import (
     kernel,
 )
 from antdsl.numerics.sorting_compiled import listed
-from antdsl.numerics.vectors_compiled import dot, minus, plus, times
+from antdsl.numerics.vectors_compiled import dot, minus, of, plus, put, times
 from antdsl.runtime.moving.capsules_compiled import measured_some
-from antdsl.runtime.moving.cutting_compiled import add, negative, of, put
+from antdsl.runtime.moving.cutting_compiled import add, negative
 
 _FINE, _SHARES, _SPREADS = 40, 1 << 20, 3  # as `contacts`
 _OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
-from antdsl.numerics.vectors_compiled import dot, minus, plus, times
+from antdsl.numerics.vectors_compiled import dot, minus, plus, put, times
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 _LONGER = 1.005  # as `corrections`
@@ -22,11 +22,6 @@ def _row(table, i):  # type: ignore[no-untyped-def]
 @inlined
 def _single(v):  # type: ignore[no-untyped-def]
     return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
-
-
-@inlined
-def _put(vectors, i, v):  # type: ignore[no-untyped-def]
-    vectors[0, i], vectors[1, i], vectors[2, i] = v
 
 
 @kernel
@@ -50,8 +45,8 @@ def stands(
     for n in independent(0, rows.size):
         row, k = rows[n], first + n
         before = _row(began, row)
-        _put(start, k, before)
-        _put(walked, k, minus(_row(place, row), before))
+        put(start, k, before)
+        put(walked, k, minus(_row(place, row), before))
         normal[0, k], normal[1, k], normal[2, k] = feet[row, 0], feet[row, 1], feet[row, 2]
         reach[k] = np.float64(_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
         mass[k] = max(np.float64(weight[row]), _LIGHTEST)
@@ -131,7 +126,7 @@ def arrived(
         row = rows[k]
         end, up = _row(to, k), _single(_row(above, k))
         way = minus(end, _row(place, row))
-        _put(got, k, way)
+        put(got, k, way)
         pushed = _single(way)
         size = np.sqrt(dot(pushed, pushed))
         good = size > _TINY and np.isfinite(size)

@@ -4,20 +4,9 @@ from __future__ import annotations
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, independent, inlined, kernel
 from antdsl.numerics.sorting_compiled import listed
-from antdsl.numerics.vectors_compiled import dot, minus, times
+from antdsl.numerics.vectors_compiled import dot, minus, of, put, times
 
 _BENDS, _GOES = 3, 0.5  # as `cutting`
-
-
-@inlined
-def of(vectors, i):  # type: ignore[no-untyped-def]
-    """One of vectors (3, k)."""
-    return vectors[0, i], vectors[1, i], vectors[2, i]
-
-
-@inlined
-def put(vectors, i, v):  # type: ignore[no-untyped-def]
-    vectors[0, i], vectors[1, i], vectors[2, i] = v
 
 
 @inlined

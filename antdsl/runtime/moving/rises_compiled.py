@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, kernel
 from antdsl.numerics.elementary_compiled import atan2
-from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
+from antdsl.numerics.vectors_compiled import cross, dot, minus, of, plus, times
 from antdsl.runtime.moving.tilting_compiled import STANDS, half_of
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -14,11 +14,6 @@ Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Looks = tuple[Array1[I64], Array1[F64], Array1[F64], Strided2[F64], Strided2[F64]]
 _F = np.float32
 _STEEP, _EYE, _ASIDE, _WIDEST = 0.7071067811865476, 0.03, 0.97, 3.0  # as `rises`
-
-
-@inlined
-def _column(vectors, k):  # type: ignore[no-untyped-def]
-    return vectors[0, k], vectors[1, k], vectors[2, k]
 
 
 @kernel
@@ -119,8 +114,8 @@ def walls(
                 two += 1 if own else 0
             if own:
                 h = hit[k]
-                way, up = _column(aheads, h), _column(normals, h)
-                normal = _column(met, k)
+                way, up = of(aheads, h), of(normals, h)
+                normal = of(met, k)
                 if dot(normal, way) > 0:
                     normal = (-normal[0], -normal[1], -normal[2])
                 cosine, aside = dot(up, normal), cross(up, normal)

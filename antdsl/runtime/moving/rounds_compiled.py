@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Strided2, independent, kernel
-from antdsl.numerics.vectors_compiled import dot, minus, plus
-from antdsl.runtime.moving.cutting_compiled import of, put
+from antdsl.numerics.vectors_compiled import dot, minus, of, plus, put
 
 _MISSED, _HELD, _SEEN = 0.05, 0.5, 0.05  # as `rounds`
 
