@@ -1,6 +1,6 @@
 """How child processes start: with search paths that never name the working directory.
 
-Python looks for modules in the working directory first when it starts with `-c` or `-m`, and so does every child that the standard
+Python looks for modules in the working directory first when it starts with `-c` or `-m`. So does every child that the standard
 library or Dask starts. `isolate` switches that off for this process and for all its children, whoever starts them.
 `module_command` and `module_environment` start a module of ours.
 

@@ -99,7 +99,7 @@ def main() -> None:
 
 
 def _restart_with_safe_path() -> None:
-    """Children of `python -E` ignore the environment, which is what keeps them from the working directory: a flag does it then."""
+    """Children of `python -E` ignore the environment, which would keep them from the working directory: use a flag then."""
     if sys.flags.ignore_environment and not sys.flags.safe_path:
         command = [sys.executable, "-P", *sys.orig_argv[1:]]
         if os.name == "posix":
