@@ -63,9 +63,14 @@ def _system_libraries(problems: list[str]) -> None:
 def _package(package: str, problems: list[str]) -> None:
     from importlib import import_module
 
+    from antdsl.casting.rays import open3d
+
     shown = _NAMES.get(package, package)
     try:
-        import_module(package)
+        if package == "open3d":
+            open3d()
+        else:
+            import_module(package)
     except Exception as problem:  # a broken binary package can raise anything
         _tell(shown, False, f"{type(problem).__name__}: {problem}"[:160])
         problems.append(
