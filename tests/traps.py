@@ -17,21 +17,9 @@ ROOT = Path(__file__).resolve().parents[1]
 START_UP = ("sitecustomize", "usercustomize", "conftest", "setup", "noxfile", "fabfile")
 # Names of programs that libraries start.
 PROGRAMS = (
-    "python",
-    "python3",
-    "uname",
-    "ldconfig",
-    "gcc",
-    "cc",
-    "ld",
-    "objdump",
-    "latex",
-    "dvipng",
-    "ffmpeg",
-    "git",
-    "ps",
+    "python", "python3", "uname", "ldconfig", "gcc", "cc", "ld", "objdump", "latex", "dvipng", "ffmpeg", "git", "ps",
     "antdsl",
-)
+)  # fmt: skip
 # Libraries that are loaded by their bare name.
 SHARED = ("libEGL.so.1", "libGL.so.1", "libusb-1.0.so.0", "libc.so.6", "libm.so.6", "libtbb.so.12", "libgomp.so.1", "libz.so.1")
 PRELOAD = (
