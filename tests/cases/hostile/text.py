@@ -196,6 +196,7 @@ ROWS = [
     change("A30 a chance without a time", "chance 150 %", "not-a-rate", "%/s"),
     change("A30 a chance below 0", "chance -1 /s", "out-of-range"),
     change("A30 a chance by the frame", "chance 5 %/frame", "unknown-unit"),
+    change("A31 a time shorter than any frame", "after 0.0001 s", "out-of-range", "write `1 step`"),
     change("A31 a time below 0", "after -1 s", "out-of-range"),
     change("A31 a time longer than any run", "after 1e12 s", "never-fires"),
     edit(
