@@ -1,10 +1,13 @@
 """The command line: one file a command, each with flags, a call into the chain, printing and an exit code."""
 
-from __future__ import annotations
+from antdsl.child_processes import isolate
 
-import gc
-import sys
-import warnings
+isolate()  # before another import could look into the working directory
+
+import gc  # noqa: E402
+import os  # noqa: E402
+import sys  # noqa: E402
+import warnings  # noqa: E402
 
 # What starting and checking allocate stays until the end; looking through it for garbage every 700 objects is a tenth of a check.
 gc.set_threshold(100_000, 50, 50)
@@ -88,10 +91,22 @@ def _root(
 
 def main() -> None:
     """Run a command and leave with its exit code; nothing that a person can do ends in a traceback."""
+    _restart_with_safe_path()
     code = _run()
     # What is left goes with the process; looking through it for garbage once more would be a tenth of a check.
     gc.freeze()
     sys.exit(code)
+
+
+def _restart_with_safe_path() -> None:
+    """Children of `python -E` ignore the environment, which would keep them from the working directory: use a flag then."""
+    if sys.flags.ignore_environment and not sys.flags.safe_path:
+        command = [sys.executable, "-P", *sys.orig_argv[1:]]
+        if os.name == "posix":
+            os.execv(command[0], command)
+        import subprocess
+
+        sys.exit(subprocess.run(command).returncode)
 
 
 def _run() -> int:

@@ -20,13 +20,13 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
+    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
-GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole"])
+GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes"])
 # A list of the tree's node types, one after the other, is read as one thing.
 LONG = frozenset(["syntax/nodes.py"])
 FORBIDDEN_CALLS = frozenset(["eval", "exec", "compile", "__import__"])
