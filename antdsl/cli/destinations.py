@@ -14,7 +14,7 @@ import typer
 
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import closed
-from antdsl.whole import new_beside
+from antdsl.whole import new_beside, write_whole
 
 
 def file_to_write(path: Path | None, flag: str) -> None:
@@ -47,12 +47,10 @@ def words_aside(*paths: Path | None) -> Iterator[TextIO]:
 
 def put(path: Path | None, data: bytes, output: TextIO) -> None:
     """A result to where it was asked for, whole: a file, standard output, or nowhere."""
-    from antdsl.outputs.cache.npz import write_whole
-
     if path is None or _same(path, Path(os.devnull)):
         return
     if not is_output(path):
-        write_whole(path, data, sync=True)
+        write_whole(path, data)
         return
     with suppress(BrokenPipeError):
         output.flush()

@@ -11,6 +11,7 @@ from antdsl.cli.cache_tasks import answers
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
+from antdsl.whole import make_folder
 
 
 def export(
@@ -128,7 +129,7 @@ def export(
             with keeping_inputs({"--to": to}) as inputs:
                 inputs += found.made_from()
         gallery = Gallery(found if chosen is None else SomeAgents(found.folder, found.manifest, chosen))
-        to.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(to.parent)
         notes: Sequence[str] | None
         if scheduler:
             where = scheduler, tls, no_tls

@@ -15,6 +15,7 @@ from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
+from antdsl.whole import write_whole
 
 if TYPE_CHECKING:
     from antdsl.sweep import Chooser, Job, Keeper, Outcome
@@ -188,7 +189,6 @@ def _demand_measures(chooser: Chooser) -> None:
 
 def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any], show: Sequence[str], plots: bool) -> None:
     """Write the table in all its forms, and print it."""
-    from antdsl.outputs.cache.npz import write_whole
     from antdsl.sweep import rows
     from antdsl.sweep.plots import HOW, available, draw, draw_factors
     from antdsl.sweep.sensitivity import as_csv as effects_csv
@@ -221,7 +221,7 @@ def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any
     if parquet is not None:
         files["runs.parquet"] = parquet
     for name, content in files.items():
-        write_whole(keeper.folder / name, content, sync=False)
+        write_whole(keeper.folder / name, content)
     say((_beginning(lines) + words).rstrip("\n"))
     for note in notes:
         say(f"note: {note}", err=True)
