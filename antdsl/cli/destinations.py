@@ -3,6 +3,7 @@ and held against what the work reads, so that no input is lost to a result."""
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -127,4 +128,5 @@ def _try(beside: Path, path: Path, flag: str) -> None:
         new_beside(beside).unlink()
     except OSError as why:
         words = f"error: cannot write `{path}`: {(why.strerror or str(why)).lower()}"
-        raise Stop(Exit.INPUT_OUTPUT, words, f"name another place with `{flag}`") from None
+        room = "make room, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        raise Stop(Exit.INPUT_OUTPUT, words, f"{room}name another place with `{flag}`") from None

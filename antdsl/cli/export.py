@@ -10,10 +10,12 @@ import typer
 from antdsl.cli.cache_tasks import answers
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import report_failures
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.whole import make_folder
 
 
+@report_failures("the export stopped")
 def export(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     to: Path = typer.Option(

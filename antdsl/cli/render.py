@@ -12,6 +12,7 @@ import typer
 from antdsl.cli.cache_tasks import Where, answers
 from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import report_failures
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
 from antdsl.whole import make_folder
@@ -41,6 +42,7 @@ class Legend(StrEnum):
     none = "none"
 
 
+@report_failures("drawing stopped", "the same command with `--resume` draws the others")
 def render(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     frames: str = typer.Option(

@@ -12,6 +12,7 @@ import typer
 
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
@@ -46,6 +47,7 @@ class DesignWord(StrEnum):
     morris = "morris"
 
 
+@report_failures("the sweep stopped", "the same command goes on with the runs that are left, and so does `--resume`")
 def sweep(
     context: typer.Context,
     scenes: list[Path] = typer.Argument(None, metavar="SCENE…", help="Scenes; each is a line of the table."),
