@@ -36,6 +36,7 @@ from antdsl.cli import (  # noqa: E402
     test,
 )
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
+from antdsl.cli.failures import failure  # noqa: E402
 from antdsl.cli.printing.messages import closed  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
@@ -135,12 +136,10 @@ def _command() -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
-    except MemoryError:
-        print("error: out of memory; fewer agents, larger cells or a lighter mesh need less", file=sys.stderr)
-        return Exit.INPUT_OUTPUT
-    except OSError as problem:
-        print(f"error: {(problem.strerror or str(problem)).lower()}: {problem.filename or ''}".rstrip(": "), file=sys.stderr)
-        return Exit.INPUT_OUTPUT
+    except (MemoryError, OSError) as problem:
+        found = failure(problem)
+        print(found.message, found.hint, sep="\n", file=sys.stderr)
+        return found.code
     except Exception:
         import traceback
 

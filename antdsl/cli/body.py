@@ -75,7 +75,7 @@ def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) 
     from antdsl.bodies.agents.gltf_written import write_gltf
     from antdsl.bodies.posed_body import own_layer
     from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
-    from antdsl.outputs.cache.npz import write_whole
+    from antdsl.whole import make_folder, write_whole
 
     kind = to.suffix.lower()
     if kind not in (".json", ".glb", ".gltf"):
@@ -95,8 +95,8 @@ def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) 
     with keeping_inputs({"--to": to}, {"--to": (to.parent, [to.stem])} if parts else None) as inputs:
         inputs.append(source)
     for path in (*parts, to.name):
-        (to.parent / path).parent.mkdir(parents=True, exist_ok=True)
-        write_whole(to.parent / path, files[path], sync=False)
+        make_folder((to.parent / path).parent)
+        write_whole(to.parent / path, files[path])
     if not quiet:
         typer.echo(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")
         for note in notes:

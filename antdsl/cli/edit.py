@@ -8,8 +8,10 @@ import typer
 
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import report_failures
 
 
+@report_failures("the edit stopped")
 def edit(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     smooth: str = typer.Option(

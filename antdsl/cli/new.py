@@ -9,6 +9,7 @@ import typer
 
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.project import FILES
+from antdsl.whole import make_folder, write_whole
 
 
 def new(
@@ -17,12 +18,11 @@ def new(
     """Write a small project to start from, with its specs and what checks it in CI."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise Stop(Exit.INPUT_OUTPUT, f"error: `{folder}` is there already and not empty", "name another folder")
-    folder.mkdir(parents=True, exist_ok=True)
     for name, text in FILES:
         path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", newline="\n")
-    (folder / "ground.ply").write_bytes(ground())
+        make_folder(path.parent)
+        write_whole(path, text.encode())
+    write_whole(folder / "ground.ply", ground())
     typer.echo(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
     typer.echo(f"  antdsl run {folder / 'scene.yaml'}")
     typer.echo(f"  antdsl test {folder}")

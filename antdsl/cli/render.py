@@ -12,8 +12,10 @@ import typer
 from antdsl.cli.cache_tasks import Where, answers
 from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import report_failures
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
+from antdsl.whole import make_folder
 
 if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
@@ -40,6 +42,7 @@ class Legend(StrEnum):
     none = "none"
 
 
+@report_failures("drawing stopped", "the same command with `--resume` draws the others")
 def render(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     frames: str = typer.Option(
@@ -126,7 +129,7 @@ def render(
     drawn = _frames(gallery, frame_range(frames), every, sheet, film)
     folder = out if out is not None else cache / "pictures"
     folder_to_write(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     if film:
         _ready_for_films()
     together = drawn if shot is None else _frames(gallery, frame_range(shot, "--shot"), every, False, True)
@@ -272,7 +275,7 @@ def _by_cluster(
     from antdsl.shots.stills import tasks
 
     stills = folder if fps is None else folder / "film.frames"
-    stills.mkdir(exist_ok=True)
+    make_folder(stills)
     for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, together, to)):
         for frame in answered.task.document["frames"] if fps is None else ():
             typer.echo(still_path(folder, frame))
@@ -319,14 +322,11 @@ def _film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
 
 
 def _sheet(kept: list[tuple[int, Any]], stills: Stills) -> None:
-    from PIL import Image
-
     from antdsl.outputs.pictures import contact_sheet
-    from antdsl.whole import whole
+    from antdsl.outputs.pictures.image_files import still
 
     path = stills.folder / "sheet.png"
-    with whole(path, ".png") as part:
-        Image.fromarray(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept])).save(part)
+    still(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept]), path)
     typer.echo(path)
     typer.echo(stills.put(*kept[-1]))
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Final
 
 from antdsl.bounded import NotRegular, TooLarge, blocks, open_regular, read_bounded, real_path
 from antdsl.limits import MIB
-from antdsl.whole import PART, whole
+from antdsl.whole import PART, write_whole
 
 if TYPE_CHECKING:
     from antdsl.machine_code.machine import Target
@@ -138,8 +138,7 @@ class ObjectCache:
                 if len(code) > _LARGEST or len(data) > self._cap:
                     raise _Unused(f"{len(code):,} bytes of one program are more than are kept", "it is compiled in each run")
                 with self._opened(self._folder, make=True) as folder:
-                    with whole(folder.path / name, mode=0o600) as made:
-                        made.write_bytes(data)
+                    write_whole(folder.path / name, data, sync=False, mode=0o600)
                     _make_room(folder, self._cap, name)
                 return
             except (OSError, ValueError) as problem:
