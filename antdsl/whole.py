@@ -90,6 +90,19 @@ def _opened(path: Path, sync: bool, mode: int) -> Iterator[int]:
             os.close(handle)
 
 
+def create_complete(path: Path, data: bytes, mode: int = 0o666) -> None:
+    """A new file that has all of its content from the moment it has its name. FileExistsError where the name is taken; another
+    OSError where it cannot be written. `mode`: as of `whole`."""
+    part, handle = _new(path, PART, mode)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        os.link(part, path, follow_symlinks=False)
+    finally:
+        with suppress(OSError):
+            os.unlink(part)
+
+
 @contextmanager
 def _placed(part: str, path: Path, sync: bool) -> Iterator[None]:
     """Move what has been written to its place; where anything fails remove it, and have an OSError name `path`."""

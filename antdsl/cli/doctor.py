@@ -104,9 +104,9 @@ def _machine_code(problems: list[str]) -> None:
     if why:
         problems.append(why)
         return
-    kept = ObjectCache()
-    kept.get("0" * 64)  # there is none of that name; the folder is looked at
-    for sentence in kept.told:
+    stored = ObjectCache()
+    stored.prepare()
+    for sentence in stored.messages:
         typer.echo(f"-       {'folder of code':<16} {sentence}")
 
 

@@ -20,13 +20,13 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "bootstrap", "syntax", "program",
+    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
-GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes"])
+GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders"])
 # A list of the tree's node types, one after the other, is read as one thing.
 LONG = frozenset(["syntax/nodes.py"])
 FORBIDDEN_CALLS = frozenset(["eval", "exec", "compile", "__import__"])
@@ -125,8 +125,6 @@ OWN_FILES = {
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
     "outputs/writer/process_memory.py": "what the system tells about memory",
     "preview/serving/pages.py": "the page that comes with antdsl",
-    "preview/serving/returning.py": "its own keys, of the last starts",
-    "machine_code/object_cache.py": "folders, part by part",
     "numerics/cores.py": "what the system tells about processor time",
     "scene/paths.py": "folders, part by part",
     "scene/geometry/usd/trial.py": "the null device",
