@@ -6,14 +6,13 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TextIO
 
 import typer
 
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import closed
 from antdsl.whole import new_beside
 
 
@@ -54,12 +53,9 @@ def put(path: Path | None, data: bytes, output: TextIO) -> None:
     if not is_output(path):
         write_whole(path, data, sync=True)
         return
-    with suppress(BrokenPipeError):
-        output.flush()
-        output.buffer.write(data)
-        output.buffer.flush()
-        return
-    closed(output)
+    output.flush()
+    output.buffer.write(data)
+    output.buffer.flush()
 
 
 def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
