@@ -129,6 +129,7 @@ OWN_FILES = {
     "preview/serving/returning.py": "its own keys, of the last starts",
     "machine_code/object_cache.py": "folders, part by part",
     "numerics/cores.py": "what the system tells about processor time",
+    "cli/printing/messages.py": "the null device",
     "scene/paths.py": "folders, part by part",
     "scene/geometry/usd/trial.py": "the null device",
     "syntax/grammar.py": "the grammar",
