@@ -7,14 +7,13 @@ import errno
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TextIO
 
 import typer
 
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import closed
 from antdsl.whole import new_beside, write_whole
 
 
@@ -53,12 +52,9 @@ def put(path: Path | None, data: bytes, output: TextIO) -> None:
     if not is_output(path):
         write_whole(path, data)
         return
-    with suppress(BrokenPipeError):
-        output.flush()
-        output.buffer.write(data)
-        output.buffer.flush()
-        return
-    closed(output)
+    output.flush()
+    output.buffer.write(data)
+    output.buffer.flush()
 
 
 def folder_to_write(path: Path | None, flag: str, *names: str) -> None:

@@ -11,6 +11,7 @@ from antdsl.cli.cache_tasks import answers
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
+from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.whole import make_folder
 
@@ -149,6 +150,6 @@ def export(
         raise Stop(Exit.FINDINGS, f"error: {why}", why.help or "") from None
     if not quiet:
         files = f"{paths[0]} .. {paths[-1].name}" if len(paths) > 1 else str(paths[0])
-        typer.echo(f"{files}: frames {there[0]}..{there[-1]}, {len(gallery.manifest.species)} species")
+        say(f"{files}: frames {there[0]}..{there[-1]}, {len(gallery.manifest.species)} species")
         for note in notes or ():
-            typer.echo(f"note: {note}")
+            say(f"note: {note}")

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import say
 from antdsl.cli.project import FILES
 from antdsl.whole import make_folder, write_whole
 
@@ -23,11 +24,11 @@ def new(
         make_folder(path.parent)
         write_whole(path, text.encode())
     write_whole(folder / "ground.ply", ground())
-    typer.echo(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
-    typer.echo(f"  antdsl run {folder / 'scene.yaml'}")
-    typer.echo(f"  antdsl test {folder}")
-    typer.echo(f"  antdsl render {folder / 'out' / 'scene'} --sheet")
-    typer.echo(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
+    say(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
+    say(f"  antdsl run {folder / 'scene.yaml'}")
+    say(f"  antdsl test {folder}")
+    say(f"  antdsl render {folder / 'out' / 'scene'} --sheet")
+    say(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
 
 
 def ground(side: int = 49, width: float = 200.0) -> bytes:

@@ -13,6 +13,7 @@ from antdsl.cli.cache_tasks import Where, answers
 from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
+from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
 from antdsl.whole import make_folder
@@ -278,7 +279,7 @@ def _by_cluster(
     make_folder(stills)
     for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, together, to)):
         for frame in answered.task.document["frames"] if fps is None else ():
-            typer.echo(still_path(folder, frame))
+            say(str(still_path(folder, frame)))
     if fps is not None:
         _film_of_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps)
         stills.rmdir()
@@ -300,7 +301,7 @@ def _film_of_stills(paths: list[Path], path: Path, fps: float) -> None:
     demand(film(images(), path, fps))
     for each in paths:
         each.unlink()
-    typer.echo(path)
+    say(str(path))
 
 
 def _ready_for_films() -> None:
@@ -318,7 +319,7 @@ def _film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
 
     path = folder / "film.mp4"
     demand(film(images, path, 1 / gallery.dt))
-    typer.echo(path)
+    say(str(path))
 
 
 def _sheet(kept: list[tuple[int, Any]], stills: Stills) -> None:
@@ -327,8 +328,8 @@ def _sheet(kept: list[tuple[int, Any]], stills: Stills) -> None:
 
     path = stills.folder / "sheet.png"
     still(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept]), path)
-    typer.echo(path)
-    typer.echo(stills.put(*kept[-1]))
+    say(str(path))
+    say(str(stills.put(*kept[-1])))
 
 
 def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
@@ -336,10 +337,10 @@ def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
     for frame, image, new in drawn:
         there += not new
         if new:
-            typer.echo(stills.put(frame, image))
+            say(str(stills.put(frame, image)))
     _skipped(there)
 
 
 def _skipped(there: int) -> None:
     if there:
-        typer.echo(f"{there} {'picture was' if there == 1 else 'pictures were'} there already")
+        say(f"{there} {'picture was' if there == 1 else 'pictures were'} there already")

@@ -20,7 +20,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders", "bootstrap", "syntax", "program",
+    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders", "bootstrap",
+    "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
@@ -126,6 +127,7 @@ OWN_FILES = {
     "outputs/writer/process_memory.py": "what the system tells about memory",
     "preview/serving/pages.py": "the page that comes with antdsl",
     "numerics/cores.py": "what the system tells about processor time",
+    "cli/printing/messages.py": "the null device",
     "scene/paths.py": "folders, part by part",
     "scene/geometry/usd/trial.py": "the null device",
     "syntax/grammar.py": "the grammar",
