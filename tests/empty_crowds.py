@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from types import SimpleNamespace
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 import random_extremes
@@ -28,6 +28,7 @@ from antdsl.program.tables.set_senses import GIVES_SET, SET_SENSES
 from antdsl.runtime import FieldStart, Setting
 from antdsl.scene.setting import Painted
 
+Size = Literal["sets", "all", "pairs"]
 FRAMES = 12  # at 10 a second
 WORLD = random_extremes.WORLD
 ENDLESS = 1000.0  # s
@@ -68,7 +69,9 @@ REDUCTIONS = {
 }
 OF_NONE = {"sum": 0, "mean": 0, "min": 9, "max": -9, "count": 0, "any": 0, "every": 1, "best": 0}  # by the language reference
 
-_TEXT = """use steering
+_LAYERS = "give_way(20 mm); avoid(stones); keep_clear(heading, within: 30 mm); pursue(pal); state; separate(15 mm)"
+_TEXT = (
+    """use steering
 species asker {{
   param life = {endless} s
   param odd = 1
@@ -102,7 +105,9 @@ species asker {{
     when no foe held 0.3 s -> rest
   }}
   state rest {{ steer halt(); emit ping; when pal is none -> look; when after 0.2 s -> look; when age > life -> look {{ die }} }}
-  layers {{ give_way(20 mm); avoid(stones); keep_clear(heading, within: 30 mm); pursue(pal); state; separate(15 mm) }}
+  layers {{ """
+    + _LAYERS
+    + """ }}
 }}
 species rabbit {{
   param life = {endless} s
@@ -128,6 +133,7 @@ species egg {{
   state more {{ when bred < 3 -> wait }}
 }}
 """
+)
 
 
 @dataclass(frozen=True)
@@ -207,12 +213,15 @@ def written(word: str, sample: str) -> str:
 
 
 @cache
-def plan(every: bool) -> ir.Plan:
-    """The program of all senses, sets, reductions and effects; `every`: of each reduction of each set."""
-    lines = [line for _, line in samples()]
+def plan(size: Size = "all") -> ir.Plan:
+    """The program of all senses, sets, reductions and effects; `pairs`: of each reduction of each set; `sets`: without the other
+    senses and layers, whose machine code takes long to make."""
+    every = size == "pairs"
+    lines = [] if size == "sets" else [line for _, line in samples()]
     kept = [f"r{number}" for number in range(len(reduced(every)))]
     lines += [f"{name} = {text}" for name, (*_, text) in zip(kept, reduced(every), strict=True)]
-    text = _TEXT.format(endless=int(ENDLESS), attributes="; ".join(f"{name} = 5" for name in kept), lines="\n    ".join(lines))
+    body = _TEXT.replace(_LAYERS, "state") if size == "sets" else _TEXT
+    text = body.format(endless=int(ENDLESS), attributes="; ".join(f"{name} = 5" for name in kept), lines="\n    ".join(lines))
     return optimise(plan_of(text, WORLD))
 
 
