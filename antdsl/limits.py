@@ -62,6 +62,20 @@ CLIP_BYTES: Final = 1 * GIB  # of all samples of the clips of one definition
 CLIP_SAMPLES: Final = 1_000_000  # of one clip
 CAPTURED: Final = 64  # joints that one point follows
 
+# foreign files: what the process that reads them may take
+READER_HEADER_BYTES: Final = 16 * MIB  # of the JSON of one message
+READER_BYTES: Final = 6 * GIB  # of the arrays of one message
+READER_MEMORY: Final = 1536 * MIB  # of address space, of which libraries take a half
+READER_MEMORY_A_BYTE: Final = 12  # more for each byte of the files of a request
+READER_MEMORY_MOST: Final = 8 * GIB
+READER_BYTES_A_SECOND: Final = 2 * MIB  # of files that are given one second of CPU more each
+READER_WALL_SECONDS: Final = 60  # besides four times the seconds of CPU
+USD_LAYERS: Final = 10_000  # files that one USD file is made of
+USD_LEVELS: Final = 256  # of prims below each other
+USD_PRIMS: Final = 1_000_000  # of one composed stage
+USD_INSTANCES: Final = 250_000  # places of one mesh by point instancers, nested ones multiplied
+PACKAGE_PARTS: Final = 10_000  # files in one .usdz
+
 # senses and fields
 NEIGHBOURS: Final = 256  # of one agent in one question, the nearest
 WITHIN_RADIUS: Final = 8192  # others within the radius of one agent in one question, from whom the nearest are chosen
