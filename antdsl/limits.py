@@ -43,6 +43,7 @@ GRID_BYTES: Final = 8 * GIB
 AGENTS: Final = 5_000_000
 BIRTHS_IN_A_ROW: Final = 16  # generations within one step, where those born bear at once
 FRAMES: Final = 1_000_000
+FPS: Final = 960  # frames of a second of a scene, at most
 
 # bodies
 BODY_TEXT_BYTES: Final = 64 * MIB  # of one JSON file
@@ -60,6 +61,20 @@ BODY_POINTS: Final = 3_000_000  # of all shapes of one definition
 CLIP_BYTES: Final = 1 * GIB  # of all samples of the clips of one definition
 CLIP_SAMPLES: Final = 1_000_000  # of one clip
 CAPTURED: Final = 64  # joints that one point follows
+
+# foreign files: what the process that reads them may take
+READER_HEADER_BYTES: Final = 16 * MIB  # of the JSON of one message
+READER_BYTES: Final = 6 * GIB  # of the arrays of one message
+READER_MEMORY: Final = 1536 * MIB  # of address space, of which libraries take a half
+READER_MEMORY_A_BYTE: Final = 12  # more for each byte of the files of a request
+READER_MEMORY_MOST: Final = 8 * GIB
+READER_BYTES_A_SECOND: Final = 2 * MIB  # of files that are given one second of CPU more each
+READER_WALL_SECONDS: Final = 60  # besides four times the seconds of CPU
+USD_LAYERS: Final = 10_000  # files that one USD file is made of
+USD_LEVELS: Final = 256  # of prims below each other
+USD_PRIMS: Final = 1_000_000  # of one composed stage
+USD_INSTANCES: Final = 250_000  # places of one mesh by point instancers, nested ones multiplied
+PACKAGE_PARTS: Final = 10_000  # files in one .usdz
 
 # senses and fields
 NEIGHBOURS: Final = 256  # of one agent in one question, the nearest

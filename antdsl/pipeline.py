@@ -151,8 +151,7 @@ def _read_scene(
     texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, Loaded, Report]:
     """The scene, the programs of its crowd checked together, and how they match."""
-    from antdsl.scene import load
-    from antdsl.scene.load import load_text
+    from antdsl.scene.load import load, load_text
     from antdsl.scene.matching import match
     from antdsl.scene.overriding import overrides
     from antdsl.scene.paths import Roots

@@ -35,9 +35,15 @@ def product(a: Floats, b: Floats) -> Floats:
 
 def determinant(way: Floats) -> float:
     """Of the turn and scale of a way (3, 4): by what volumes grow, below 0 where it mirrors."""
-    a, b, c = way[:, :3]
+    return float(determinants(way))
+
+
+def determinants(ways: Floats) -> Floats:
+    """The same of ways (…, 3, 4)."""
+    a, b, c = (ways[..., row, :3] for row in range(3))
     across = np.cross(b, c)
-    return float((a[0] * across[0] + a[1] * across[1]) + a[2] * across[2])
+    found: Floats = (a[..., 0] * across[..., 0] + a[..., 1] * across[..., 1]) + a[..., 2] * across[..., 2]
+    return found
 
 
 def scale(way: Floats) -> float:

@@ -62,7 +62,7 @@ class Staging:
     raw: dict[str, RawMesh] = field(default_factory=dict)  # surfaces and obstacles as their files have them
     moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
     deviations: dict[str, float] = field(default_factory=dict)  # mm, of surfaces of heights: triangles from bilinear patches
-    layers: dict[str, Any] = field(default_factory=dict)  # USD files that were judged, by name
+    closures: dict[str, Any] = field(default_factory=dict)  # USD files that were collected, by name
 
     def read(self, text: str, cap: int, *path: Key) -> bytes | None:
         """A file's bytes, or None and a complaint at the path that names it."""

@@ -330,7 +330,7 @@ def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> 
 
 def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, ...], read: Callable[[UsdStage], T]) -> T | None:
     """What a reader finds at a prim, or None and a complaint at its place in the scene."""
-    from antdsl.scene.geometry.usd import UsdError, open_stage, usd_exception, words_of
+    from antdsl.scene.geometry.usd import UsdError, open_stage
 
     model = staging.scene.model
     try:
@@ -342,20 +342,12 @@ def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, 
             frames=frames_of(staging),
             fps=model.fps,
             purpose=purpose,
-            layers=staging.layers,
+            closures=staging.closures,
         )
         staging.hashes |= stage.hashes
-        with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
-            return read(stage)
+        return read(stage)
     except UsdError as why:
         staging.report.error(why.code, str(why), staging.scene.span(*path, why.key), why.help)
-    except usd_exception() as why:
-        staging.report.error(
-            "bad-usd", f"`{prim}` of `{text}` cannot be read: {words_of(why)}", staging.scene.span(*path, "prim")
-        )
-    except UnicodeDecodeError:  # a name or a word of the file that USD hands on as it is
-        words = f"`{prim}` of `{text}` cannot be read: it has bytes that are no UTF-8 text"
-        staging.report.error("bad-usd", words, staging.scene.span(*path, "prim"), "export it anew")
     except MeshError as why:
         words = f"the mesh `{prim}` of `{text}` {why}"
         staging.report.error(

@@ -1,4 +1,5 @@
-"""Why something of a USD file cannot be used, and the one place that imports usd-core."""
+"""Why something of a USD file cannot be used, and the one place that imports usd-core: to read in the reader's process, to write in
+any."""
 
 from __future__ import annotations
 
@@ -6,13 +7,14 @@ import re
 from functools import cache
 from typing import Any
 
+from antdsl.reader.refusal import Refusal
 
-class UsdError(Exception):
-    """`code` is a diagnostic's code, the text its message, `help` what to do instead, `key` the key of the scene it is about."""
+
+class UsdError(Refusal):
+    """A refusal that is about a key of the scene: `prim`, `usd` or `kind`."""
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "prim") -> None:
-        super().__init__(message)
-        self.code, self.help, self.key = code, help, key
+        super().__init__(code, message, help, key)
 
 
 def words_of(problem: Exception) -> str:
@@ -22,15 +24,6 @@ def words_of(problem: Exception) -> str:
     line = re.sub(r"\bpxrInternal\w*::(?:\w+::)*", "", line)  # names inside of USD's own code
     line = "".join(c if c.isprintable() else "\ufffd" for c in line)
     return line if len(line) <= 200 else line[:197] + "…"
-
-
-def usd_exception() -> type[Exception]:
-    """The type of USD's own exceptions; one that is never raised where USD is not installed."""
-    try:
-        found: type[Exception] = pxr("Tf").ErrorException
-    except UsdError:
-        return UsdError
-    return found
 
 
 @cache

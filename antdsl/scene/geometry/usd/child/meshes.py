@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,25 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.matrices import after, applied, determinant, has_inverse, inverse, still
+from antdsl.reader.sandbox import allow_memory
+from antdsl.scene.geometry.matrices import after, applied, determinants, has_inverse, inverse, still
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import RawMesh, sound
+from antdsl.scene.geometry.usd.child.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
+from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
-from antdsl.scene.geometry.usd.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
-from antdsl.scene.geometry.usd.stage import Floats, UsdStage
-from antdsl.scene.staging.moves import MeshMoves
 
 Faces = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UsdMesh:
-    """`raw` as of a mesh file, but in mm and the scene's axes. `moves`: None where it stands still. `values` by the name of a
-    primvar: float64 (n,) numbers, (n, 3) vectors that were turned with their mesh. `passed_over`: types of shapes not read."""
+class JoinedMesh:
+    """Vertices float64 (n, 3) in mm and the scene's axes and faces int64 (m, 3), as they are in the file. `moves`: the arrays of
+    a `MeshMoves` by name, None where the mesh is at rest. `values` by the name of a primvar: numbers (n,) or vectors (n, 3) that
+    were turned with their mesh. `passed_over`: types of shapes that are not read."""
 
-    raw: RawMesh
-    moves: MeshMoves | None
-    values: Mapping[str, Floats]
+    vertices: Floats
+    faces: Faces
+    moves: dict[str, NDArray[Any]] | None
+    values: dict[str, Floats]
     passed_over: tuple[str, ...]
 
 
@@ -44,32 +45,30 @@ class _Shape:
         return len(self.placed.ways)
 
 
-def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
+def joined_mesh(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
     """All meshes at and below the stage's prim, joined. UsdError says why there are none, MeshError what is wrong with them."""
     path = stage.prim.GetPath()
-    shapes, faces = [], 0
+    shapes, faces, points = [], 0, 0
     for placed in placed_meshes(stage):
         shape = _shape(stage, placed)
         faces += len(shape.faces) * shape.count
-        if faces > limits.MESH_FACES:
-            raise UsdError(
-                "too-large", f"the meshes below `{path}` have more than {limits.MESH_FACES:,} faces", "name a part of it"
-            )
+        points += len(shape.points) * shape.count
+        if faces > limits.MESH_FACES or points > 3 * limits.MESH_FACES:
+            words = f"the meshes below `{path}` have {faces:,} faces and {points:,} points"
+            most = f"more than {limits.MESH_FACES:,} faces or {3 * limits.MESH_FACES:,} points are not read"
+            raise UsdError("too-large", f"{words}; {most}", "name a part of it")
         if len(shape.faces):
             shapes.append(shape)
     passed_over = tuple(other_shapes(stage))
     if not shapes:
         also = f", only {', '.join(passed_over)}" if passed_over else ""
         raise UsdError("no-such-prim", f"there is no mesh at or below `{path}`{also}", _hidden(stage))
-    names = tuple(primvars)
-    values = {name: np.concatenate([_values(stage, shape, name) for shape in shapes]) for name in names}
-    raw = sound(*_joined(shapes))
-    moves = _moves(stage, shapes)
-    kept = {name: value[raw.own_vertices] for name, value in values.items()}
-    return UsdMesh(raw, None if moves is None else moves.take(raw.own_vertices), kept, passed_over)
+    allow_memory(6 * 24 * (faces + points))
+    values = {name: np.concatenate([_values(stage, shape, name) for shape in shapes]) for name in primvars}
+    return JoinedMesh(*_joined(shapes), _moves(stage, shapes), values, passed_over)
 
 
-def _shape(stage: UsdStage, placed: Placed) -> _Shape:
+def _shape(stage: OpenStage, placed: Placed) -> _Shape:
     """The points and triangles of a mesh prim, holes and the other hand minded, subdivision not."""
     prim, mesh = placed.prim, pxr("UsdGeom").Mesh(placed.prim)
     path = prim.GetPath()
@@ -96,7 +95,7 @@ def _points(mesh: Any, time: float) -> Floats:
     return np.array([] if found is None else found, np.float64).reshape(-1, 3)
 
 
-def _same_faces(stage: UsdStage, attribute: Any, path: Any) -> None:
+def _same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
     first = attribute.Get(stage.first)
     for time in stage.times[1:]:
         if attribute.Get(pxr("Usd").TimeCode(time)) != first:
@@ -120,15 +119,16 @@ def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
     """Every shape at every place, at the first frame; a mirrored one keeps its outside outside."""
     vertices, faces, before = [], [], 0
     for shape in shapes:
-        for way in shape.placed.ways[:, 0]:
-            vertices.append(applied(way, shape.points))
-            turned = shape.faces[:, [0, 2, 1]] if determinant(way) < 0 else shape.faces
-            faces.append(turned + before)
-            before += len(shape.points)
+        ways, count = shape.placed.ways[:, 0], len(shape.points)
+        vertices.append(applied(ways[:, None], shape.points).reshape(-1, 3))
+        is_mirrored = determinants(ways) < 0
+        turned = np.where(is_mirrored[:, None, None], shape.faces[:, [0, 2, 1]], shape.faces)
+        faces.append((turned + (before + count * np.arange(len(ways)))[:, None, None]).reshape(-1, 3))
+        before += count * len(ways)
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def _moves(stage: UsdStage, shapes: list[_Shape]) -> MeshMoves | None:
+def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | None:
     """The way of each place that moves as one track; where points move of themselves, or a place begins without a size, each
     vertex for itself."""
     frames = len(stage.times)
@@ -156,10 +156,10 @@ def _moves(stage: UsdStage, shapes: list[_Shape]) -> MeshMoves | None:
     if len(tracks) == 1 and not bent:
         return None
     numbers = np.concatenate(bent) if bent else np.empty(0, np.int64)
-    return MeshMoves(np.concatenate(group), np.stack(tracks), numbers, offsets)
+    return {"group": np.concatenate(group), "tracks": np.stack(tracks), "bent": numbers, "offsets": offsets}
 
 
-def _offset(stage: UsdStage, shape: _Shape, way: Floats, k: int) -> Floats:
+def _offset(stage: OpenStage, shape: _Shape, way: Floats, k: int) -> Floats:
     points = _points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.bent else shape.points
     if len(points) != len(shape.points):
         path = shape.placed.prim.GetPath()
@@ -167,7 +167,7 @@ def _offset(stage: UsdStage, shape: _Shape, way: Floats, k: int) -> Floats:
     return applied(way[min(k, len(way) - 1)], points) - applied(way[0], shape.points)
 
 
-def _values(stage: UsdStage, shape: _Shape, name: str) -> Floats:
+def _values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
     """A primvar on the points of a shape, at each of its places; vectors turn with the mesh and keep their length."""
     prim = shape.placed.prim
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
@@ -195,7 +195,7 @@ def _turned(way: Floats, vectors: Floats) -> Floats:
     return np.asarray(turned * (long / np.where(size > 0, size, 1.0)))
 
 
-def _hidden(stage: UsdStage) -> str | None:
+def _hidden(stage: OpenStage) -> str | None:
     """What to say where all meshes are of another purpose, or not seen."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]
