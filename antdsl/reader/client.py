@@ -128,7 +128,7 @@ class Reader:
 
     def _ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int) -> Message:
         assert kind in READERS
-        seconds += size // limits.READER_BYTES_A_SECOND
+        seconds += limits.READER_SECONDS + size // limits.READER_BYTES_A_SECOND
         memory = min(limits.READER_MEMORY + limits.READER_MEMORY_A_BYTE * size, limits.READER_MEMORY_MOST)
         said = {**document, "kind": kind, "seconds": seconds, "memory": memory}
         late = threading.Event()
@@ -152,7 +152,9 @@ class Reader:
             raise _death(running, self._end(), late.is_set()) from None
         except ProtocolError:
             self._end()
-            raise ReaderFailure("cannot be read: the process that reads it gave an answer that makes no sense", _DAMAGED) from None
+            raise ReaderFailure(
+                "cannot be read: the process that reads it gave an answer that makes no sense", _DAMAGED
+            ) from None
         finally:
             timer.cancel()
         return self._judged(answer)
@@ -220,11 +222,12 @@ atexit.register(lambda: _reader.end())
 
 
 def ask(
-    kind: str, document: Mapping[str, Any], arrays: Arrays | None = None, *, size: int = 0, seconds: int = 10, digest: str = ""
+    kind: str, document: Mapping[str, Any], arrays: Arrays | None = None, *, size: int = 0, seconds: int = 0, digest: str = ""
 ) -> Message:
     """The answer to a request of READERS.
 
-    `size`: bytes of the files that it is about, which give it more time and memory; `seconds` of CPU besides. `digest`: a hash of
+    `size`: bytes of the files that it is about, which give it more time and memory; `seconds`: CPU time that it may take in addition.
+    `digest`: a hash of
     all that the answer depends on; a request that failed is not made again. Refusal where the child says why it does not read
     something, ReaderFailure where it gives no answer. The answer is of a process that is not trusted."""
     return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest)

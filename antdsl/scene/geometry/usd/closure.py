@@ -131,6 +131,8 @@ class Closure:
         try:
             return client.ask("usd-layer", document, size=self.size, digest=digest).texts("assets")
         except Refusal as why:
+            if why.about == "exception":
+                raise UsdError("bad-usd", f"`{name}` cannot be read as USD: {why}", why.help, "usd") from None
             raise UsdError(why.code, str(why), why.help, "usd") from None
         except client.ReaderFailure as why:
             raise UsdError("bad-usd", f"`{name}` {why}", why.help, "usd") from None

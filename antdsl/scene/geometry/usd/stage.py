@@ -18,8 +18,7 @@ from antdsl.scene.geometry.usd.closure import Closure
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import Roots
 
-_SECONDS = 10  # of CPU that a request may take
-_FRAMES_A_SECOND = 8  # for each second more
+_FRAMES_A_SECOND = 8  # that a request may take in addition
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +38,8 @@ class UsdStage:
         return self.closure.hashes
 
     def ask(self, kind: str, document: Mapping[str, Any] | None = None) -> Message:
-        """The reader's answer about this stage, which is not trusted. UsdError, or MeshError for what is wrong with a mesh."""
+        """The reader's answer about this stage, which is not trusted. UsdError, MeshError for what is wrong with a mesh, or a Refusal
+        that is `about` something that the requester knows."""
         said = {
             "path": self.closure.path,
             "folder": self.closure.folder,
@@ -58,7 +58,7 @@ class UsdStage:
                 said,
                 {"frames": np.array(self.frames, np.int64)},
                 size=self.closure.size,
-                seconds=_SECONDS + len(self.frames) // _FRAMES_A_SECOND,
+                seconds=len(self.frames) // _FRAMES_A_SECOND,
                 digest=digest.hexdigest(),
             )
         except client.ReaderFailure as why:
@@ -68,6 +68,8 @@ class UsdStage:
                 raise MeshError(str(why), why.help) from None
             if why.about == "exception":
                 raise self.failed(f"cannot be read: {why}", why.help) from None
+            if why.about:
+                raise
             raise UsdError(why.code, str(why), why.help, why.key) from None
 
     def failed(self, words: str, help: str | None = None) -> UsdError:
