@@ -173,7 +173,7 @@ class Reader:
         if said.get("failure") == "exception":
             raise ReaderFailure("cannot be read: it is damaged", _DAMAGED)
         self._end()
-        raise ReaderFailure("cannot be read: the process that reads it gave an answer that makes no sense", _DAMAGED)
+        raise ReaderFailure(_SENSELESS, _DAMAGED)
 
     def _start(self) -> _Process:
         if self._running is not None and self._running.process.poll() is not None:
@@ -203,6 +203,7 @@ class Reader:
 
 
 _DAMAGED = "export it again"
+_SENSELESS = "cannot be read: the process that reads it gave an answer that makes no sense"
 
 
 def _death(running: _Process, status: int, is_late: bool) -> ReaderFailure:
@@ -226,10 +227,10 @@ def ask(
 ) -> Message:
     """The answer to a request of READERS.
 
-    `size`: bytes of the files that it is about, which give it more time and memory; `seconds`: CPU time that it may take in addition.
-    `digest`: a hash of
-    all that the answer depends on; a request that failed is not made again. Refusal where the child says why it does not read
-    something, ReaderFailure where it gives no answer. The answer is of a process that is not trusted."""
+    `size`: bytes of the files that it is about, which give it more time and memory. `seconds`: CPU time that it may take in
+    addition. `digest`: a hash of all that the answer depends on; a request that failed is not made again. Refusal where the child
+    says why it does not read something, ReaderFailure where it gives no answer. The answer is from a process that is not trusted.
+    """
     return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest)
 
 

@@ -2,7 +2,7 @@
 shapes to blend with, animations clips.
 
 A skeleton's own place in the stage is a joint of the skeleton's name above its joints; a mesh that follows no joint has a joint
-of its own, where it stands. Units and axes are the stage's. It runs in the reader's process only; `usd_definition` requests it."""
+of its own, where it stands. Units and axes are the stage's. This runs in the reader's process; `usd_definition` requests it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the reader finds in USD files as arrays of this process: every count, shape, type and index is checked before it is used."""
+"""What the reader finds in USD files as arrays of this process: each count, shape, type and index is checked before use."""
 
 from __future__ import annotations
 
