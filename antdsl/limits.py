@@ -69,6 +69,7 @@ READER_MEMORY: Final = 1536 * MIB  # of address space, of which libraries take a
 READER_MEMORY_A_BYTE: Final = 12  # more for each byte of the files of a request
 READER_MEMORY_MOST: Final = 8 * GIB
 READER_BYTES_A_SECOND: Final = 2 * MIB  # of files that are given one second of CPU more each
+READER_SECONDS: Final = 10  # of CPU for one request about files of no size
 READER_WALL_SECONDS: Final = 60  # besides four times the seconds of CPU
 USD_LAYERS: Final = 10_000  # files that one USD file is made of
 USD_LEVELS: Final = 256  # of prims below each other

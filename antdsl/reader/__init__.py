@@ -1,7 +1,7 @@
 """Foreign formats that C and C++ libraries parse are read in a separate, confined process.
 
-A request goes in (`ask` in `client`), plain values and arrays come out. `protocol` defines the messages, `child` is the program of
-the process, `sandbox` confines it, and `private_folder` holds the files that it may open. READERS lists all that can be requested.
+A request goes in (`ask` in `client`), plain values and arrays come out. `protocol` defines the messages, `child` is the program
+of the process, `sandbox` confines it, and `private_folder` holds the files that it may open. READERS lists all requests.
 
 Nothing that the process returns is trusted: it may be under the control of the file that it read. A requester checks each count,
 shape, type and index of an answer before it uses them."""

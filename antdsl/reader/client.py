@@ -128,7 +128,7 @@ class Reader:
 
     def _ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int) -> Message:
         assert kind in READERS
-        seconds += size // limits.READER_BYTES_A_SECOND
+        seconds += limits.READER_SECONDS + size // limits.READER_BYTES_A_SECOND
         memory = min(limits.READER_MEMORY + limits.READER_MEMORY_A_BYTE * size, limits.READER_MEMORY_MOST)
         said = {**document, "kind": kind, "seconds": seconds, "memory": memory}
         late = threading.Event()
@@ -152,7 +152,9 @@ class Reader:
             raise _death(running, self._end(), late.is_set()) from None
         except ProtocolError:
             self._end()
-            raise ReaderFailure("cannot be read: the process that reads it gave an answer that makes no sense", _DAMAGED) from None
+            raise ReaderFailure(
+                "cannot be read: the process that reads it gave an answer that makes no sense", _DAMAGED
+            ) from None
         finally:
             timer.cancel()
         return self._judged(answer)
@@ -171,7 +173,7 @@ class Reader:
         if said.get("failure") == "exception":
             raise ReaderFailure("cannot be read: it is damaged", _DAMAGED)
         self._end()
-        raise ReaderFailure("cannot be read: the process that reads it gave an answer that makes no sense", _DAMAGED)
+        raise ReaderFailure(_SENSELESS, _DAMAGED)
 
     def _start(self) -> _Process:
         if self._running is not None and self._running.process.poll() is not None:
@@ -201,6 +203,7 @@ class Reader:
 
 
 _DAMAGED = "export it again"
+_SENSELESS = "cannot be read: the process that reads it gave an answer that makes no sense"
 
 
 def _death(running: _Process, status: int, is_late: bool) -> ReaderFailure:
@@ -220,13 +223,14 @@ atexit.register(lambda: _reader.end())
 
 
 def ask(
-    kind: str, document: Mapping[str, Any], arrays: Arrays | None = None, *, size: int = 0, seconds: int = 10, digest: str = ""
+    kind: str, document: Mapping[str, Any], arrays: Arrays | None = None, *, size: int = 0, seconds: int = 0, digest: str = ""
 ) -> Message:
     """The answer to a request of READERS.
 
-    `size`: bytes of the files that it is about, which give it more time and memory; `seconds` of CPU besides. `digest`: a hash of
-    all that the answer depends on; a request that failed is not made again. Refusal where the child says why it does not read
-    something, ReaderFailure where it gives no answer. The answer is of a process that is not trusted."""
+    `size`: bytes of the files that it is about, which give it more time and memory. `seconds`: CPU time that it may take in
+    addition. `digest`: a hash of all that the answer depends on; a request that failed is not made again. Refusal where the child
+    says why it does not read something, ReaderFailure where it gives no answer. The answer is from a process that is not trusted.
+    """
     return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest)
 
 

@@ -1,5 +1,5 @@
-"""The private folder of a process: files that its reader may open. It is removed at the end; that of a killed process is removed by
-the next one."""
+"""The private folder of a process: files that its reader may open. It is removed at the end. The next process removes that of a
+killed one."""
 
 from __future__ import annotations
 

@@ -14,7 +14,8 @@ from antdsl.bodies.agents.gltf_shapes import captured, unused
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Channel
 from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
-from antdsl.scene.geometry.usd import UsdStage, pxr
+from antdsl.scene.geometry.usd.child.stage import OpenStage
+from antdsl.scene.geometry.usd.errors import pxr
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -34,7 +35,7 @@ class Skin:
 class UsdBody:
     """What is being read."""
 
-    stage: UsdStage
+    stage: OpenStage
     names: list[str] = field(default_factory=list)
     parents: list[int] = field(default_factory=list)
     rest: list[Floats] = field(default_factory=list)

@@ -121,7 +121,7 @@ ROWS = [
     ),
     usd("M8 a package", package("set.usda", GOOD.encode()), file="set.usdz"),
     usd("M8 a package of levels", package("set.usda", deep(40_000).encode()), "bad-usd", "brings down", "/a", "set.usdz"),
-    usd("M8 a package with a name that leaves", package("../../set.usda", GOOD.encode()), file="set.usdz"),
+    usd("M8 a package with a name that leaves", package("../../set.usda", GOOD.encode()), "bad-usd", "leaves", file="set.usdz"),
     usd("M11 a picture", b"\x89PNG\r\n\x1a\n" + bytes(90), "bad-usd", "cannot be read as USD", file="set.usd"),
     usd(
         "M3 a crate whose table lies",

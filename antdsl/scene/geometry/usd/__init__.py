@@ -1,7 +1,7 @@
 """Sets of other departments: meshes, curves, points and cameras by prim path out of USD files, in mm and the scene's axes.
 
-USD files are read in the reader's process (`antdsl.reader`): `closure` collects the files, `stage` requests, `answers` checks what
-comes back. The folder `child` is what runs there, with usd-core of the extra `[usd]`. No other code reads a USD file."""
+USD files are read in the reader's process (`antdsl.reader`): `closure` collects the files, `stage` requests, `answers` checks
+what comes back. The folder `child` runs there, with usd-core of the extra `[usd]`. No other code reads a USD file."""
 
 from antdsl.scene.geometry.usd.answers import (
     UsdCamera,

@@ -1,4 +1,4 @@
-"""What the reader finds in USD files as arrays of this process: every count, shape, type and index is checked before it is used."""
+"""What the reader finds in USD files as arrays of this process: each count, shape, type and index is checked before use."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def read_usd_curve(stage: UsdStage) -> Floats:
 
     UsdError where there is none or more than one."""
     places = stage.ask("usd-curve").array("places", "f8", None, None, 3)
-    if len(places) not in (1, len(stage.frames)) or not 2 <= places.shape[1] or not np.isfinite(places).all():
+    if len(places) not in (1, len(stage.frames)) or not places.shape[1] >= 2 or not np.isfinite(places).all():
         raise ProtocolError("`places` has other frames, too few points, or one that is not finite")
     return places
 

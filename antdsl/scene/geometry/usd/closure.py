@@ -1,8 +1,8 @@
 """All files that a USD file is made of, collected layer by layer into a private folder, the only one that the reader may open.
 
-Each file is read here, by `Roots`, so the same rules hold as for any file that a scene names: below the scene's folder or a granted
-root, no link, no address, no larger than a mesh may be. The reader opens the copy and lists what it names. The copies lie to each
-other as the files do, so that USD finds them by the same relative paths. No message says whether a file outside exists."""
+Each file is read here, by `Roots`, so the same rules hold as for any file that a scene names: below the scene's folder or a
+granted root, no link, no address, no larger than a mesh may be. The reader opens the copy and lists what it names. The copies have
+the same relative paths as the files, by which USD finds them. No message says whether a file outside exists."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Closure:
         self.hashes: dict[str, str] = {}
         self._roots = roots
         self._folders = {name: os.path.abspath(folder) for name, folder in (("", roots.folder), *roots.granted.items())}
-        self._files: set[str] = set()
+        self._files: dict[str, str] = {}  # the name of each by its full path
         self._packages: dict[str, dict[str, bytes]] = {}
         try:
             self.folder = os.path.realpath(client.new_folder())
@@ -95,7 +95,7 @@ class Closure:
             self.size += len(data)
             if len(self._files) >= limits.USD_LAYERS or self.size > 4 * limits.MESH_BYTES:
                 raise self._too_large(text)
-            self._files.add(path)
+            self._files[path] = text
             self.hashes[text] = blake2b(data, digest_size=16).hexdigest()
             if text.lower().endswith(PACKAGE):
                 data = self._unpack(path, text, data)
@@ -121,9 +121,9 @@ class Closure:
     def _named(self, place: Place) -> Iterator[Place]:
         """The files, or layers of the same package, that a layer names."""
         path, inside = place
-        copy, name = self._copy(path), f"{self._name(path)}{f'[{inside}]' if inside else ''}"
+        copy, name = self._copy(path), f"{self._files[path]}{f'[{inside}]' if inside else ''}"
         document = {"path": f"{copy}[{inside}]" if inside else copy, "folder": self.folder, "text": name}
-        digest = blake2b(f"{self.hashes[self._name(path) or '']} {inside}".encode(), digest_size=16).hexdigest()
+        digest = blake2b(f"{self.hashes[self._files[path]]} {inside}".encode(), digest_size=16).hexdigest()
         for asset in self._assets(document, name, digest):
             yield self._part(place, asset) if inside else self._file(place, asset)
 
@@ -131,6 +131,8 @@ class Closure:
         try:
             return client.ask("usd-layer", document, size=self.size, digest=digest).texts("assets")
         except Refusal as why:
+            if why.about == "exception":
+                raise UsdError("bad-usd", f"`{name}` cannot be read as USD: {why}", why.help, "usd") from None
             raise UsdError(why.code, str(why), why.help, "usd") from None
         except client.ReaderFailure as why:
             raise UsdError("bad-usd", f"`{name}` {why}", why.help, "usd") from None

@@ -1,5 +1,6 @@
-"""Why something of a USD file cannot be used, and the one place that imports usd-core: to read in the reader's process, to write in
-any."""
+"""Why something of a USD file cannot be used, and the one place that imports usd-core: in the reader's process to read, in any to
+write."""
+
 
 from __future__ import annotations
 
@@ -34,7 +35,10 @@ def pxr(module: str) -> Any:
     try:
         return import_module(f"pxr.{module}")
     except ImportError as problem:
-        missing = "USD files need the package usd-core"
-        if getattr(problem, "name", "") not in ("pxr", f"pxr.{module}"):
-            missing += f", which cannot be loaded ({problem})"
-        raise UsdError("missing-extra", missing, 'install it: pip install "antdsl[usd]"', "usd") from None
+        why = "" if getattr(problem, "name", "") in ("pxr", f"pxr.{module}") else f", which cannot be loaded ({problem})"
+        raise missing_extra(why) from None
+
+
+def missing_extra(why: str = "") -> UsdError:
+    """The error where usd-core is not installed; `why` it cannot be loaded where it is."""
+    return UsdError("missing-extra", f"USD files need the package usd-core{why}", 'install it: pip install "antdsl[usd]"', "usd")

@@ -1,7 +1,7 @@
 """A .usdz package: unpacked here, never by USD, and written again as USD expects it.
 
-USD's own reader of packages thus sees files of ours alone: stored members with plain names, each once, and layers only. Two readers
-of one zip file could otherwise see different members in it."""
+USD's own reader of packages thus sees packages of ours alone: stored members with plain names, each once, and layers only. Two
+readers of one zip file could otherwise see different members in it."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from hashlib import blake2b
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,10 @@ from antdsl.reader.protocol import Message, ProtocolError
 from antdsl.reader.refusal import Refusal
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.closure import Closure
-from antdsl.scene.geometry.usd.errors import UsdError
+from antdsl.scene.geometry.usd.errors import UsdError, missing_extra
 from antdsl.scene.paths import Roots
 
-_SECONDS = 10  # of CPU that a request may take
-_FRAMES_A_SECOND = 8  # for each second more
+_FRAMES_A_SECOND = 8  # that a request may take in addition
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,8 @@ class UsdStage:
         return self.closure.hashes
 
     def ask(self, kind: str, document: Mapping[str, Any] | None = None) -> Message:
-        """The reader's answer about this stage, which is not trusted. UsdError, or MeshError for what is wrong with a mesh."""
+        """The reader's answer about this stage, which is not trusted. UsdError, MeshError for what is wrong with a mesh, or a
+        Refusal that is `about` something that the requester knows."""
         said = {
             "path": self.closure.path,
             "folder": self.closure.folder,
@@ -58,7 +59,7 @@ class UsdStage:
                 said,
                 {"frames": np.array(self.frames, np.int64)},
                 size=self.closure.size,
-                seconds=_SECONDS + len(self.frames) // _FRAMES_A_SECOND,
+                seconds=len(self.frames) // _FRAMES_A_SECOND,
                 digest=digest.hexdigest(),
             )
         except client.ReaderFailure as why:
@@ -68,6 +69,8 @@ class UsdStage:
                 raise MeshError(str(why), why.help) from None
             if why.about == "exception":
                 raise self.failed(f"cannot be read: {why}", why.help) from None
+            if why.about:
+                raise
             raise UsdError(why.code, str(why), why.help, why.key) from None
 
     def failed(self, words: str, help: str | None = None) -> UsdError:
@@ -94,7 +97,7 @@ def open_stage(
 
     Frame f is USD's time code f · timeCodesPerSecond / fps: equal where the rates are. UsdError when the file or anything it is
     made of may not be opened, there is no such prim, or the system has no sandbox and the person does not trust USD files."""
-    check_sandbox(text)
+    _check_sandbox(text)
     stored = {} if closures is None else closures
     if text not in stored:
         stored[text] = Closure(roots, text)
@@ -103,8 +106,11 @@ def open_stage(
     return stage
 
 
-def check_sandbox(text: str) -> None:
-    """UsdError where nothing confines the process that would read a USD file, and the person has not said that it is trusted."""
+def _check_sandbox(text: str) -> None:
+    """UsdError without usd-core, and where nothing confines the process that would read USD and the person has not said that USD
+    files are trusted."""
+    if find_spec("pxr") is None:
+        raise missing_extra()
     try:
         is_confined = bool(client.active_layers()["seccomp"])
     except client.ReaderFailure as why:

@@ -6,8 +6,8 @@ import numpy as np
 
 from antdsl.numerics import vector_rows
 from antdsl.scene.geometry.matrices import scale
-from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
+from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
 _SENSOR = 36.0  # mm, the width that focal lengths are for
 _AHEAD = 1000.0  # mm: how far off it looks where it has no focus

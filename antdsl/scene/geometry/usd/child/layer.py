@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from antdsl import limits
+from antdsl.scene.geometry.usd.child.guard import Answer, guarded
 from antdsl.scene.geometry.usd.errors import UsdError, pxr, words_of
 
 if TYPE_CHECKING:
@@ -16,7 +16,8 @@ _folder = ""
 _layers: dict[str, Any] = {}  # of the folder, so that USD reads each once
 
 
-def read_layer(request: Message) -> tuple[dict[str, Any], Mapping[str, Any]]:
+@guarded
+def read_layer(request: Message) -> Answer:
     """The asset paths `assets` that the layer `path` is composed with, sublayers, references, payloads and those in variants
     included, as they are in the file. `folder` is that of all files of the stage, `text` the layer's name in messages."""
     said = request.document

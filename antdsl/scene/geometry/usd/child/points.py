@@ -10,9 +10,9 @@ import numpy as np
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene.geometry.matrices import applied, scale
-from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.child.shapes import BAKE, check_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
+from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
 _USER = "userProperties"  # the namespace into which Blender, Maya and others export what users gave an object
 _KINDS_TOLD = 12

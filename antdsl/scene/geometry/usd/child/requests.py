@@ -1,45 +1,19 @@
-"""What the reader answers about what is at a prim of a USD stage: arrays and texts, with USD's own exceptions turned into refusals."""
+"""What the reader answers about what is at a prim of a USD stage: arrays and texts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import wraps
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from antdsl.reader.protocol import pack_texts
-from antdsl.reader.refusal import Refusal
-from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.child import stage as stages
 from antdsl.scene.geometry.usd.child.camera import camera_arrays
 from antdsl.scene.geometry.usd.child.curves import curve_places
+from antdsl.scene.geometry.usd.child.guard import Answer, guarded
 from antdsl.scene.geometry.usd.child.meshes import joined_mesh
 from antdsl.scene.geometry.usd.child.points import point_arrays
-from antdsl.scene.geometry.usd.errors import pxr, words_of
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import Message
-
-Answer = tuple[dict[str, Any], Mapping[str, Any]]
-
-
-def guarded(read: Callable[[Message], Answer]) -> Callable[[Message], Answer]:
-    """The function with every problem of the file as a Refusal, whose `about` says what the message is about."""
-
-    @wraps(read)
-    def answer(request: Message) -> Answer:
-        try:
-            with np.errstate(all="ignore"):  # a value that is not finite is reported where it is used
-                return read(request)
-        except MeshError as why:
-            raise Refusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
-        except pxr("Tf").ErrorException as why:
-            raise Refusal("bad-usd", words_of(why), None, "prim", "exception") from why
-        except UnicodeDecodeError as why:  # a name or a text of the file that USD passes on as it is
-            raise Refusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from why
-
-    return answer
 
 
 @guarded
@@ -67,7 +41,9 @@ def read_points(request: Message) -> Answer:
     arrays |= {f"value:{number}": array for number, array in enumerate(found.values.values())}
     for number, texts in enumerate(found.texts.values()):
         arrays |= pack_texts(f"text:{number}", texts)
-    return {"unit": found.unit, "values": list(found.values), "texts": list(found.texts)}, arrays | pack_texts("names", found.names)
+    return {"unit": found.unit, "values": list(found.values), "texts": list(found.texts)}, arrays | pack_texts(
+        "names", found.names
+    )
 
 
 @guarded

@@ -93,8 +93,8 @@ def open_stage(request: Message) -> OpenStage:
     """The stage of the top file `path`, below the folder `folder`, for what is at and below `prim`; `text` is the file's name in
     messages.
 
-    Frame f is USD's time code f · timeCodesPerSecond / fps: equal where the rates are. UsdError when the stage uses a file outside
-    of the folder, has more in it than is read, or has no such prim."""
+    Frame f is USD's time code f · timeCodesPerSecond / fps: equal where the rates are. UsdError when the stage uses a file
+    outside of the folder, has more in it than is read, or has no such prim."""
     global _last
     said, frames = request.document, request.array("frames", "<i8", None)
     path, folder, text, prim, up, purpose = (str(said[key]) for key in ("path", "folder", "text", "prim", "up", "purpose"))
