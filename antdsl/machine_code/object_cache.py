@@ -23,7 +23,7 @@ from antdsl.bounded import NotRegular, open_regular, read_bounded, read_handle
 from antdsl.limits import MIB
 from antdsl.machine_code import signing
 from antdsl.user_folders import cache_folder
-from antdsl.whole import PART, whole_opened
+from antdsl.whole import PART, write_whole
 
 if TYPE_CHECKING:
     from antdsl.machine_code.machine import Target
@@ -159,8 +159,7 @@ class ObjectCache:
         if not self._make(folder):
             return False
         try:
-            with whole_opened(folder / name) as handle, os.fdopen(handle, "wb", closefd=False) as file:
-                file.write(data)
+            write_whole(folder / name, data, sync=False)
             _make_room(folder, self._cap, name)
         except (OSError, ValueError) as problem:
             self._report_not_stored(folder, _words(problem), _advice(problem))

@@ -19,7 +19,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from antdsl.user_folders import make_private_folder, read_private, state_folder
-from antdsl.whole import whole
+from antdsl.whole import write_whole
 
 _STARTS = 4  # whose keys are kept
 _FILES = 64  # of scenes and ports; the oldest go
@@ -70,8 +70,7 @@ def _read(place: Path) -> tuple[str, ...]:
 
 def _write(place: Path, keys: Sequence[str]) -> None:
     """Whole or not at all. Who makes the file is the only one to read it."""
-    with whole(place, mode=0o600) as made:
-        made.write_text(json.dumps({"keys": list(keys)}), encoding="ascii")
+    write_whole(place, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
     with suppress(OSError):
         files = sorted(place.parent.glob("*.json"), key=lambda each: each.lstat().st_mtime)
         for old in files[:-_FILES]:
