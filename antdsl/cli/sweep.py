@@ -192,7 +192,8 @@ def _demand_measures(chooser: Chooser) -> None:
 def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any], show: Sequence[str], plots: bool) -> None:
     """Write the table in all its forms, and print it."""
     from antdsl.sweep import rows
-    from antdsl.sweep.plots import HOW, available, draw, draw_factors
+    from antdsl.sweep.figures import available
+    from antdsl.sweep.plots import HOW, draw, draw_factors
     from antdsl.sweep.sensitivity import as_csv as effects_csv
     from antdsl.sweep.sensitivity import text as effects_text
     from antdsl.sweep.table import as_csv, as_json, known_text, runs_csv, runs_parquet, shown, text

@@ -163,7 +163,7 @@ OWN_WRITING = {
     "highlighting/textmate.py": "the highlighting that ships",
     "lsp/server.py": "standard output",
     "scene/geometry/usd/trial.py": "the null device",
-    "sweep/plots.py": "a file that antdsl/whole.py has opened",
+    "sweep/figures.py": "a file that antdsl/whole.py has opened",
     "syntax/grammar.py": "the grammar that ships",
 }
 WRITING_MODES = frozenset(["a", "ab", "w", "wb", "x", "xb", "r+b", "r+"])
