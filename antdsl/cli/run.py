@@ -187,12 +187,12 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
     from antdsl.outputs.recording import NothingToResume, begin
     from antdsl.outputs.starting import StartError
     from antdsl.runtime import BindError
-    from antdsl.runtime.binding.crowding import crowding
+    from antdsl.runtime.binding.start_findings import start_findings
 
     try:
         recording = begin(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
-            show(crowding(shot.scene, recording.world), to_stderr=True)
+            show(start_findings(shot.scene, recording.world), to_stderr=True)
         for note in recording.notes:
             say(note, err=True)
         return recording
