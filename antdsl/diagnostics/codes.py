@@ -178,6 +178,7 @@ CODES: dict[str, str] = {
     "field-setting": "a setting of a field has a value that no field can have",
     "field-too-fine": "a field would need more cells than are allowed",
     "flow-too-fine": "a flow would be worked out in more points than are allowed",
+    "unreachable-target": "agents stand where no path leads to the target of a flow that they go by",
     # --- running specs ---
     "no-scene": "a spec does not say on which scene it runs, and none lies beside its program",
     "other-scene": "the scene of a spec does not use the spec's program",

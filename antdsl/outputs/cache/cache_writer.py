@@ -31,6 +31,7 @@ from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of, read_li
 from antdsl.outputs.cache.lock import LOCK, FolderLock
 from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, write_manifest
 from antdsl.outputs.cache.npz import npz_file
+from antdsl.outputs.links import is_link
 from antdsl.outputs.surface_error import surface_error
 from antdsl.outputs.writer.background import Behind
 from antdsl.outputs.writer.frame_writer import Scribe
@@ -64,7 +65,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
         raise ForeignFolder(f"`{folder}` is a file")
     make_folder(folder)
     for name in ("frames", "checkpoints"):
-        if (folder / name).is_symlink():
+        if is_link(folder / name):
             raise ForeignFolder(f"`{folder / name}` is a link")
         if (folder / name).exists() and not (folder / name).is_dir():
             raise InTheWay(f"`{folder / name}` is a file, and a folder is wanted there")
