@@ -15,6 +15,7 @@ from antdsl.outputs.numbered_files import NoExport, numbered
 from antdsl.outputs.pictures.light import decoded, encoded
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.poses_export import FEWER, Worn, worn_crowds
+from antdsl.outputs.usd.disk_failures import disk_failures
 from antdsl.outputs.usd.values import ROOT, Out, Samples, box, identifier, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
@@ -43,7 +44,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     frames = list(frames)
     there, notes = _throughout(gallery, frames)
     usd, geom = pxr("Usd"), pxr("UsdGeom")
-    with whole(path, path.suffix) as part:
+    with disk_failures(path), whole(path, path.suffix) as part:
         stage = usd.Stage.CreateNew(str(part))
         geom.SetStageMetersPerUnit(stage, UNIT_MM[gallery.manifest.units] / 1000)
         geom.SetStageUpAxis(stage, gallery.manifest.up.upper())
