@@ -43,6 +43,12 @@ GRID_BYTES: Final = 8 * GIB
 AGENTS: Final = 5_000_000
 BIRTHS_IN_A_ROW: Final = 16  # generations within one step, where those born bear at once
 FRAMES: Final = 1_000_000
+SCENE_LENGTH: Final = 1e10  # millimetres (or units of the scene) of a length or a coordinate; squares of it fit float32
+SCENE_ANGLE: Final = 1e6  # radians; a larger angle has too few digits left within its turn
+SCENE_TIME: Final = 1e9  # seconds
+SCENE_SPEED: Final = 1e10  # millimetres a second
+SCENE_NUMBER: Final = 1e30  # of a value of a param or an attribute, in base units
+SCENE_LEAST: Final = 1e-6  # of a length, time or speed that has to be above zero, in the same units
 
 # bodies
 BODY_TEXT_BYTES: Final = 64 * MIB  # of one JSON file
