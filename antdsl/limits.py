@@ -19,6 +19,9 @@ NUMBER_DIGITS: Final = 32
 LARGEST: Final = 3.0e38  # number that can be kept; a little further a float32 is endless
 NESTING: Final = 64  # brackets of any kind, open at once
 EXPRESSION_DEPTH: Final = 200  # operations inside operations, `1 + 1 + 1` being two deep; keeps recursion over a tree safe
+STATEMENTS: Final = 4000  # of one file, those in braces too; counted before any of them is parsed
+SPECIES: Final = 256  # of one file
+TOKENS: Final = 30_000  # of one file: words, numbers and signs
 DIAGNOSTICS_SHOWN: Final = 50
 
 # meaning of one program

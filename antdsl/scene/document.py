@@ -74,7 +74,7 @@ class _Refused(Exception):
     """Reading cannot go on; the complaint is in the report already."""
 
 
-# Characters that look like a blank or like nothing; YAML takes them for letters. Joiners belong to the spelling of some languages.
+# Characters that look like a blank or like nothing; YAML takes them for letters. Joiners belong to the spelling of words.
 _ODD_BLANK = re.compile("[\u00a0\u00ad\u1680\u180e\u2000-\u200b\u200e\u200f\u202f\u205f-\u2064\u3000]")
 _QUOTED = re.compile(r"""'[^'\n]*'|"(?:\\.|[^"\\\n])*"|(?:^|(?<=\s))#[^\n]*""", re.MULTILINE)
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")

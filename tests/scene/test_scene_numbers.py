@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import antdsl.scene.model  # noqa: F401 - defines the parts
 from antdsl.cli.new import ground
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, bind, step
 from antdsl.scene import load
-from antdsl.scene.model import SceneModel
 from antdsl.scene.parts import Part
 from antdsl.scene.quantities import Quantity
 
@@ -139,7 +139,9 @@ def test_the_scene_has_every_numeric_field(folder: Path) -> None:
     scene.write_text(SCENE)
     loaded, report = load(scene)
     assert loaded is not None and report.ok, report.errors
-    used = {(type(part).__name__, name) for part in parts(loaded.model) for name in numeric(part) if getattr(part, name) is not None}
+    used = {
+        (type(part).__name__, name) for part in parts(loaded.model) for name in numeric(part) if getattr(part, name) is not None
+    }
     known = {(kind.__name__, name) for kind in kinds(Part) for name, found in kind.model_fields.items() if is_numeric(found)}
     inherited = {name for _, name in used}
     missing = {(kind, name) for kind, name in known - used - ELSEWHERE if name not in inherited}
@@ -172,6 +174,3 @@ def parts(value: Any) -> Iterator[Part]:
     elif isinstance(value, tuple) and not isinstance(value, Quantity):
         for each in value:
             yield from parts(each)
-
-
-assert SceneModel
