@@ -99,7 +99,7 @@ CODES: dict[str, str] = {
     "per-frame": "a value changes by so much in every step, so it depends on the frames per second",
     "per-step": "a value depends on the frames per second (only with `--strict`)",
     "set-in-body": "`velocity` or `heading` is set in every step",
-    "too-many": "there are more states, layers, fields or names than the limit",
+    "too-many": "there are more states, layers, fields, names, statements or species than the limit",
     "two-decays": "a field says in two ways how fast it fades",
     "two-writers": "one value is set twice in one block, or by two machines",
     # --- the whole program ---
