@@ -8,7 +8,8 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.mesh_text import Floats, MeshError, Whole, blocks, check_count, check_text, plain_text, shown
+from antdsl.scene.geometry.matrices import different
+from antdsl.scene.geometry.mesh_text import Floats, MeshError, blocks, check_count, check_text, plain_text, shown
 from antdsl.scene.geometry.polygon_mesh import PolygonMesh
 
 _HEAD, _FACE = 84, 50  # bytes before the first face, and of each
@@ -21,18 +22,8 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
     wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if len(wrong):
         raise MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
-    points, inverse = joined(corners)
-    return PolygonMesh.of_triangles(points, inverse.reshape(-1, 3))
-
-
-def joined(points: Floats) -> tuple[Floats, Whole]:
-    """The different points among some, sorted by x, y, z, and which of them each is. Zero and minus zero are one."""
-    order = np.lexsort(points.T[::-1])
-    ranked = points[order]
-    new = np.concatenate(([True], (ranked[1:] != ranked[:-1]).any(axis=1))) if len(points) else np.zeros(0, np.bool_)
-    which = np.empty(len(points), np.int64)
-    which[order] = np.cumsum(new) - 1
-    return ranked[new], which
+    order, new, which = different(corners)
+    return PolygonMesh.of_triangles(corners[order[new]], which.reshape(-1, 3))
 
 
 def _is_text(data: bytes) -> bool:
