@@ -48,9 +48,10 @@ def _binary(data: bytes, notes: ImportNotes) -> Floats:
         raise MeshError(f"{_MISSING}: it says it has {count:,} faces, and {room:,} fit in its {len(data):,} bytes")
     check_count(count, limits.MESH_FACES, "faces")
     tail = data[len(data) - rest :]
-    if rest >= _FACE and rest % _FACE == 0 and tail.strip(b"\0 \n\r\t\x1a"):
+    is_padding = not tail.strip(b"\0 \n\r\t\x1a")
+    if rest >= _FACE and rest % _FACE == 0 and not is_padding:
         raise MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE:,}")
-    if rest:
+    if not is_padding:
         notes.skip(f"{rest:,} bytes after the last face")
     rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEAD)
     return rows["corners"].reshape(-1, 3).astype(np.float64)
@@ -76,7 +77,9 @@ def _text(data: bytes, notes: ImportNotes) -> Floats:
             raise MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
         corners.append(block.floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
         if (kind == _OTHER).any():
-            _check_others(block.number, kind, [shown(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes)
+            _check_others(
+                block.number, kind, [shown(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes
+            )
         used = (kind != _LOOP) & (kind != _SOLID) & (kind != _OTHER)
         kinds.append(kind[used])
         numbers.append(block.number[used])

@@ -231,7 +231,7 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
     else:
         key, shown = "mesh", value.mesh
         factor, own_up = UNIT_MM[value.units or value.own_units or scene.model.units] * value.scale, value.own_up or up
-        found = moving_mesh(staging, name, value) if "#" in value.mesh else _still_mesh(staging, name, value)
+        found = moving_mesh(staging, name, value) if scene.roots.is_sequence(value.mesh) else _still_mesh(staging, name, value)
     if found is None:
         return None
     raw, inner = found

@@ -236,7 +236,11 @@ def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> F
         found = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
         factor, own_up = value.scale, model.up
     else:
-        files = sequence(staging, value.curve, "world", name, "curve") if "#" in value.curve else [value.curve]
+        files = (
+            sequence(staging, value.curve, "world", name, "curve")
+            if staging.scene.roots.is_sequence(value.curve)
+            else [value.curve]
+        )
         if files is None:
             return None
         read = {file: staging.points(file, 2, "world", name, "curve") for file in dict.fromkeys(files)}
