@@ -130,7 +130,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
 def run_example(python: Path, out: Path) -> int:
     """The main job on an example: simulate foraging, then a still and a contact sheet of it."""
     scene = ROOT / "examples" / "foraging" / "scene.yaml"
-    antdsl = [str(python), "-m", "antdsl"]
+    antdsl = [str(python), "-P", "-m", "antdsl"]
     for command in (
         [*antdsl, "run", str(scene), "--out", str(out)],
         [*antdsl, "render", str(out), "--sheet"],
