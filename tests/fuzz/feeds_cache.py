@@ -105,7 +105,12 @@ def feed_cache(folder: Path) -> Feed:
             path = out / each
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content if each == chosen else bytes_)
-        lines = [chosen, *_described(out), *_exported(out, folder / "to", EXPORTS[crc32(data) % len(EXPORTS)]), *_resumed(shot, out)]
+        lines = [
+            chosen,
+            *_described(out),
+            *_exported(out, folder / "to", EXPORTS[crc32(data) % len(EXPORTS)]),
+            *_resumed(shot, out),
+        ]
         if lines[-1] == "resumed":
             again = _state_hashes({"hashes.jsonl": (out / "hashes.jsonl").read_bytes()})
             if again != hashes:

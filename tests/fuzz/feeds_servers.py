@@ -324,7 +324,7 @@ def lsp_inputs() -> list[bytes]:
             _notice("textDocument/didClose", {"textDocument": document}),
         ]
         sessions.append(b"\n".join([*lines, _request(99, "shutdown", None), _notice("exit", None)]))
-    return [*sessions, b"\n".join(sessions[0].split(b"\n")[:6]), b"Content-Length: 20\r\n\r\n" + b'{"jsonrpc":"2.0"}   ']
+    return [b"\n".join(sessions[0].split(b"\n")[:6]), *sessions, b"Content-Length: 20\r\n\r\n" + b'{"jsonrpc":"2.0"}   ']
 
 
 def _questions(document: dict[str, str], line: int, character: int) -> list[bytes]:
