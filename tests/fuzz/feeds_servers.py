@@ -140,11 +140,13 @@ def _frame(kind: int, data: bytes, final: bool = True) -> bytes:
 # --- messages of a page
 
 PAGE_MESSAGES: list[dict[str, Any]] = [
-    {"op": "play"}, {"op": "pause"}, {"op": "step", "count": 3}, {"op": "speed", "times": 2.0}, {"op": "reload"}, {"op": "restart"},
+    {"op": "play"}, {"op": "pause"}, {"op": "step", "count": 3}, {"op": "speed", "times": 2.0}, {"op": "reload"},
+    {"op": "restart"},
     {"op": "seek", "frame": 3, "exact": True}, {"op": "seek", "frame": -5, "exact": False}, {"op": "profile", "on": True},
     {"op": "set", "name": "walker.swing", "value": "20 deg"}, {"op": "layer", "species": "walker", "layer": "steer", "on": False},
     {"op": "field", "name": "trail", "on": False}, {"op": "explain", "species": "walker", "agent": 2, "frame": 2},
-    {"op": "look", "columns": [{"species": "walker", "name": "load"}], "fields": ["trail"], "follow": {"species": "walker", "agent": 1}},
+    {"op": "look", "columns": [{"species": "walker", "name": "load"}], "fields": ["trail"]},
+    {"op": "look", "follow": {"species": "walker", "agent": 1}},
     {"op": "look", "planned": [{"species": "walker", "agent": 3}], "solids": False}, {"op": "look", "planned": []},
     {"op": "breaks", "breaks": [{"kind": "state", "species": "walker", "machine": "main", "state": "rest"}]},
     {"op": "breaks", "breaks": [{"kind": "condition", "text": "count(walker) > 3"}, {"kind": "fault"}]},

@@ -15,16 +15,16 @@ from fuzz.oracle import Feed, Violation
 from fuzz.targets import TARGETS, Target
 
 FEW = {"obj": 120, "ply": 120, "stl": 120, "gltf": 60, "body": 20, "websocket": 40}
-CHEAP = ("obj", "ply", "stl", "gltf", "websocket")
+ORDER = sorted(TARGETS, key=lambda name: name != "cache")  # its seeds import what other targets need too
 
 
 def causes(result: Result) -> str:
     return "\n".join(f"{name}: {each['detail']}" for name, each in result.findings.items())
 
 
-@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize("name", ORDER)
 def test_a_few_inputs_of_each_target_find_nothing(name: str) -> None:
-    count = FEW.get(name, 6)
+    count = FEW.get(name, 4)
     result = Campaign(TARGETS[name], seed=5).run(executions=count)
     assert result.executions == count and result.report_forms > 1
     assert not result.findings, causes(result)
