@@ -1,8 +1,8 @@
 """All files that a USD file is made of, collected layer by layer into a private folder, the only one that the reader may open.
 
 Each file is read here, by `Roots`, so the same rules hold as for any file that a scene names: below the scene's folder or a
-granted root, no link, no address, no larger than a mesh may be. The reader opens the copy and lists what it names. The copies have
-the same relative paths as the files, by which USD finds them. No message says whether a file outside exists."""
+granted root, no link, no address, no larger than a mesh may be. The reader opens the copy and lists what it names. The copies
+have the same relative paths as the files, by which USD finds them. No message says whether a file outside exists."""
 
 from __future__ import annotations
 
