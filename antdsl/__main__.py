@@ -1,6 +1,14 @@
 """`python -m antdsl` is the command `antdsl`."""
 
-from antdsl.cli import main
+import os
+import sys
+
+# With `-m` Python looks for modules in the working directory first: no line may be imported from there. `sys` and `os` are loaded
+# before any folder is searched, and the package's own `__init__` imports nothing.
+if not sys.flags.safe_path and sys.path and sys.path[0] in ("", os.getcwd()):
+    del sys.path[0]
 
 if __name__ == "__main__":
+    from antdsl.cli import main
+
     main()

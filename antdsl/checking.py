@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import gc
-import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
+from antdsl.diagnostics.transfer import decode_reports, encode_reports
 from antdsl.files import sources
 from antdsl.loading import CheckedOnce
 from antdsl.pipeline import Choices, check_path
@@ -69,11 +69,19 @@ def _share(groups: list[list[Path]], choices: Choices, strict: bool, cores: int,
     mine, theirs = os.pipe()
     os.write(theirs, bytes(range(len(groups))))
     os.close(theirs)
-    helpers = [_begin(groups, mine, choices, strict, parsed) for _ in range(min(cores, len(groups)) - 1)]
-    _take(groups, mine, choices, strict, parsed, result)
-    os.close(mine)
-    for process, pipe in helpers:
-        result.add(_end(process, pipe))
+    children: list[tuple[int, int]] = []
+    try:
+        for _ in range(min(cores, len(groups)) - 1):
+            children.append(_begin(groups, mine, choices, strict, parsed))
+        _take(groups, mine, choices, strict, parsed, result)
+        while children:
+            result.add(_end(*children.pop(0)))
+    finally:
+        os.close(mine)
+        for process, pipe in children:  # of a check that was interrupted
+            os.close(pipe)
+            os.kill(process, signal.SIGKILL)
+            os.waitpid(process, 0)
 
 
 def _take(
@@ -119,32 +127,33 @@ def _may_fork() -> bool:
     return sys.platform == "linux" and "open3d" not in sys.modules
 
 
-def _begin(
-    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce
-) -> tuple[multiprocessing.process.BaseProcess, Connection]:
-    context = multiprocessing.get_context("fork")
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(theirs, groups, claims, choices, strict, parsed), daemon=True)
-    process.start()
-    theirs.close()
+def _begin(groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce) -> tuple[int, int]:
+    """A child process that checks groups: its number, and the pipe that its answer comes by."""
+    ours, theirs = os.pipe()
+    process = os.fork()
+    if process == 0:
+        code = 1
+        try:
+            os.close(ours)
+            _work(theirs, groups, claims, choices, strict, parsed)
+            code = 0
+        finally:
+            os._exit(code)  # nothing that the parent has begun is ended twice
+    os.close(theirs)
     return process, ours
 
 
-def _work(
-    pipe: Connection, groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce
-) -> None:
+def _work(pipe: int, groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce) -> None:
     found = Checked()
     _take(groups, claims, choices, strict, parsed, found)
-    found.sources = sources((), parsed)  # scenes are read once, by who asked
-    pipe.send(found)
-    pipe.close()
+    with os.fdopen(pipe, "wb") as file:
+        file.write(encode_reports(found.reports, sources((), parsed)))  # scenes are read once, by the parent
 
 
-def _end(process: multiprocessing.process.BaseProcess, pipe: Connection) -> Checked:
-    """What a process found; nothing if it ended without a word."""
+def _end(process: int, pipe: int) -> Checked:
+    """What a child found; nothing if it ended without an answer, or in the middle of one."""
     found = Checked()
-    with suppress(EOFError):
-        found = pipe.recv()
-    pipe.close()
-    process.join()
+    with os.fdopen(pipe, "rb") as file, suppress(ValueError):
+        found.reports, found.sources = decode_reports(file.read())
+    os.waitpid(process, 0)
     return found

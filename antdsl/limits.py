@@ -43,6 +43,7 @@ GRID_BYTES: Final = 8 * GIB
 AGENTS: Final = 5_000_000
 BIRTHS_IN_A_ROW: Final = 16  # generations within one step, where those born bear at once
 FRAMES: Final = 1_000_000
+FPS: Final = 960  # frames of a second of a scene, at most
 
 # bodies
 BODY_TEXT_BYTES: Final = 64 * MIB  # of one JSON file

@@ -30,9 +30,21 @@ LONGEST = (
 )  # fmt: skip
 PLACE = {name: place for place, name in enumerate(LONGEST)}
 
-# What a test compiles is no business of the user's own folder; the tests of one run may share it.
+
+def can_sign() -> bool:
+    """Whether this user can have a private key for machine code."""
+    from antdsl.machine_code import signing
+
+    try:
+        return signing.signer(create=True) is not None
+    except OSError:
+        return False
+
+
+# What a test compiles is no business of the user's own folder; the tests of one run may share it. Without a private key, as where
+# the home folder is only read, code stays in memory, and nothing is said of it.
 if "ANTDSL_NATIVE_CACHE" not in os.environ:
-    os.environ["ANTDSL_NATIVE_CACHE"] = tempfile.mkdtemp(prefix="antdsl-code-")
+    os.environ["ANTDSL_NATIVE_CACHE"] = tempfile.mkdtemp(prefix="antdsl-code-") if can_sign() else ""
     atexit.register(shutil.rmtree, os.environ["ANTDSL_NATIVE_CACHE"], ignore_errors=True)
 
 # Time says nothing here: whoever runs the tests may have a slow machine, or a busy one.

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
-from pathlib import Path
 
 from antdsl.bench.costs import Job, Measured
+from antdsl.child_processes import module_command, module_environment
 
 
 class Failed(Exception):
@@ -17,12 +15,8 @@ class Failed(Exception):
 
 def measured(job: Job) -> Measured:
     """What the process finds out. Raises Failed."""
-    words = [sys.executable, "-m", "antdsl.bench", json.dumps(job.as_json())]
-    around = Path(__file__).resolve().parents[2]
-    env = dict(os.environ)
-    if around.name not in ("site-packages", "dist-packages"):  # a checkout: the child is to take the package from it, too
-        env["PYTHONPATH"] = os.pathsep.join([str(around), *filter(None, [env.get("PYTHONPATH")])])
-    done = subprocess.run(words, capture_output=True, text=True, env=env)
+    command = module_command("antdsl.bench", json.dumps(job.as_json()))
+    done = subprocess.run(command, capture_output=True, text=True, env=module_environment())
     if done.returncode:
         raise Failed((done.stderr.strip() or f"the process ended with {done.returncode}").splitlines()[-1])
     return Measured.from_json(json.loads(done.stdout.splitlines()[-1]))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -25,6 +28,7 @@ _AGAIN = 16  # faces that a ray may pass by at less than a hair
 _APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
 _FEW = 128  # rays that go on to the end of the scene sooner than they are asked about twice
 _FARTHEST = 1e15  # mm: Open3D, whose squares are float32, names no nearest face from much farther off
+_PLOTS = "open3d.visualization.draw_plotly"
 FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
@@ -48,9 +52,29 @@ class Hits:
         return self.face >= 0
 
 
+class _DeferredModule(ModuleType):
+    """Stands for a module of functions, which is imported when one of them is called."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+
+        def call(*arguments: Any, **named: Any) -> Any:
+            if sys.modules.get(self.__name__) is self:
+                del sys.modules[self.__name__]
+            return getattr(import_module(self.__name__), name)(*arguments, **named)
+
+        return call
+
+
 @cache
 def open3d() -> Any:
-    """The module, imported when it is first needed."""
+    """The module, imported when it is first needed.
+
+    Its plots are not imported with it: they need a web server and a HTTP client (dash, requests), which take half of the time
+    and bind a socket."""
+    if "open3d" not in sys.modules:
+        sys.modules.setdefault(_PLOTS, _DeferredModule(_PLOTS))
     try:
         import open3d
     except (ImportError, OSError) as problem:

@@ -1,10 +1,13 @@
 """The command line: one file a command, each with flags, a call into the chain, printing and an exit code."""
 
-from __future__ import annotations
+from antdsl.child_processes import isolate
 
-import gc
-import sys
-import warnings
+isolate()  # before another import could look into the working directory
+
+import gc  # noqa: E402
+import os  # noqa: E402
+import sys  # noqa: E402
+import warnings  # noqa: E402
 
 # What starting and checking allocate stays until the end; looking through it for garbage every 700 objects is a tenth of a check.
 gc.set_threshold(100_000, 50, 50)
@@ -33,7 +36,8 @@ from antdsl.cli import (  # noqa: E402
     test,
 )
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
-from antdsl.cli.printing.messages import closed  # noqa: E402
+from antdsl.cli.failures import failure  # noqa: E402
+from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
 COMMANDS = (
@@ -75,7 +79,7 @@ def _version(value: bool) -> None:
     if value:
         from antdsl import __version__
 
-        typer.echo(f"antdsl {__version__}")
+        print_result(f"antdsl {__version__}")
         raise typer.Exit()
 
 
@@ -88,10 +92,35 @@ def _root(
 
 def main() -> None:
     """Run a command and leave with its exit code; nothing that a person can do ends in a traceback."""
-    code = _run()
+    _restart_with_safe_path()
+    guard_streams()
+    code = _deliver(_run())
     # What is left goes with the process; looking through it for garbage once more would be a tenth of a check.
     gc.freeze()
     sys.exit(code)
+
+
+def _restart_with_safe_path() -> None:
+    """Children of `python -E` ignore the environment, which would keep them from the working directory: use a flag then."""
+    if sys.flags.ignore_environment and not sys.flags.safe_path:
+        command = [sys.executable, "-P", *sys.orig_argv[1:]]
+        if os.name == "posix":
+            os.execv(command[0], command)
+        import subprocess
+
+        sys.exit(subprocess.run(command).returncode)
+
+
+def _deliver(code: int) -> int:
+    """Hand what is buffered to its readers; the exit code, which says so where a part of the result is lost."""
+    try:
+        loss = close_streams()
+    except KeyboardInterrupt:  # the work is done, and nothing reads the rest
+        return code
+    if loss is None or code not in (Exit.FINE, Exit.FINDINGS):
+        return code
+    print(f"error: cannot write to standard output: {(loss.strerror or str(loss)).lower()}", file=sys.stderr)
+    return Exit.INPUT_OUTPUT
 
 
 def _run() -> int:
@@ -106,7 +135,6 @@ def _command() -> int:
         try:
             app(standalone_mode=True, prog_name="antdsl")
         except SystemExit as leave:
-            sys.stdout.flush()
             return leave.code if isinstance(leave.code, int) else Exit.FINE
         return Exit.FINE
     except Stop as stop:
@@ -114,18 +142,13 @@ def _command() -> int:
             if line:
                 print(line, file=sys.stderr)
         return stop.code
-    except BrokenPipeError:
-        closed(sys.stdout)
-        return Exit.FINE
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
-    except MemoryError:
-        print("error: out of memory; fewer agents, larger cells or a lighter mesh need less", file=sys.stderr)
-        return Exit.INPUT_OUTPUT
-    except OSError as problem:
-        print(f"error: {(problem.strerror or str(problem)).lower()}: {problem.filename or ''}".rstrip(": "), file=sys.stderr)
-        return Exit.INPUT_OUTPUT
+    except (MemoryError, OSError) as problem:
+        found = failure(problem)
+        print(found.message, found.hint, sep="\n", file=sys.stderr)
+        return found.code
     except Exception:
         import traceback
 

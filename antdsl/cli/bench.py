@@ -9,7 +9,7 @@ import typer
 
 from antdsl.cli.destinations import file_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import say
+from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
     from antdsl.bench.costs import Job, Measured
@@ -35,7 +35,7 @@ def bench(
     if list_:
         for case in CASES.values():
             sizes = ", ".join(f"{number:,}" for number in case.agents) or "as it is"
-            say(f"{case.name:<18}{case.about}: {sizes}")
+            print_result(f"{case.name:<18}{case.about}: {sizes}")
         return
     file_to_write(json_, "--json")
     with keeping_inputs({"--json": json_}) as inputs:

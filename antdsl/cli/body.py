@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import print_result, say
 
 if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
@@ -57,12 +58,12 @@ def body(
     else:
         found, report = read_definition(file, roots, prim=prim, rate=rate)
     if as_json:
-        typer.echo(body_document(found, report), nl=False)
+        print_result(body_document(found, report), newline=False)
     else:
         show(report)
         if found is not None and not quiet and to is None:
             for line in body_lines(found):
-                typer.echo(line)
+                print_result(line)
     if found is not None and report.ok and to is not None:
         _written(found, file, to, layer, quiet)
     if not report.ok:
@@ -75,7 +76,7 @@ def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) 
     from antdsl.bodies.agents.gltf_written import write_gltf
     from antdsl.bodies.posed_body import own_layer
     from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
-    from antdsl.outputs.cache.npz import write_whole
+    from antdsl.whole import make_folder, write_whole
 
     kind = to.suffix.lower()
     if kind not in (".json", ".glb", ".gltf"):
@@ -95,9 +96,9 @@ def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) 
     with keeping_inputs({"--to": to}, {"--to": (to.parent, [to.stem])} if parts else None) as inputs:
         inputs.append(source)
     for path in (*parts, to.name):
-        (to.parent / path).parent.mkdir(parents=True, exist_ok=True)
-        write_whole(to.parent / path, files[path], sync=False)
+        make_folder((to.parent / path).parent)
+        write_whole(to.parent / path, files[path])
     if not quiet:
-        typer.echo(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")
+        say(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")
         for note in notes:
-            typer.echo(f"note: {note}")
+            say(f"note: {note}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
@@ -68,22 +69,22 @@ def check(
         shown = list(dict.fromkeys(each.code for each in without_ignored(report).sorted()))
         others = ", ".join(f"`{code}`" for code in shown[1:4]) + (" …" if len(shown) > 4 else "")
         if shown:
-            typer.echo(f"`antdsl check --explain {shown[0]}` says more{f'; so for {others}' if others else ''}\n")
+            print_result(f"`antdsl check --explain {shown[0]}` says more{f'; so for {others}' if others else ''}\n")
     if params or cost:
         from antdsl.cli.printing.check_tables import cost_table, params_table
 
         programs = [(file, checked.programs[file]) for file in files if file in checked.programs]
         sound = [(file, program) for file, program in programs if checked.reports[file].ok]
         for line in params_table(programs) if params else ():
-            typer.echo(line)
+            print_result(line)
         for line in cost_table(sound) if cost else ():
-            typer.echo(line)
+            print_result(line)
     if not report.ok:
         raise Stop(verdict(report))
     if format is Format.full:
         warnings = len(report.diagnostics)
         tail = f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else ", nothing to complain about"
-        typer.echo(f"checked {len(files)} file{'' if len(files) == 1 else 's'}{tail}")
+        print_result(f"checked {len(files)} file{'' if len(files) == 1 else 's'}{tail}")
 
 
 def _strict(report: Report) -> Report:

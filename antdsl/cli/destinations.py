@@ -3,18 +3,18 @@ and held against what the work reads, so that no input is lost to a result."""
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TextIO
 
 import typer
 
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import closed
-from antdsl.whole import new_beside
+from antdsl.whole import new_beside, write_whole
 
 
 def file_to_write(path: Path | None, flag: str) -> None:
@@ -47,19 +47,14 @@ def words_aside(*paths: Path | None) -> Iterator[TextIO]:
 
 def put(path: Path | None, data: bytes, output: TextIO) -> None:
     """A result to where it was asked for, whole: a file, standard output, or nowhere."""
-    from antdsl.outputs.cache.npz import write_whole
-
     if path is None or _same(path, Path(os.devnull)):
         return
     if not is_output(path):
-        write_whole(path, data, sync=True)
+        write_whole(path, data)
         return
-    with suppress(BrokenPipeError):
-        output.flush()
-        output.buffer.write(data)
-        output.buffer.flush()
-        return
-    closed(output)
+    output.flush()
+    output.buffer.write(data)
+    output.buffer.flush()
 
 
 def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
@@ -129,4 +124,5 @@ def _try(beside: Path, path: Path, flag: str) -> None:
         new_beside(beside).unlink()
     except OSError as why:
         words = f"error: cannot write `{path}`: {(why.strerror or str(why)).lower()}"
-        raise Stop(Exit.INPUT_OUTPUT, words, f"name another place with `{flag}`") from None
+        room = "make room, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        raise Stop(Exit.INPUT_OUTPUT, words, f"{room}name another place with `{flag}`") from None

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import print_result
 
 PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trimesh", "PIL", "skimage", "open3d")
 _NAMES = {"yaml": "pyyaml", "PIL": "pillow", "skimage": "scikit-image"}
@@ -34,11 +33,11 @@ def doctor() -> None:
     _files(problems)
     if problems:
         raise Stop(Exit.INPUT_OUTPUT, "\n" + "\n".join(f"to do: {problem}" for problem in problems))
-    typer.echo("\nall is well")
+    print_result("\nall is well")
 
 
 def _tell(name: str, good: bool, words: str) -> None:
-    typer.echo(f"{'ok     ' if good else 'MISSING'} {name:<16} {words}".rstrip())
+    print_result(f"{'ok     ' if good else 'MISSING'} {name:<16} {words}".rstrip())
 
 
 def _python(problems: list[str]) -> None:
@@ -63,9 +62,14 @@ def _system_libraries(problems: list[str]) -> None:
 def _package(package: str, problems: list[str]) -> None:
     from importlib import import_module
 
+    from antdsl.casting.rays import open3d
+
     shown = _NAMES.get(package, package)
     try:
-        import_module(package)
+        if package == "open3d":
+            open3d()
+        else:
+            import_module(package)
     except Exception as problem:  # a broken binary package can raise anything
         _tell(shown, False, f"{type(problem).__name__}: {problem}"[:160])
         problems.append(
@@ -92,7 +96,7 @@ def _optional(package: str, purpose: str) -> None:
     from importlib.util import find_spec
 
     words = "installed" if find_spec(package) is not None else f"not installed; wanted for {purpose}"
-    typer.echo(f"{'ok     ' if words == 'installed' else '-      '} {package:<16} {words}")
+    print_result(f"{'ok     ' if words == 'installed' else '-      '} {package:<16} {words}")
 
 
 def _machine_code(problems: list[str]) -> None:
@@ -104,10 +108,10 @@ def _machine_code(problems: list[str]) -> None:
     if why:
         problems.append(why)
         return
-    kept = ObjectCache()
-    kept.get("0" * 64)  # there is none of that name; the folder is looked at
-    for sentence in kept.told:
-        typer.echo(f"-       {'folder of code':<16} {sentence}")
+    stored = ObjectCache()
+    stored.prepare()
+    for sentence in stored.messages:
+        print_result(f"-       {'folder of code':<16} {sentence}")
 
 
 def _files(problems: list[str]) -> None:

@@ -8,8 +8,11 @@ import typer
 
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import report_failures
+from antdsl.cli.printing.messages import say
 
 
+@report_failures("the edit stopped")
 def edit(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     smooth: str = typer.Option(
@@ -50,7 +53,7 @@ def edit(
     except Locked as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
     if not quiet:
-        typer.echo(f"{count} frames, orientations smoothed over {width}, are in {folder}")
+        say(f"{count} frames, orientations smoothed over {width}, are in {folder}")
 
 
 def _width(text: str) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import print_result
 
 
 def explain(
@@ -46,6 +47,6 @@ def explain(
     if json:
         from json import dumps
 
-        typer.echo(dumps(as_json(found), indent=1, ensure_ascii=False, allow_nan=False))
+        print_result(dumps(as_json(found), indent=1, ensure_ascii=False, allow_nan=False))
         return
-    typer.echo(tell(found), nl=False)
+    print_result(tell(found), newline=False)

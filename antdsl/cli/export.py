@@ -10,9 +10,13 @@ import typer
 from antdsl.cli.cache_tasks import answers
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import report_failures
+from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
+from antdsl.whole import make_folder
 
 
+@report_failures("the export stopped")
 def export(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     to: Path = typer.Option(
@@ -128,7 +132,7 @@ def export(
             with keeping_inputs({"--to": to}) as inputs:
                 inputs += found.made_from()
         gallery = Gallery(found if chosen is None else SomeAgents(found.folder, found.manifest, chosen))
-        to.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(to.parent)
         notes: Sequence[str] | None
         if scheduler:
             where = scheduler, tls, no_tls
@@ -146,6 +150,6 @@ def export(
         raise Stop(Exit.FINDINGS, f"error: {why}", why.help or "") from None
     if not quiet:
         files = f"{paths[0]} .. {paths[-1].name}" if len(paths) > 1 else str(paths[0])
-        typer.echo(f"{files}: frames {there[0]}..{there[-1]}, {len(gallery.manifest.species)} species")
+        say(f"{files}: frames {there[0]}..{there[-1]}, {len(gallery.manifest.species)} species")
         for note in notes or ():
-            typer.echo(f"note: {note}")
+            say(f"note: {note}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import print_result, say
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
@@ -73,7 +74,7 @@ class _Work:
         word = "would change" if self.check or self.diff else "changed"
         counts = ((len(self.changed), word), (same, "laid out well"), (self.left, "left alone"))
         told = [f"{count} file{'' if count == 1 else 's'} {what}" for count, what in counts if count]
-        typer.echo(", ".join(told) or "no .ant files here", err=True)
+        say(", ".join(told) or "no .ant files here", err=True)
 
     def file(self, path: Path) -> None:
         from antdsl import limits, syntax
@@ -122,6 +123,6 @@ class _Work:
         self.changed.append(name)
         if self.diff:
             lines = difflib.unified_diff(before.splitlines(), after.splitlines(), name, name, lineterm="")
-            typer.echo("\n".join(lines) if before.splitlines() != after.splitlines() else f"{name}: only line ends differ")
+            print_result("\n".join(lines) if before.splitlines() != after.splitlines() else f"{name}: only line ends differ")
         else:
-            typer.echo(name)
+            print_result(name)

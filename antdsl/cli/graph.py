@@ -11,6 +11,7 @@ import typer
 
 from antdsl.cli.destinations import file_to_write, is_output, keeping_inputs, put
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import say
 
 if TYPE_CHECKING:
     from antdsl.graphs import Chart
@@ -58,7 +59,7 @@ def graph(
     assert written is not None
     put(target, written, sys.stdout)
     if not is_output(target):
-        typer.echo(target)
+        say(str(target))
 
 
 def _format(format: Format | None, out: Path | None) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
     from antdsl.outputs.cache.cache_reader import Cache
@@ -29,7 +30,7 @@ def info(
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     for line in describe(found):
-        typer.echo(line)
+        print_result(line)
     if verify:
         _verify(found)
 
@@ -114,9 +115,9 @@ def _verify(cache: Cache) -> None:
     points = [str(frame) for frame in checkpoints if not lines[frame].checkpoint]
     unknown += [f"checkpoint{'s' if len(points) > 1 else ''} {' '.join(points)}"] if points else []
     count = len(checkpoints) - len(points)
-    typer.echo(f"verified     {len(frames)} frames, {count} checkpoint{'' if count == 1 else 's'}")
+    print_result(f"verified     {len(frames)} frames, {count} checkpoint{'' if count == 1 else 's'}")
     if unknown:
-        typer.echo(f"not checked  {', '.join(unknown)}: read, but written before hashes of them were kept")
+        print_result(f"not checked  {', '.join(unknown)}: read, but written before hashes of them were kept")
 
 
 def _unread(read: Callable[[], object]) -> list[str]:

@@ -8,7 +8,9 @@ from typing import Any
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import say
 from antdsl.cli.project import FILES
+from antdsl.whole import make_folder, write_whole
 
 
 def new(
@@ -17,17 +19,16 @@ def new(
     """Write a small project to start from, with its specs and what checks it in CI."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise Stop(Exit.INPUT_OUTPUT, f"error: `{folder}` is there already and not empty", "name another folder")
-    folder.mkdir(parents=True, exist_ok=True)
     for name, text in FILES:
         path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", newline="\n")
-    (folder / "ground.ply").write_bytes(ground())
-    typer.echo(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
-    typer.echo(f"  antdsl run {folder / 'scene.yaml'}")
-    typer.echo(f"  antdsl test {folder}")
-    typer.echo(f"  antdsl render {folder / 'out' / 'scene'} --sheet")
-    typer.echo(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
+        make_folder(path.parent)
+        write_whole(path, text.encode())
+    write_whole(folder / "ground.ply", ground())
+    say(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
+    say(f"  antdsl run {folder / 'scene.yaml'}")
+    say(f"  antdsl test {folder}")
+    say(f"  antdsl render {folder / 'out' / 'scene'} --sheet")
+    say(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
 
 
 def ground(side: int = 49, width: float = 200.0) -> bytes:

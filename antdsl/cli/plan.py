@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
     from antdsl.plan.ir import Plan
@@ -42,7 +43,7 @@ def plan(
     demand(report)
     if made is None:
         raise Stop(Exit.FINDINGS)
-    typer.echo(_as_code(made, setting, code) if native or code else planning.show(made))
+    print_result(_as_code(made, setting, code) if native or code else planning.show(made))
 
 
 def _as_code(made: Plan, setting: Setting | None, code: bool) -> str:

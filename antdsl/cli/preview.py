@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import say
 
 if TYPE_CHECKING:
     from antdsl.pipeline import Choices
@@ -114,14 +115,14 @@ def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, othe
 
     def tell() -> None:
         for address in listening.addresses:
-            typer.echo(f"{address}#{guard.token}")
+            say(f"{address}#{guard.token}")
         if others:
-            typer.echo(
+            say(
                 "Other machines can reach this: who has the address with its token can watch the scene, read its programs\n"
                 "and steer the run, and can read and write no other file. What goes over the network is not encrypted."
             )
         waiting = "" if live.report.ok else f" {scene} has mistakes: the page shows them, and the ants come once they are mended."
-        typer.echo(f"Ctrl-C ends it.{waiting}")
+        say(f"Ctrl-C ends it.{waiting}")
         if open_it:
             _open(f"{listening.addresses[0]}#{guard.invite()}")
 

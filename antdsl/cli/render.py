@@ -12,8 +12,11 @@ import typer
 from antdsl.cli.cache_tasks import Where, answers
 from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import report_failures
+from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
+from antdsl.whole import make_folder
 
 if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
@@ -40,6 +43,7 @@ class Legend(StrEnum):
     none = "none"
 
 
+@report_failures("drawing stopped", "the same command with `--resume` draws the others")
 def render(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     frames: str = typer.Option(
@@ -126,7 +130,7 @@ def render(
     drawn = _frames(gallery, frame_range(frames), every, sheet, film)
     folder = out if out is not None else cache / "pictures"
     folder_to_write(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     if film:
         _ready_for_films()
     together = drawn if shot is None else _frames(gallery, frame_range(shot, "--shot"), every, False, True)
@@ -272,10 +276,10 @@ def _by_cluster(
     from antdsl.shots.stills import tasks
 
     stills = folder if fps is None else folder / "film.frames"
-    stills.mkdir(exist_ok=True)
+    make_folder(stills)
     for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, together, to)):
         for frame in answered.task.document["frames"] if fps is None else ():
-            typer.echo(still_path(folder, frame))
+            say(str(still_path(folder, frame)))
     if fps is not None:
         _film_of_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps, wanted.width * wanted.height)
         stills.rmdir()
@@ -302,7 +306,7 @@ def _film_of_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> N
     demand(film(images(), path, fps))
     for each in paths:
         each.unlink()
-    typer.echo(path)
+    say(str(path))
 
 
 def _ready_for_films() -> None:
@@ -320,20 +324,17 @@ def _film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
 
     path = folder / "film.mp4"
     demand(film(images, path, 1 / gallery.dt))
-    typer.echo(path)
+    say(str(path))
 
 
 def _sheet(kept: list[tuple[int, Any]], stills: Stills) -> None:
-    from PIL import Image
-
     from antdsl.outputs.pictures import contact_sheet
-    from antdsl.whole import whole
+    from antdsl.outputs.pictures.image_files import still
 
     path = stills.folder / "sheet.png"
-    with whole(path, ".png") as part:
-        Image.fromarray(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept])).save(part)
-    typer.echo(path)
-    typer.echo(stills.put(*kept[-1]))
+    still(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept]), path)
+    say(str(path))
+    say(str(stills.put(*kept[-1])))
 
 
 def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
@@ -341,10 +342,10 @@ def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
     for frame, image, new in drawn:
         there += not new
         if new:
-            typer.echo(stills.put(frame, image))
+            say(str(stills.put(frame, image)))
     _skipped(there)
 
 
 def _skipped(there: int) -> None:
     if there:
-        typer.echo(f"{there} {'picture was' if there == 1 else 'pictures were'} there already")
+        say(f"{there} {'picture was' if there == 1 else 'pictures were'} there already")

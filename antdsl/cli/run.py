@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -12,6 +12,7 @@ import typer
 
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.shots import run_shots
@@ -99,7 +100,7 @@ def run(
     folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
     if scene.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out")
-    again = _again(scene, out, frames, seed, set_, root)
+    again = _again(scene, out, frames, seed, set_, root, summary)
     files, folders = {"--summary": summary}, {"--out": (folder, NAMES)}
     with _setting_up(again), keeping_inputs(files, folders) as inputs:
         inputs.append(scene)
@@ -116,7 +117,8 @@ def run(
         shuffle_rows=shuffle,
         on_fault=on_fault.value,
     )
-    with _setting_up(again), keeping_inputs(files, folders):  # another cache too, that the scene begins with
+    writing = report_failures("cannot write the cache", f"go on with: {again}")
+    with writing, _setting_up(again), keeping_inputs(files, folders):  # another cache too, that the scene begins with
         recording = _begin(shot, folder, options, choices, resume, force)
     with words_aside(summary) as output:
         if profile:
@@ -127,7 +129,8 @@ def run(
         if summary is not None:
             from antdsl.outputs.summary import summary_file
 
-            put(summary, summary_file(recording), output)
+            with report_failures("the cache is complete; cannot write its summary", f"go on with: {again}"):
+                put(summary, summary_file(recording), output)
         if recording.meter is not None:
             from antdsl.cli.printing.profile_table import show
 
@@ -146,12 +149,17 @@ def at_once(asked: int, quiet: bool = False) -> int:
     return min(asked or there, there)
 
 
-def _again(scene: Path, out: Path | None, frames: str | None, seed: int | None, set_: list[str], root: list[str]) -> str:
+def _again(
+    scene: Path, out: Path | None, frames: str | None, seed: int | None, set_: list[str], root: list[str], summary: Path | None
+) -> str:
     """The command that goes on with a run: all that its results depend on, and where they are."""
     import shlex
 
     words = ["antdsl", "run", str(scene)]
-    for flag, values in (("--frames", [frames]), ("--seed", [seed]), ("--set", set_), ("--root", root), ("--out", [out])):
+    given: dict[str, Sequence[object]] = {
+        "--frames": [frames], "--seed": [seed], "--set": set_, "--root": root, "--out": [out], "--summary": [summary],
+    }  # fmt: skip
+    for flag, values in given.items():
         for value in values:
             if value is not None:
                 words += [flag, str(value)]
@@ -224,7 +232,7 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
 
     before = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with progress(recording, quiet) as watch:
+        with report_failures("cannot write the cache", f"go on with: {again}"), progress(recording, quiet) as watch:
             for _ in record(recording, watch.preroll):
                 watch.frame()
     except Locked as why:
@@ -239,13 +247,6 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
             "mend the program, or go on without such agents: `--on-fault quarantine`\n"
             f"the frames before are in {recording.folder}",
         ) from None
-    except OSError as problem:
-        import errno
-
-        where = f": `{problem.filename}`" if problem.filename else ""
-        words = f"error: cannot write the cache: {(problem.strerror or str(problem)).lower()}{where}"
-        first = "make room, then" if problem.errno in (errno.ENOSPC, errno.EDQUOT) else "once that is mended,"
-        raise Stop(Exit.INPUT_OUTPUT, words, f"{first} go on with: {again}") from None
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -12,9 +12,11 @@ import typer
 
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import say
+from antdsl.cli.failures import report_failures
+from antdsl.cli.printing.messages import notes, say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
+from antdsl.whole import write_whole
 
 if TYPE_CHECKING:
     from antdsl.sweep import Chooser, Job, Keeper, Outcome
@@ -45,6 +47,7 @@ class DesignWord(StrEnum):
     morris = "morris"
 
 
+@report_failures("the sweep stopped", "the same command goes on with the runs that are left, and so does `--resume`")
 def sweep(
     context: typer.Context,
     scenes: list[Path] = typer.Argument(None, metavar="SCENE…", help="Scenes; each is a line of the table."),
@@ -188,7 +191,6 @@ def _demand_measures(chooser: Chooser) -> None:
 
 def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any], show: Sequence[str], plots: bool) -> None:
     """Write the table in all its forms, and print it."""
-    from antdsl.outputs.cache.npz import write_whole
     from antdsl.sweep import rows
     from antdsl.sweep.plots import HOW, available, draw, draw_factors
     from antdsl.sweep.sensitivity import as_csv as effects_csv
@@ -203,7 +205,7 @@ def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any
     if show and not measures:
         names = ", ".join(dict.fromkeys(row.measure.split(".")[0] for row in table))
         raise Stop(Exit.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {names}")
-    effects, notes = study.effects(table, measures)
+    effects, remarks = study.effects(table, measures)
     lines = text(table, measures)
     words = f"\n{known_text(known)}" if known else ""
     if effects and study.chosen.design.analysis is not None:
@@ -221,10 +223,10 @@ def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any
     if parquet is not None:
         files["runs.parquet"] = parquet
     for name, content in files.items():
-        write_whole(keeper.folder / name, content, sync=False)
+        write_whole(keeper.folder / name, content)
     say((_beginning(lines) + words).rstrip("\n"))
-    for note in notes:
-        say(f"note: {note}", err=True)
+    for remark in remarks:
+        say(f"note: {remark}", err=True)
     drawn = []
     if plots and available() and len(measures) <= MOST_PANELS:
         if study.ranges:
@@ -311,5 +313,5 @@ def _progress(total: int, quiet: bool, at_most: bool) -> Iterator[_Watch]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (BarColumn(24), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
-    with Progress(*columns, transient=True) as bar:
+    with notes(), Progress(*columns, transient=True) as bar:
         yield _Bar(total, at_most, bar)

@@ -12,6 +12,11 @@ from antdsl.source import Span
 Severity = Literal["error", "warning"]
 
 
+def printable(text: str) -> str:
+    """The text with every character that does not print, such as NUL or ESC, replaced by U+FFFD. Line ends stay."""
+    return "".join(c if c.isprintable() or c == "\n" else "\ufffd" for c in text)
+
+
 @dataclass(frozen=True, slots=True)
 class Label:
     """A second place that belongs to a complaint, with the words that say why."""
@@ -39,6 +44,13 @@ class Diagnostic:
     help: str | None = None
     labels: tuple[Label, ...] = ()
     fix: Fix | None = None
+
+    def __post_init__(self) -> None:
+        # Messages quote files of strangers; a control character must not reach a terminal or a page.
+        for name in ("message", "help"):
+            text = getattr(self, name)
+            if text is not None and not text.isprintable():
+                object.__setattr__(self, name, printable(text))
 
 
 def _key(diagnostic: Diagnostic) -> tuple[str | int, ...]:

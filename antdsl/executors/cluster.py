@@ -19,7 +19,8 @@ from typing import Any
 import dask
 from distributed import Client, KilledWorker, LocalCluster, Security
 
-from antdsl.executors.addresses import TLS_FILES
+from antdsl.child_processes import isolate
+from antdsl.executors.addresses import LOOPBACK, TLS_FILES
 from antdsl.executors.cluster_worker import Project, forget, identity, other_sources, perform_there, read_part, sees
 from antdsl.executors.machine import sources
 from antdsl.executors.parcel import Parcel, Seen, pack
@@ -41,7 +42,9 @@ def security_of(folder: Path) -> Security:
 @contextmanager
 def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
     """A scheduler and so many worker processes on the loopback interface, with certificates of their own that are nowhere but in
-    memory; their address. There is no dashboard, and a worker has no bound of memory."""
+    memory; their address. There is no dashboard, and a worker has no bound of memory. Dask starts an HTTP server without pages in
+    the scheduler and in each worker all the same, and listens on every interface unless an address is named."""
+    isolate()
     routes: dict[str, list[str]] = {f"distributed.{who}.http.routes": [] for who in ("scheduler", "worker", "nanny")}
     with dask.config.set({**routes, "distributed.worker.memory.terminate": False}):
         security = Security.temporary()
@@ -49,8 +52,8 @@ def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
             n_workers=workers,
             threads_per_worker=threads,
             processes=True,
-            host="127.0.0.1",
-            dashboard_address=":0",
+            host=LOOPBACK,
+            dashboard_address=f"{LOOPBACK}:0",
             scheduler_kwargs={"dashboard": False},
             memory_limit=0,
             security=security,

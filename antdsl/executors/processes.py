@@ -14,6 +14,7 @@ from collections.abc import MutableSequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 
+from antdsl.child_processes import isolate
 from antdsl.executors.tasks import LOOK, Task, Work, Worker, perform
 
 _PATIENCE = 5.0  # seconds for a process to end by itself
@@ -35,6 +36,7 @@ class Processes:
         return self._count
 
     def start(self) -> Executor:
+        isolate()
         context = multiprocessing.get_context("spawn")
         self._frames = context.RawArray("q", [_NONE] * self._count)
         self._before, self._own = frozenset(multiprocessing.active_children()), set()

@@ -46,7 +46,7 @@ def kept(named: str) -> bool:
 
 def told() -> list[str]:
     """Sentences for the user on why compiled code of other runs was not used, or that of this one is not kept."""
-    return list(_objects().told) if _objects.cache_info().currsize else []
+    return list(_objects().messages) if _objects.cache_info().currsize else []
 
 
 def forget() -> None:

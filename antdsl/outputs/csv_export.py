@@ -9,7 +9,7 @@ import numpy as np
 
 from antdsl.outputs.euler_angles import Angles
 from antdsl.outputs.gallery import Gallery
-from antdsl.whole import whole
+from antdsl.whole import whole_file
 
 HEAD = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
 _READ = frozenset(["P", "orient", "pscale", "id", "species"])
@@ -24,7 +24,7 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
     CacheError for a frame that is damaged, OSError where nothing can be written."""
     angles = [Angles() for _ in gallery.manifest.species]
-    with whole(path, path.suffix) as part, open(part, "wb") as file:
+    with whole_file(path) as file:
         file.write(f"{HEAD}\n".encode())
         for frame in frames:
             arrays = gallery.cache.frame(frame, _READ)

@@ -13,8 +13,9 @@ from antdsl.outputs.cache.cache_writer import clear, prepare_folder
 from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of
 from antdsl.outputs.cache.lock import FolderLock
 from antdsl.outputs.cache.manifest import way_to, write_manifest
-from antdsl.outputs.cache.npz import npz_file, sync_folder, write_whole
+from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.smoothing import Oriented, smoothed
+from antdsl.whole import sync_folder, write_whole
 
 _NEEDED = ("id", "orient")
 
@@ -35,7 +36,7 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
         clear(folder)
         (folder / "manifest.json").unlink(missing_ok=True)  # until all is there the folder is no cache
         static = npz_file(cache.static())
-        write_whole(folder / STATIC, static.parts, sync=True)
+        write_whole(folder / STATIC, static.parts)
         yield from _frames(cache, folder, width)
         sync_folder(folder / "frames")
         edits = sum(name.startswith("edit ") for name in cache.manifest.inputs)
@@ -59,7 +60,7 @@ def _frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
         write_whole(frame_path(folder, number), file.parts, sync=False)
         lines.append(line_of(number, states.get(number, ""), file).text(number))
         yield number
-    write_whole(folder / HASHES, b"".join(lines), sync=True)
+    write_whole(folder / HASHES, b"".join(lines))
 
 
 def _oriented(cache: Cache, number: int) -> Oriented:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.body import turned
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
-from antdsl.outputs.cache.npz import to_bytes, write_whole
+from antdsl.outputs.cache.npz import to_bytes
 from antdsl.outputs.gallery import Gallery
-from antdsl.whole import whole
+from antdsl.whole import whole_file, write_whole
 
 KINDS = ("birth", "death", "state", "footfall", "emit", "contact")
 HEAD = "frame,seconds,kind,species,id,x,y,z,nx,ny,nz,what,other_species,other,depth"
@@ -43,7 +43,7 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     written."""
     frames = list(frames)
     names = [entry.name for entry in gallery.manifest.species]
-    with whole(path, path.suffix) as part, open(part, "wb") as file:
+    with whole_file(path) as file:
         file.write(f"{HEAD}\n".encode())
         for frame, found in _all(gallery, frames):
             told = _words(gallery, found)
@@ -80,7 +80,7 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
             put("other_species", [each.other_species for each in events], np.int16)
             put("other", [each.other for each in events], np.int64)
             put("depth", [each.deep for each in events], np.float32)
-    write_whole(path, to_bytes(arrays), sync=False)
+    write_whole(path, to_bytes(arrays))
     return _missing(gallery, frames)
 
 

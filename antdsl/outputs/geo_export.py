@@ -22,7 +22,7 @@ from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import numbered
 from antdsl.scene.model import UNIT_MM
-from antdsl.whole import whole
+from antdsl.whole import write_whole
 
 Floats = NDArray[np.float64]
 _HALF = float(np.sqrt(0.5))
@@ -39,8 +39,7 @@ def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     for frame in frames:
         arrays = gallery.cache.frame(frame)
         text = json.dumps(_geometry(gallery, frame, arrays), separators=(",", ":"), allow_nan=False)
-        with whole(numbered(path, frame), path.suffix) as part:
-            part.write_text(text + "\n", encoding="ascii")
+        write_whole(numbered(path, frame), (text + "\n").encode("ascii"))
 
 
 def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:

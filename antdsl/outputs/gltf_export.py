@@ -18,13 +18,13 @@ from antdsl.bodies.agents.poses import square
 from antdsl.bodies.agents.transforms import parts_of
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.posed_body import STATE, PosedBody
-from antdsl.outputs.cache.npz import write_whole
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.gltf_stage import Stage
 from antdsl.outputs.numbered_files import NoExport
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.poses_export import FEWER, Worn, places, worn_crowds
+from antdsl.whole import write_whole
 
 _AGENTS, _BYTES = 1000, 1 << 28  # the most that one file is good for
 _SHEAR = 1e-4
@@ -46,7 +46,7 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
     for frame in frames:
         stage.note(gallery.picture(frame))
     stage.finish()
-    write_whole(path, stage.writer.bytes(path.suffix.lower() == ".gltf", scene=0, scenes=[stage.scene]), sync=False)
+    write_whole(path, stage.writer.bytes(path.suffix.lower() == ".gltf", scene=0, scenes=[stage.scene]))
     return [*crowd.notes(), *stage.notes]
 
 

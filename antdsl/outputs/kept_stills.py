@@ -19,7 +19,7 @@ from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.hashes import Line
 from antdsl.outputs.cache.manifest import MANIFEST
 from antdsl.outputs.drawing import Drawn
-from antdsl.whole import whole
+from antdsl.whole import write_whole
 
 _WORD = "antdsl"  # of the text in a PNG file that holds the hash
 STILL_BYTES = 512 * limits.MIB
@@ -65,8 +65,7 @@ class Stills:
         words.add_text(_WORD, self._hash(frame))
         data = io.BytesIO()
         PillowImage.fromarray(image).save(data, "PNG", compress_level=4, pnginfo=words)
-        with whole(still_path(self.folder, frame)) as part:
-            part.write_bytes(data.getvalue())
+        write_whole(still_path(self.folder, frame), data.getvalue())
         return still_path(self.folder, frame)
 
     def kept(self, frame: int) -> Image | None:

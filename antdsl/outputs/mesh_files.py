@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.whole import whole
+from antdsl.whole import whole_file
 
 _BLOCK = 1 << 16  # lines that are made at once
 
@@ -33,7 +34,7 @@ def write_mesh(path: Path, parts: Sequence[Part]) -> None:
     points = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
     some = [part.normals for part in parts if part.normals is not None]
     normals = np.concatenate(some).astype(np.float32) if some and len(some) == len(parts) else None
-    with whole(path, path.suffix) as made:
+    with whole_file(path) as made:
         if path.suffix.lower() == ".obj":
             _write_obj(made, parts, starts, points, normals)
         else:
@@ -41,7 +42,11 @@ def write_mesh(path: Path, parts: Sequence[Part]) -> None:
 
 
 def _write_ply(
-    path: Path, parts: Sequence[Part], starts: NDArray[np.int64], points: NDArray[np.float32], normals: NDArray[np.float32] | None
+    file: IO[bytes],
+    parts: Sequence[Part],
+    starts: NDArray[np.int64],
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32] | None,
 ) -> None:
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(part.faces + s for part, s in zip(parts, starts, strict=False))])
     some = [part.colours for part in parts if part.colours is not None]
@@ -58,24 +63,27 @@ def _write_ply(
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
     head += [f"property {word} {name}" for name, _, word in fields]
     head += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-    path.write_bytes("\n".join(head).encode("ascii") + rows.tobytes() + corners.tobytes())
+    file.write("\n".join(head).encode("ascii") + rows.tobytes() + corners.tobytes())
 
 
 def _write_obj(
-    path: Path, parts: Sequence[Part], starts: NDArray[np.int64], points: NDArray[np.float32], normals: NDArray[np.float32] | None
+    file: IO[bytes],
+    parts: Sequence[Part],
+    starts: NDArray[np.int64],
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32] | None,
 ) -> None:
     """Numbers of points go on from object to object, as the format has it."""
-    with open(path, "wb") as file:
-        for part, start in zip(parts, starts, strict=False):
-            rows = slice(start, start + len(part.points))
-            file.write(f"o {part.name}\n".encode())
-            corner = "%d//%d" if normals is not None else "%d"
-            for line, table in (
-                ("v %.9g %.9g %.9g\n", points[rows]),
-                ("vn %.6g %.6g %.6g\n", None if normals is None else normals[rows]),
-                (f"f {corner} {corner} {corner}\n", np.repeat(part.faces + start + 1, 2 if normals is not None else 1, axis=1)),
-            ):
-                for a in range(0, 0 if table is None else len(table), _BLOCK):
-                    assert table is not None
-                    block = table[a : a + _BLOCK]
-                    file.write((line * len(block) % tuple(block.ravel().tolist())).encode("ascii"))
+    for part, start in zip(parts, starts, strict=False):
+        rows = slice(start, start + len(part.points))
+        file.write(f"o {part.name}\n".encode())
+        corner = "%d//%d" if normals is not None else "%d"
+        for line, table in (
+            ("v %.9g %.9g %.9g\n", points[rows]),
+            ("vn %.6g %.6g %.6g\n", None if normals is None else normals[rows]),
+            (f"f {corner} {corner} {corner}\n", np.repeat(part.faces + start + 1, 2 if normals is not None else 1, axis=1)),
+        ):
+            for a in range(0, 0 if table is None else len(table), _BLOCK):
+                assert table is not None
+                block = table[a : a + _BLOCK]
+                file.write((line * len(block) % tuple(block.ravel().tolist())).encode("ascii"))

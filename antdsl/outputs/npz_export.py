@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.npz import to_member
 from antdsl.outputs.gallery import Gallery
-from antdsl.whole import whole
+from antdsl.whole import whole_file
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -41,7 +41,7 @@ def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     small: Arrays = {"frames": np.array(frames, np.int64), "rows": _starts(counts["P"])}
     small |= {f"{name}.rows": _starts(counts[name]) for name in shapes if name not in agents}
     small["about"] = np.frombuffer(json.dumps(_about(gallery, agents)).encode("ascii"), np.uint8)
-    with whole(path, path.suffix) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED, allowZip64=True) as file:
+    with whole_file(path) as made, zipfile.ZipFile(made, "w", zipfile.ZIP_STORED, allowZip64=True) as file:
         for name, array in small.items():
             to_member(file, name, array.dtype, array.shape, [array])
         for name, (kind, rest) in shapes.items():

@@ -26,10 +26,11 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.poses import square
 from antdsl.bodies.body import rotation
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.outputs.cache.npz import to_bytes, write_whole
+from antdsl.outputs.cache.npz import to_bytes
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import NoExport
 from antdsl.outputs.pictures.model import Crowd, Picture
+from antdsl.whole import write_whole
 
 _MOST = 2 * limits.GIB
 FEWER = "choose fewer with `--ids 0..20` or `--frames A..B`"
@@ -72,7 +73,7 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
         rig = rows.body.rig
         about[name] = {"joints": rig.names, "parents": rig.parents.tolist(), "channels": [each.name for each in rig.channels]}
     arrays["about"] = np.frombuffer(json.dumps(about).encode("ascii"), np.uint8)
-    write_whole(path, to_bytes(arrays), sync=False)
+    write_whole(path, to_bytes(arrays))
 
 
 Worn = tuple[str, tuple[str, ...]]  # a species, and the layers that agents of it wear beside their body's own

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.outputs.cache.npz import to_bytes, write_whole
+from antdsl.outputs.cache.npz import to_bytes
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.mesh_files import Part, write_mesh
 from antdsl.outputs.numbered_files import NoExport, numbered
 from antdsl.scene.model import UNIT_MM
+from antdsl.whole import write_whole
 
 _NONE = NoExport("the scene has no solid that could be dug", "`kind: solid` of a mesh in `world` makes one")
 
@@ -55,5 +56,5 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
             f"{name}.cell": np.array(bricks.voxel * scale),
             f"{name}.band": np.array([bricks.least * scale, bricks.most * scale]),
         }
-    write_whole(path, to_bytes(arrays), sync=False)
+    write_whole(path, to_bytes(arrays))
     return [f"the volume is that of frame {last}"]

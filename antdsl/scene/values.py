@@ -143,8 +143,8 @@ def _fps(value: Any) -> Fraction:
         exact = Fraction(nominal * 1000, 1001)
         if "." in text and abs(rate - exact) < Fraction(1, 200):
             rate = exact
-    if not 1 <= rate <= 960:
-        raise refuse(f"`{text}` frames a second is not between 1 and 960")
+    if not 1 <= rate <= limits.FPS:
+        raise refuse(f"`{text}` frames a second is not between 1 and {limits.FPS}")
     return rate
 
 

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from antdsl.bounded import blocks, open_bounded
 from antdsl.executors import Answered, Executors, Lost, Refused, Task, Worker, run_tasks
 from antdsl.limits import MADE_BYTES
-from antdsl.whole import new_beside, whole
+from antdsl.whole import make_folder, new_beside, whole_file
 
 _TRIES = 3  # how often a task is done whose files cannot be fetched
 
@@ -100,9 +100,9 @@ def _fetch(answer: dict[str, Any], source: Any, folder: Path) -> None:
         path, left = (root / name).resolve(), left - size
         if not path.is_relative_to(root) or left < 0:
             raise Refused(f"a worker made `{name}` of {size:,} bytes, which does not go into `{folder}`")
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         hashed = hashlib.blake2b(digest_size=16)
-        with whole(path) as part, open(part, "wb") as file:
+        with whole_file(path) as file:
             for data in there.fetch(answer["worker"], f"{answer['made']}/{name}", size):
                 hashed.update(data)
                 file.write(data)

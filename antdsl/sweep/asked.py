@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from antdsl import limits
 from antdsl.bounded import read_bounded
-from antdsl.outputs.cache.npz import write_whole
 from antdsl.sweep.designs import DESIGNS
+from antdsl.whole import write_whole
 
 NAME = "asked.json"
 
@@ -53,7 +53,7 @@ class Asked(BaseModel):
     def keep(self, folder: Path) -> None:
         """Write it, with paths as they are seen from the folder, so that all may be moved together."""
         there = self.model_copy(update={"scenes": [_seen(path, folder) for path in self.scenes], "root": self._roots(folder)})
-        write_whole(folder / NAME, (there.model_dump_json(indent=1) + "\n").encode(), sync=False)
+        write_whole(folder / NAME, (there.model_dump_json(indent=1) + "\n").encode())
 
     def _roots(self, folder: Path) -> list[str]:
         return [f"{name}={_seen(path.strip(), folder)}" for name, _, path in (word.partition("=") for word in self.root)]

@@ -9,8 +9,8 @@ from typing import Any
 
 from antdsl import __version__, limits
 from antdsl.bounded import read_bounded
-from antdsl.outputs.cache.npz import write_whole
 from antdsl.sweep.jobs import Job
+from antdsl.whole import make_folder, write_whole
 
 _BYTES = limits.ANSWER_BYTES + 64 * limits.KIB  # of what is kept of one run
 
@@ -27,7 +27,7 @@ class Keeper:
             raise OtherFiles(f"`{folder}` has other files")
         self.folder = folder
         self.runs = folder / "runs"
-        self.runs.mkdir(parents=True, exist_ok=True)
+        make_folder(self.runs)
 
     def path(self, job: Job) -> Path:
         return self.runs / f"{job.key}.json"

@@ -12,6 +12,7 @@ from antdsl.sweep.factors import Factor
 from antdsl.sweep.sensitivity import Analysis, Effect
 from antdsl.sweep.study import Study
 from antdsl.sweep.table import Result, quantile
+from antdsl.whole import whole_file
 
 _COLOURS = ("#3b6ea5", "#b5651d", "#4f8a4f", "#8a4f7d", "#7a7a3a", "#555555")  # of scenes
 _PARTS = 6  # of a range, for each of which a median is drawn
@@ -35,7 +36,7 @@ def draw(results: Sequence[Result], measures: Sequence[str], path: Path) -> None
     panels = figure.subplots(len(measures), 1, squeeze=False)[:, 0]
     for panel, measure in zip(panels, measures, strict=True):
         _panel(panel, results, labels, measure)
-    figure.savefig(path, dpi=110, metadata={"Software": "antdsl"})
+    _write(figure, path)
 
 
 def _panel(panel, results: Sequence[Result], labels: Sequence[str], measure: str) -> None:  # type: ignore[no-untyped-def]
@@ -84,7 +85,7 @@ def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str
         figure.legend(
             marks, [scene.stem for scene in study.scenes], loc="outside lower center", ncols=4, fontsize=9, frameon=False
         )
-    figure.savefig(path, dpi=110, metadata={"Software": "antdsl"})
+    _write(figure, path)
 
 
 def _over_range(
@@ -142,6 +143,11 @@ def _bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes: Seq
     panel.set_xlabel(analysis.first.replace("_", " "), fontsize=9)
     panel.tick_params(labelsize=8)
     panel.spines[["top", "right"]].set_visible(False)
+
+
+def _write(figure: Any, path: Path) -> None:
+    with whole_file(path) as file:
+        figure.savefig(file, format="png", dpi=110, metadata={"Software": "antdsl"})
 
 
 def _colour(number: int) -> str:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-import shutil
+import stat
 from pathlib import Path
 
-from antdsl.whole import whole
+from antdsl.whole import whole_file
 
 
 def write(path: Path, text: str) -> None:
@@ -16,9 +16,7 @@ def write(path: Path, text: str) -> None:
     if not os.access(place, os.W_OK):
         # the folder would let us put another file in its place, but this one is not to be changed
         raise PermissionError(13, "permission denied", str(path))
-    with whole(place) as part:
-        shutil.copymode(place, part)  # before anything is in it: nobody reads it meanwhile who could not read the file
-        with open(part, "wb") as file:
-            file.write(text.encode("utf-8"))
-            file.flush()
-            os.fsync(file.fileno())
+    with whole_file(place) as file:
+        if os.chmod in os.supports_fd:  # before there is anything in it to read
+            os.chmod(file.fileno(), stat.S_IMODE(place.stat().st_mode))
+        file.write(text.encode("utf-8"))

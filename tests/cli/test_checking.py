@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import os
 import sys
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
 
 from antdsl import checking
+from antdsl.diagnostics import Diagnostic, Fix, Label, Report
+from antdsl.diagnostics.transfer import decode_reports, encode_reports
 from antdsl.files import find_files
 from antdsl.pipeline import Choices
+from antdsl.source import Source, Span
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = [ROOT / "examples", ROOT / "tests" / "cases", ROOT / "tests" / "programs"]
 SHARES = sys.platform == "linux"
+
+
+def place(span: Span | None) -> tuple[object, ...] | None:
+    return span and (span.source.path, span.source.text, span.source.part, span.start, span.end)
+
+
+def labels(diagnostic: Diagnostic) -> list[tuple[object, ...]]:
+    return [(place(label.span), label.text) for label in diagnostic.labels]
 
 
 def found(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) -> tuple[list[tuple[object, ...]], list[str]]:
@@ -23,7 +33,7 @@ def found(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) -> tup
     checked = checking.check_all(files, Choices(), cores=cores)
     assert set(checked.reports) == set(files)
     told = [
-        (file, d.code, d.message, d.help, d.span and (d.span.source.path, d.span.start, d.span.end), len(d.labels))
+        (file, d.code, d.message, d.severity, d.help, place(d.span), labels(d), d.fix and (place(d.fix.span), d.fix.text))
         for file in files
         for d in checked.reports[file].diagnostics
     ]
@@ -44,12 +54,42 @@ def test_what_a_dead_process_leaves_is_checked_all_the_same(monkeypatch: pytest.
     files, _ = find_files(FOLDERS[1:])
     one = found(files, monkeypatch, 1)
 
-    def dies(pipe: Connection, groups: list[list[Path]], claims: int, *given: object) -> None:
+    def dies(pipe: int, groups: list[list[Path]], claims: int, *given: object) -> None:
         os.read(claims, 1)  # it has taken a group with it
         os._exit(9)
 
     monkeypatch.setattr(checking, "_work", dies)
     assert found(files, monkeypatch, 2) == one
+
+
+@pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
+def test_half_an_answer_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    files, _ = find_files(FOLDERS[1:])
+    one = found(files, monkeypatch, 1)
+    whole = checking.encode_reports
+    monkeypatch.setattr(checking, "encode_reports", lambda *given: whole(*given)[:-100])
+    assert found(files, monkeypatch, 2) == one
+
+
+def test_reports_come_back_complete_and_share_their_texts() -> None:
+    text = Source("a \ud800.ant", "ant 1\nspecies é\x00\n", 2)
+    other = Source("b.ant", "")
+    span = Span(text, 2, 9)
+    full = Diagnostic("code", "message", span, "warning", "help", (Label(Span(other, 0, 0), "why"),), Fix(span, "new"))
+    report = Report([full, Diagnostic("bare", "m", None)])
+    reports, sources = decode_reports(encode_reports({Path("x/a.ant"): report, Path("b"): Report()}, [text, other]))
+    assert repr(reports) == repr({Path("x/a.ant"): report, Path("b"): Report()})
+    assert [repr(source) for source in sources] == [repr(text), repr(other)]
+    (first, _) = reports[Path("x/a.ant")].diagnostics
+    assert first.span is not None and first.span.source is sources[0] and first.labels[0].span.source is sources[1]
+    reports[Path("x/a.ant")].add(full)
+    assert len(reports[Path("x/a.ant")].diagnostics) == 2  # the same complaint is known
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"{}", b'{"table": [], "sources": [0], "reports": []}', b"\xff"])
+def test_what_is_no_report_is_an_error(data: bytes) -> None:
+    with pytest.raises(ValueError):
+        decode_reports(data)
 
 
 def test_files_that_may_use_each_other_stay_together(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ seconds and without a traceback."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
@@ -11,16 +12,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases.hostile import meshes, numbers, runs, usd, volumes
+from cases.hostile import meshes, numbers, runs, scenes, text, usd, volumes
 from cases.hostile.rows import PROJECT, Row
+from reliability import ROWS, TESTS
 
 from antdsl import limits
+from antdsl.diagnostics import Diagnostic
 from antdsl.pipeline import check_path, open_scene, simulate
 from antdsl.reader import client
 from antdsl.runtime import FaultStop
 
 SECONDS = 10.0  # of CPU that one row may take, a busy machine or not
-TABLES = {"meshes": meshes.ROWS, "usd": usd.ROWS, "volumes": volumes.ROWS, "numbers": numbers.ROWS, "runs": runs.ROWS}
+TABLES = {table.__name__.rpartition(".")[2]: table.ROWS for table in (text, scenes, meshes, usd, volumes, numbers, runs)}
 
 
 def project(folder: Path, row: Row) -> Path:
@@ -37,6 +40,13 @@ def project(folder: Path, row: Row) -> Path:
     return folder / "scene.yaml"
 
 
+def _has_location(finding: Diagnostic) -> bool:
+    """Whether a finding says where: at a span, or by the name of a file that is no text."""
+    if finding.span is None:
+        return ".ant`" in finding.message or ".yaml`" in finding.message
+    return finding.span.source.path.endswith((".ant", ".yaml"))
+
+
 def rows(tables: Mapping[str, Sequence[Row]]) -> list[Any]:
     return [pytest.param(row, id=f"{table}: {row.name}") for table, found in tables.items() for row in found]
 
@@ -51,7 +61,7 @@ def test_the_verdict_on_a_file(row: Row, tmp_path: Path) -> None:
         assert report.ok and (row.warned or not told), told
     else:
         assert found and any(row.words in d.message or (row.words in str(d.help)) for d in found), told
-        assert all(d.span is not None and d.span.source.path.endswith((".ant", ".yaml")) for d in found), "it has a place"
+        assert all(_has_location(d) for d in found)
         assert all(text.isprintable() for d in found for text in (d.message, d.help or ""))
     if report.ok and row.frames:
         shot, report = open_scene(scene)
@@ -82,4 +92,15 @@ def test_what_takes_usd_too_long_is_stopped_soon(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(client, "_reader", client.Reader())
     row = next(each for each in usd.SLOW if "2^23" in each.name)
     test_the_verdict_on_a_file(row, tmp_path)
-    client._reader.end()
+
+
+def test_every_bad_input_of_the_list_has_tests() -> None:
+    """The list finds its tests by their names: who renames a test renames it there too."""
+    named = {row.name.split()[0] for table in TABLES.values() for row in table}
+    assert len(ROWS) == 117
+    for id, row in ROWS.items():
+        assert row.tests or id in named, f"{id} has no test"
+        for test in row.tests:
+            file, _, function = test.partition("[")[0].partition("::")
+            text = (TESTS / file).read_text(encoding="utf-8")
+            assert not function or re.search(rf"^(async )?def {function}\(", text, re.MULTILINE), f"{id}: there is no {test}"

@@ -103,7 +103,7 @@ def test_github_escapes_what_ends_a_command() -> None:
     first, second = render(report, "github").splitlines()
     assert first == (
         "::error file=a%2Cb%3Ac%25.ant,line=1,col=1,endLine=1,endColumn=2,title=bad-name"
-        "::100 %25 ::error::\\x0ainjected%0Ahelp: one\\x0d\\x0atwo"
+        "::100 %25 ::error::\\x0ainjected%0Ahelp: one\ufffd\\x0atwo"
     )
     assert second == "::warning title=bad-name::warned"
 

@@ -20,13 +20,14 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
+    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders", "bootstrap",
+    "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "reader", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
-GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole"])
+GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders"])
 # A list of the tree's node types, one after the other, is read as one thing.
 LONG = frozenset(["syntax/nodes.py"])
 FORBIDDEN_CALLS = frozenset(["eval", "exec", "compile", "__import__"])
@@ -124,11 +125,9 @@ OWN_FILES = {
     "lsp/features/tokens.py": "the grammar",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
     "outputs/writer/process_memory.py": "what the system tells about memory",
-    "outputs/cache/npz.py": "files and folders just written, to see them on the disk",
     "preview/serving/pages.py": "the page that comes with antdsl",
-    "preview/serving/returning.py": "its own keys, of the last starts",
-    "machine_code/object_cache.py": "folders, part by part",
     "numerics/cores.py": "what the system tells about processor time",
+    "cli/printing/messages.py": "the null device",
     "scene/paths.py": "folders, part by part",
     "reader/child.py": "the null device, pipes that it was given",
     "reader/client.py": "the child's pipes",
@@ -159,15 +158,39 @@ def test_files_that_a_person_can_name_are_opened_by_one_module() -> None:
             raise AssertionError(f"{path}:{node.lineno} opens a file by `{called}`, not by antdsl/bounded.py")
 
 
+# Who else writes files, and which.
+OWN_WRITING = {
+    "bench/cases.py": "copies of examples, in a folder that is removed",
+    "bootstrap.py": "the stamp of the environment",
+    "cli/__init__.py": "the null device",
+    "cli/printing/messages.py": "the null device",
+    "executors/parcel.py": "files of a project, in a folder of the worker's own",
+    "highlighting/textmate.py": "the highlighting that ships",
+    "lsp/server.py": "standard output",
+    "reader/private_folder.py": "the lock of its folder",
+    "scene/geometry/usd/closure.py": "its own copies, to write them",
+    "sweep/plots.py": "a file that antdsl/whole.py has opened",
+    "syntax/grammar.py": "the grammar that ships",
+}
+WRITING_MODES = frozenset(["a", "ab", "w", "wb", "x", "xb", "r+b", "r+"])
+
+
 def test_files_are_put_in_their_place_by_one_module() -> None:
-    """Elsewhere the name under which one is written first might be that of somebody's file."""
-    moving = ("os.replace", "os.rename", "tempfile.mkstemp", "tempfile.mkdtemp", "tempfile.NamedTemporaryFile")
+    """Elsewhere the name under which one is written first might be that of somebody's file, a crash might leave a part of it, and
+    nobody would bring it onto the disk."""
+    moving = ("os.replace", "os.rename", "os.fsync", "tempfile.mkstemp", "tempfile.mkdtemp", "tempfile.NamedTemporaryFile")
     for path in FILES:
         if path.relative_to(PACKAGE).as_posix() in ("whole.py", "reader/private_folder.py"):  # the latter makes a folder
             continue
         for node in nodes(path):
             if isinstance(node, ast.Call) and (ast.unparse(node.func) in moving or ast.unparse(node.func).endswith(".rename")):
                 raise AssertionError(f"{path}:{node.lineno} moves a file into its place, not by antdsl/whole.py")
+            if isinstance(node, ast.Call) and path.relative_to(PACKAGE).as_posix() not in OWN_WRITING:
+                called = ast.unparse(node.func)
+                modes = [getattr(each, "value", None) for each in (*node.args[1:2], *(k.value for k in node.keywords))]
+                opened = called in ("open", "io.open", "os.fdopen") and any(mode in WRITING_MODES for mode in modes)
+                if opened or called.rpartition(".")[2] in ("write_text", "write_bytes", "savefig", "FileIO"):
+                    raise AssertionError(f"{path}:{node.lineno} writes a file by `{called}`, not by antdsl/whole.py")
 
 
 def test_files_are_short_named_for_what_they_do_and_say_what_they_are() -> None:

@@ -23,13 +23,13 @@ from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, read_lines
 from antdsl.outputs.cache.lock import FolderLock, Locked
-from antdsl.outputs.cache.npz import Parts
 from antdsl.outputs.recording import Recording, begin, record
 from antdsl.outputs.summary import summary
 from antdsl.outputs.writer import frame_writer
 from antdsl.outputs.writer.background import Behind, Found
 from antdsl.pipeline import Choices, open_scene
 from antdsl.runtime import Options, World
+from antdsl.whole import Parts
 
 
 @pytest.fixture(autouse=True)
@@ -195,7 +195,7 @@ def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_a
     one = run(tmp_path, "plain")
     written, under_way = frame_writer.write_whole, []
 
-    def stalling(path: Path, data: bytes | Parts, *, sync: bool) -> None:
+    def stalling(path: Path, data: bytes | Parts, *, sync: bool = True) -> None:
         if path.name in ("frame.0003.npz", "checkpoint.0008.npz"):
             under_way.append(path.name)
             time.sleep(0.2)
@@ -225,7 +225,7 @@ def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_a
 def test_an_error_behind_a_run_ends_it_and_frees_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = frame_writer.write_whole
 
-    def full(path: Path, data: bytes | Parts, *, sync: bool) -> None:
+    def full(path: Path, data: bytes | Parts, *, sync: bool = True) -> None:
         if path.name == "frame.0005.npz":
             raise OSError(errno.ENOSPC, "No space left on device", str(path))
         written(path, data, sync=sync)

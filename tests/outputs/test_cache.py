@@ -34,12 +34,13 @@ from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, CacheError, checkpo
 from antdsl.outputs.cache.cache_writer import ForeignFolder, prepare_folder
 from antdsl.outputs.cache.hashes import HASHES, read_lines
 from antdsl.outputs.cache.lock import FolderLock, Locked
-from antdsl.outputs.cache.npz import ArrayFileError, parse_npy, read_npz, to_bytes, write_whole
+from antdsl.outputs.cache.npz import ArrayFileError, parse_npy, read_npz, to_bytes
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import open_scene
 from antdsl.runtime import CheckpointError, Options, bind, checkpoint, restore
 from antdsl.runtime.checkpoints import Arrays
 from antdsl.runtime.hashing import STATE_HASH
+from antdsl.whole import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 ARRAYS = {

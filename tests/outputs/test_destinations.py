@@ -14,9 +14,8 @@ from typer.testing import CliRunner, Result
 from antdsl.cli import app
 from antdsl.cli.destinations import file_to_write, folder_to_write
 from antdsl.cli.exits import Exit, Stop
-from antdsl.outputs.cache.npz import write_whole
 from antdsl.outputs.pictures.image_files import still
-from antdsl.whole import new_beside, whole
+from antdsl.whole import new_beside, whole, write_whole
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 

@@ -15,6 +15,8 @@ from browsing import chromium
 from preview_page import SIZE, copied, previewed
 from sampling import sampled
 
+from antdsl.user_folders import state_folder
+
 pytest.importorskip("websockets")
 
 if TYPE_CHECKING:
@@ -62,7 +64,9 @@ def test_a_page_of_another_build_loads_itself_again_and_only_once(page: Page, tm
 def test_a_page_comes_back_to_a_server_that_is_started_again_on_its_port(
     page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))  # which is not read: it may point into a project
+    folder = state_folder() / "antdsl" / "preview"
+    known = set(folder.glob("*"))
     scene = copied("minimal", tmp_path) / "scene.yaml"
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -84,7 +88,8 @@ def test_a_page_comes_back_to_a_server_that_is_started_again_on_its_port(
         assert again.split("#")[0] == whole.split("#")[0] and again != whole, "the token is another one"
         page.wait_for_function(FRESH, timeout=60_000)
         assert page.evaluate("() => window.mine"), "it was not loaded again"
-        [place] = (tmp_path / "state" / "antdsl" / "preview").iterdir()
+        [place] = set(folder.iterdir()) - known
+        assert not (tmp_path / "state").exists()
         keys = json.loads(place.read_text())["keys"]
         assert len(keys) == 2 and stat.S_IMODE(place.stat().st_mode) == 0o600
         sent = page.evaluate("() => window.sent.join(' ')")

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from antdsl.bench.tables import HEADS, Result, about, between, phases, told, whole_step
-from antdsl.cli.printing.messages import say
+from antdsl.cli.printing.messages import print_result
 
 
 def show(result: Result) -> None:
@@ -23,7 +23,7 @@ def show(result: Result) -> None:
         for line in between(result):
             console.print(Text(line))
         console.print(_table(*phases(result)))
-    say(printed.get())
+    print_result(printed.get())
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

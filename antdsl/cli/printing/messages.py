@@ -1,23 +1,173 @@
-"""Words to the terminal from commands that do more than talk: where whoever reads them has had enough, the work goes on."""
+"""Owns the terminal streams. A command finishes its work whatever state standard output and standard error are in: closed, full,
+broken, slow, or in an encoding that lacks a character."""
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import sys
-from typing import TextIO
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, TextIO
 
-import typer
+# Nothing reads the stream any more, or the caller closed it: the text is discarded, as by /dev/null.
+_UNREAD = frozenset((errno.EPIPE, errno.EBADF, errno.EIO, errno.ENXIO, errno.ECONNRESET, errno.ESHUTDOWN, errno.EINVAL))
+_BACKLOG = 8 << 20  # bytes of notes that wait for a slow reader; further notes are dropped
+_BLOCK = 512  # bytes that a pipe takes without blocking once it is ready, at least
+
+
+class Terminal(io.RawIOBase):
+    """The raw end of standard output or standard error. Writing never raises OSError.
+
+    Results wait for a slow reader. Notes do not: they wait in a backlog while the work continues, until `settle`.
+    `loss`: why a part of a result could not be written; None where everything was written or nothing reads the stream."""
+
+    def __init__(self, raw: Any) -> None:
+        self.raw = raw
+        self.is_note = False
+        self.is_unread = False
+        self.loss: OSError | None = None
+        self.backlog = bytearray()
+
+    def write(self, data: Any) -> int:
+        """Write all of the data, or record why that is impossible. The number of bytes, always all."""
+        view = memoryview(data).cast("B")
+        if self.is_unread:
+            return len(view)
+        if not self.is_note:
+            self.settle()
+            self._send(view)
+        elif len(self.backlog) + len(view) <= _BACKLOG:
+            self.backlog += view
+            while self.backlog and self._is_ready():
+                self._send_backlog(_BLOCK)
+        return len(view)
+
+    def settle(self) -> None:
+        """Write the backlog, waiting for the reader."""
+        if self.backlog:
+            self._send_backlog(len(self.backlog))
+
+    def _send_backlog(self, size: int) -> None:
+        block = bytes(self.backlog[:size])
+        del self.backlog[:size]
+        self._send(memoryview(block), is_note=True)
+
+    def _send(self, view: memoryview, is_note: bool = False) -> None:
+        while view:
+            try:
+                count = self.raw.write(view)
+            except OSError as problem:
+                if problem.errno in (errno.EAGAIN, errno.EWOULDBLOCK):
+                    count = None
+                elif problem.errno in _UNREAD:
+                    self.is_unread = True
+                    self.backlog.clear()
+                    return
+                else:
+                    if not is_note:
+                        self.loss = problem
+                    return
+            if count is None:  # the stream is set not to block, and its reader is slow
+                self._is_ready(1000)
+            else:
+                view = view[count:]
+
+    def _is_ready(self, milliseconds: int = 0) -> bool:
+        """Whether a small write is possible now without blocking."""
+        import select
+
+        if not hasattr(select, "poll"):
+            return True
+        poll = select.poll()
+        poll.register(self.raw.fileno(), select.POLLOUT)
+        return bool(poll.poll(milliseconds))
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return int(self.raw.fileno())
+
+    def isatty(self) -> bool:
+        return bool(self.raw.isatty())
+
+
+def guard_streams() -> None:
+    """Make the streams of this process safe. Call this once, before anything opens a file: a closed stream is opened on
+    /dev/null, so that no other file gets its number and no child finds it closed."""
+    for number in range(3):
+        _reopen(number)
+    if sys.stdin is None:
+        sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 - open until the process ends
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        stream = getattr(sys, name)
+        encoding = "utf-8" if stream is None else stream.encoding
+        raw = io.FileIO(number, "w", closefd=False) if stream is None else getattr(stream.buffer, "raw", stream.buffer)
+        terminal = Terminal(raw)
+        is_line_buffered = number == 2 or terminal.isatty()
+        writer = io.BufferedWriter(terminal)
+        setattr(sys, name, io.TextIOWrapper(writer, encoding, "backslashreplace", line_buffering=is_line_buffered))
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=terminal.backlog.clear)
+
+
+def _reopen(number: int) -> None:
+    try:
+        os.fstat(number)
+    except OSError:
+        opened = os.open(os.devnull, os.O_RDWR)
+        if opened == number:
+            os.set_inheritable(number, True)
+        else:
+            os.dup2(opened, number)
+            os.close(opened)
+
+
+def close_streams() -> OSError | None:
+    """Write what is buffered, waiting for readers. Why a part of the result on standard output was lost, if so."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+        terminal = _terminal(stream)
+        if terminal is not None:
+            terminal.settle()
+    terminal = _terminal(sys.stdout)
+    return None if terminal is None else terminal.loss
+
+
+def _terminal(stream: TextIO) -> Terminal | None:
+    raw = getattr(getattr(stream, "buffer", None), "raw", None)
+    return raw if isinstance(raw, Terminal) else None
+
+
+@contextmanager
+def notes(stream: TextIO | None = None) -> Iterator[None]:
+    """What is printed meanwhile are notes: they do not delay the work, and a lost one does not change the exit code. `stream`:
+    standard output by default."""
+    stream = sys.stdout if stream is None else stream
+    terminal = _terminal(stream)
+    if terminal is None or terminal.is_note:
+        yield
+        return
+    stream.flush()
+    terminal.is_note = True
+    try:
+        yield
+        stream.flush()
+    finally:
+        terminal.is_note = False
 
 
 def say(words: str = "", *, err: bool = False, newline: bool = True) -> None:
-    """Print, as far as anybody reads it."""
-    try:
-        typer.echo(words, err=err, nl=newline)
-    except BrokenPipeError:
-        closed(sys.stderr if err else sys.stdout)
+    """Print a note."""
+    stream = sys.stderr if err else sys.stdout
+    with notes(stream):
+        stream.write(words + "\n" if newline else words)
+        stream.flush()
 
 
-def closed(stream: TextIO) -> None:
-    """Nobody reads what is printed any more: what comes goes nowhere. Python would complain again when it flushes at exit."""
-    with open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), stream.fileno())
+def print_result(text: str, *, newline: bool = True) -> None:
+    """Print a part of the result of the command to standard output. Loss of it, as on a full disk, ends with exit code 3."""
+    sys.stdout.write(text + "\n" if newline else text)
+    sys.stdout.flush()

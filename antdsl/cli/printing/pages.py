@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 
-import typer
-
+from antdsl.cli.printing.messages import print_result
 from antdsl.diagnostics.codes import CODES
 from antdsl.resources import code_page
 
@@ -19,7 +18,7 @@ def show_page(code: str) -> None:
 def show(text: str) -> None:
     """Print a text in Markdown."""
     if not sys.stdout.isatty():
-        typer.echo(text.rstrip("\n"))
+        print_result(text.rstrip("\n"))
         return
     from rich.console import Console
     from rich.markdown import Markdown

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from antdsl.cli.printing.messages import say
+from antdsl.cli.printing.messages import notes, say
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.summary import states
 
@@ -101,7 +101,7 @@ def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
             else frames.last - frames.first + 1 + preroll
         )
         columns = (BarColumn(24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
-        with Progress(*columns) as bar:
+        with notes(), Progress(*columns) as bar:
             yield Bar(recording, bar, bar.add_task("", total=left, words=""))
     else:
         yield Lines(recording)

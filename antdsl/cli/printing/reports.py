@@ -21,9 +21,7 @@ def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> No
         return
     text = render(report, format)
     if text:
-        stream = sys.stderr if to_stderr else sys.stdout
-        encoding = getattr(stream, "encoding", None) or "utf-8"
-        print(text.rstrip("\n").encode(encoding, "replace").decode(encoding), file=stream)
+        print(text.rstrip("\n"), file=sys.stderr if to_stderr else sys.stdout)
 
 
 def demand(report: Report) -> None:

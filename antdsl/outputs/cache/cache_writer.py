@@ -30,13 +30,13 @@ from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of, read_lines
 from antdsl.outputs.cache.lock import LOCK, FolderLock
 from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, write_manifest
-from antdsl.outputs.cache.npz import npz_file, write_whole
+from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.surface_error import surface_error
 from antdsl.outputs.writer.background import Behind
 from antdsl.outputs.writer.frame_writer import Scribe
 from antdsl.runtime import World, checkpoint, feet_hash, state_hash
 from antdsl.runtime.hashing import STATE_HASH
-from antdsl.whole import PART
+from antdsl.whole import PART, make_folder, write_whole
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -62,7 +62,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     when something stands where a file of the cache goes: nothing has been changed then."""
     if folder.exists() and not folder.is_dir():
         raise ForeignFolder(f"`{folder}` is a file")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for name in ("frames", "checkpoints"):
         if (folder / name).is_symlink():
             raise ForeignFolder(f"`{folder / name}` is a link")
@@ -77,9 +77,9 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
         others = sorted(name.name for name in folder.iterdir() if name.name != LOCK and not name.match(f".{MARKER}.*{PART}"))
         if others and not force:
             raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
-        write_whole(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n", sync=True)
+        write_whole(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n")
     for name in ("frames", "checkpoints"):
-        (folder / name).mkdir(exist_ok=True)
+        make_folder(folder / name)
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -107,7 +107,7 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
     for part in _parts(folder):
         part.unlink(missing_ok=True)
     kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
-    write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()), sync=True)
+    write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()))
 
 
 class OtherHashes(Exception):
@@ -214,7 +214,7 @@ class CacheWriter:
         not known."""
         clear(self.folder, kept_up_to, damaged)
         file = npz_file(static)
-        write_whole(self.folder / STATIC, file.parts, sync=True)
+        write_whole(self.folder / STATIC, file.parts)
         write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(file)}))
         world.carved = {}
         world.emitted = [] if "emit" in maker.events else None

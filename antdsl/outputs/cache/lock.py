@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import platform
 import time
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
 LOCK = "lock"
 _PATIENCE = 30.0  # seconds for the writer of a run that was killed to finish what it had been given
 _AGAIN = 0.01
+_HELD = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # what systems say of a lock that another process holds
 
 
 class Locked(Exception):
@@ -17,8 +21,9 @@ class Locked(Exception):
 
 
 class FolderLock:
-    """Held from `__enter__` to `__exit__`, and by processes forked in between until they end. The file has the process id in it,
-    for people; the system's own lock on it decides.
+    """Held from `__enter__` to `__exit__`, and by processes forked in between until they end. The file has the process id and the
+    host in it, for people; the system's own lock on it decides, so no lock outlives its processes. Raises Locked, and OSError
+    where the file system has no locks.
 
     Where the run that holds it is gone and its writer is not yet, that is waited for."""
 
@@ -30,12 +35,13 @@ class FolderLock:
         handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
             self._wait(handle)
+            os.ftruncate(handle, 0)
+            os.lseek(handle, 0, os.SEEK_SET)
+            os.write(handle, f"{os.getpid()} {_host()}\n".encode())
         except BaseException:
+            _leave(handle)
             os.close(handle)
             raise
-        os.ftruncate(handle, 0)
-        os.lseek(handle, 0, os.SEEK_SET)
-        os.write(handle, f"{os.getpid()}\n".encode())
         self._handle = handle
         return self
 
@@ -45,32 +51,42 @@ class FolderLock:
             try:
                 _take(handle)
                 return
-            except OSError:
-                holder = _holder(handle)
-                if not _gone(holder) or time.monotonic() - began > _PATIENCE:
-                    raise Locked(f"process {holder or '?'} is writing to `{self.path.parent}`") from None
+            except OSError as why:
+                if why.errno not in _HELD:  # a file system without locks, such as a network disk without its lock service
+                    raise OSError(why.errno, os.strerror(why.errno or 0), str(self.path)) from None
+                process, host = _holder(handle)
+                if not _gone(process, host) or time.monotonic() - began > _PATIENCE:
+                    where = f" of {host}" if host not in ("", _host()) else ""
+                    raise Locked(f"process {process or '?'}{where} is writing to `{self.path.parent}`") from None
             time.sleep(_AGAIN)
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         if self._handle is not None:
-            os.ftruncate(self._handle, 0)
-            _leave(self._handle)
-            os.close(self._handle)
-            self._handle = None
+            handle, self._handle = self._handle, None
+            with suppress(OSError):  # what the file says is for people only
+                os.ftruncate(handle, 0)
+            _leave(handle)
+            os.close(handle)
 
 
-def _holder(handle: int) -> str:
-    """What the file says; nothing where the system keeps that from others too (Windows)."""
+def _host() -> str:
+    """The name of this machine or container: a process number means something there alone."""
+    return "".join(each for each in platform.node() if each.isascii() and each.isprintable() and each != " ")[:64]
+
+
+def _holder(handle: int) -> tuple[str, str]:
+    """The process number and the host that the file names; nothing where the system keeps that from others too (Windows)."""
     try:
         os.lseek(handle, 0, os.SEEK_SET)
-        return os.read(handle, 32).decode("ascii", "replace").strip()
+        words = os.read(handle, 128).decode("ascii", "replace").split()
     except OSError:
-        return ""
+        return "", ""
+    return (words[0] if words and words[0].isdigit() else "", words[1] if len(words) > 1 and words[1].isprintable() else "")
 
 
-def _gone(holder: str) -> bool:
-    """Whether a process is known to have ended, or has and nobody has asked for its exit code yet."""
-    if os.name == "nt" or not (holder.isascii() and holder.isdigit()):
+def _gone(holder: str, host: str) -> bool:
+    """Whether a process of this host is known to have ended, or has and nobody has asked for its exit code yet."""
+    if os.name == "nt" or host not in ("", _host()) or not (holder.isascii() and holder.isdigit()):
         return False  # Windows frees a lock with the one process that holds it
     try:
         os.kill(int(holder), 0)
@@ -103,4 +119,5 @@ def _leave(handle: int) -> None:
     if os.name != "nt":
         import fcntl
 
-        fcntl.flock(handle, fcntl.LOCK_UN)
+        with suppress(OSError):  # of a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_UN)

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, read_bounded
-from antdsl.outputs.cache.npz import write_whole
+from antdsl.whole import write_whole
 
 FORMAT = 1
 MANIFEST = "manifest.json"
@@ -184,7 +184,7 @@ def way_to(file: Path, folder: Path) -> str | None:
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Put the manifest into a cache's folder, durably."""
     text = json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
-    write_whole(folder / MANIFEST, text.encode(), sync=True)
+    write_whole(folder / MANIFEST, text.encode())
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections import deque
 from collections.abc import Container, Iterable, Mapping
 from functools import lru_cache
-from itertools import islice
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -20,26 +18,19 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, open_bounded
-from antdsl.outputs.cache.zip_parts import Form, Parts, Stored, form_of, stored
+from antdsl.outputs.cache.zip_parts import Form, Stored, form_of, stored
 from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
-from antdsl.whole import whole_opened
 
 __all__ = [
     "ArrayFileError",
-    "Parts",
     "npz_file",
     "parse_npy",
-    "put",
     "read_npz",
-    "sync_file",
-    "sync_folder",
     "to_bytes",
     "to_member",
-    "write_whole",
 ]
 
 _BYTE = np.dtype(np.uint8)
-_AT_ONCE = 1000  # parts; systems take 1024
 FILE_BYTES = 64 * limits.GIB
 _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written
 
@@ -94,54 +85,6 @@ def _header(kind: str, shape: tuple[int, ...]) -> bytes:
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape!r}, }}".encode("ascii")
     header += b" " * (-(len(MAGIC) + 2 + len(header) + 1) % 64) + b"\n"
     return MAGIC + len(header).to_bytes(2, "little") + header
-
-
-def write_whole(path: Path, data: bytes | Parts, *, sync: bool) -> None:
-    """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing. `data`: its bytes, or
-    parts that are these end to end.
-
-    The file is emptied before anything is in it, by which ext4 takes it for one that is written anew, and begins to bring it
-    onto the disk as it is closed: to make sure later that many of them are there takes two thirds of the time."""
-    with whole_opened(path) as handle:
-        os.ftruncate(handle, 0)
-        put(handle, [data] if isinstance(data, bytes) else data)
-        if sync:
-            os.fsync(handle)
-    if sync:
-        sync_folder(path.parent)
-
-
-def put(handle: int, parts: Parts) -> None:
-    """Write parts end to end into an open file. All in one call where the system has one for it: it finds room for a large piece
-    at once in half the time that it takes for many small ones."""
-    left = deque(parts)
-    while left:
-        some = list(islice(left, _AT_ONCE))
-        done = os.writev(handle, some) if hasattr(os, "writev") else os.write(handle, some[0])
-        while left and done >= len(left[0]):
-            done -= len(left.popleft())
-        if done:
-            left[0] = left[0][done:]
-
-
-def sync_file(path: Path) -> None:
-    """Make sure that a file written before is on the disk."""
-    handle = os.open(path, os.O_RDWR)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable, where the system can."""
-    if os.name == "nt":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def read_npz(path: Path, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from struct import Struct
 
 from antdsl.numerics.check_sums import crc32
-
-Parts = Sequence[bytes | memoryview]
+from antdsl.whole import Parts
 
 LIMIT = (1 << 31) - 1  # what is longer, or begins later, is told in eight bytes
 MOST = (1 << 16) - 1  # members; how many more there are is told so too

@@ -1,5 +1,6 @@
 """Pictures into files: PNG stills, and films where the extra `[video]` is installed."""
 
+import io
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.diagnostics.model import Report
-from antdsl.whole import whole
+from antdsl.whole import whole, write_whole
 
 Image = NDArray[np.uint8]
 
@@ -16,8 +17,9 @@ def still(image: Image, path: Path) -> None:
     """Writes a PNG, whole or not at all. Raises OSError where that cannot be done."""
     from PIL import Image as PillowImage
 
-    with whole(path) as part:
-        PillowImage.fromarray(np.ascontiguousarray(image)).save(part, format="PNG")
+    data = io.BytesIO()
+    PillowImage.fromarray(np.ascontiguousarray(image)).save(data, format="PNG")
+    write_whole(path, data.getvalue())
 
 
 def film_ready() -> Report:

@@ -104,7 +104,7 @@ class _Joints:
         square[:, :3] = poses.local.reshape(n * count, 3, 4)
         place, turn, scale, shear = decomposed(square)
         self.sheared = bool((np.abs(shear) > _SHEARED).any())
-        parts = (np.moveaxis(each, 0, -1).reshape(n, count, -1) for each in (place, turn, scale))
+        parts = (np.moveaxis(each, 0, -1).reshape(n, count, len(each)) for each in (place, turn, scale))
         self.values = tuple(np.ascontiguousarray(each, np.float32) for each in parts)
         self.channels = np.asarray(poses.channels, np.float32)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,9 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
 from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
-from antdsl.outputs.cache.npz import npz_file, put, sync_file, sync_folder, write_whole
+from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.cache.zip_parts import Stored
+from antdsl.whole import open_to_append, sync_file, sync_folder, sync_opened, write_parts, write_whole
 
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
@@ -26,7 +26,7 @@ class Scribe:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._lines = FileIO(folder / HASHES, "a")
+        self._lines = open_to_append(folder / HASHES)
         self._unsynced: list[Path] = []
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
@@ -41,7 +41,7 @@ class Scribe:
 
     def _line(self, frame: int, line: Line) -> None:
         self._last = {frame: line}
-        put(self._lines.fileno(), [line.text(frame)])
+        write_parts(self._lines, [line.text(frame)])
 
     def checkpoint(self, frame: int, arrays: Arrays) -> Found:
         """Write a checkpoint, durably, after everything before it, its hash included: one without is from before there were
@@ -51,7 +51,7 @@ class Scribe:
         lines = self._last or read_lines(self.folder / HASHES)
         self._line(frame, with_checkpoint(frame, lines[frame], file))
         found = self.sync()
-        write_whole(checkpoint_path(self.folder, frame), file.parts, sync=True)
+        write_whole(checkpoint_path(self.folder, frame), file.parts)
         found["seconds"] |= {"checkpoint": time.perf_counter() - began - found["seconds"]["sync"]}
         return found
 
@@ -62,12 +62,12 @@ class Scribe:
             sync_file(path)
         self._unsynced.clear()
         sync_folder(self.folder / "frames")
-        os.fsync(self._lines.fileno())
+        sync_opened(self._lines)
         return _spent("sync", began)
 
     def close(self) -> None:
         """Nothing more is written."""
-        self._lines.close()
+        os.close(self._lines)
 
 
 def _spent(what: str, since: float) -> Found:

@@ -12,15 +12,14 @@ import json
 import os
 import re
 import secrets
-import stat
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 
-from antdsl.whole import whole
+from antdsl.user_folders import make_private_folder, read_private, state_folder
+from antdsl.whole import write_whole
 
 _STARTS = 4  # whose keys are kept
 _FILES = 64  # of scenes and ports; the oldest go
@@ -40,10 +39,12 @@ class Returning:
         """Of a server of a scene that begins now; None where nothing can be kept in private."""
         try:
             name = sha256(f"{os.path.realpath(scene)}|{port}".encode("utf-8", "surrogateescape")).hexdigest()[:32]
-            place = _private(folder or state_folder()) / f"{name}.json"
+            folder = folder or state_folder() / "antdsl" / "preview"
+            make_private_folder(folder)
+            place = folder / f"{name}.json"
             made = cls(secrets.token_urlsafe(32), _read(place))
             _write(place, [made.key, *made.before][:_STARTS])
-        except (OSError, RuntimeError):  # no such folder, not ours alone, or no home
+        except OSError:  # no such folder, not ours alone, or no home
             return None
         return made
 
@@ -58,49 +59,18 @@ class Returning:
         return any([hmac.compare_digest(given, proof) for proof in proofs])  # all of them, in the same time
 
 
-def state_folder() -> Path:
-    """Where a user's programs keep what is to last, by the platform's custom."""
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    else:
-        base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
-    return base / "antdsl" / "preview"
-
-
-def _private(folder: Path) -> Path:
-    """A folder that is there and the user's own. OSError for one that others may look into or write to."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not _own(os.lstat(folder), stat.S_ISDIR):
-        raise PermissionError(f"{folder} is not the user's own")
-    return folder
-
-
-def _own(status: os.stat_result, kind: Callable[[int], bool]) -> bool:
-    if sys.platform == "win32":
-        return True  # a user's folder has an access list of its own there
-    return kind(status.st_mode) and status.st_uid == os.geteuid() and not status.st_mode & 0o077
-
-
 def _read(place: Path) -> tuple[str, ...]:
     """The keys in a file; none of one that is anything but a small private file of keys."""
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
-        handle = os.open(place, flags)
-    except OSError:
-        return ()
-    with os.fdopen(handle, "rb") as file:
-        data = file.read(_BYTES) if _own(os.fstat(file.fileno()), stat.S_ISREG) else b""
-    try:
-        found = list(json.loads(data)["keys"])
-    except (ValueError, TypeError, KeyError, RecursionError):
+        found = list(json.loads(read_private(place, _BYTES))["keys"])
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return ()
     return tuple(key for key in found if isinstance(key, str) and _KEY.fullmatch(key))[:_STARTS]
 
 
 def _write(place: Path, keys: Sequence[str]) -> None:
     """Whole or not at all. Who makes the file is the only one to read it."""
-    with whole(place, mode=0o600) as made:
-        made.write_text(json.dumps({"keys": list(keys)}), encoding="ascii")
+    write_whole(place, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
     with suppress(OSError):
         files = sorted(place.parent.glob("*.json"), key=lambda each: each.lstat().st_mtime)
         for old in files[:-_FILES]:

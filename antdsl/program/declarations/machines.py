@@ -165,6 +165,13 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
             node.span,
             f"write a shorter time: a run has {limits.FRAMES:,} frames at most",
         )
+    elif constant is not None and not constant.u and not constant.step and 0 < constant.number * limits.FPS < 1:
+        scope.report.warning(
+            "out-of-range",
+            f"{quoted(node.span)} is shorter than a frame of any scene, so {who} takes one step",
+            node.span,
+            "write `1 step`, or a longer time",
+        )
     return found
 
 

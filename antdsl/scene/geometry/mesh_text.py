@@ -1,12 +1,13 @@
-"""Meshes as text, line by line: .obj files and text .stl files. Never more than a line is taken apart at once, numbers go into
-plain arrays, and every complaint has its line."""
+"""The tokenizer of meshes as text: .obj, .ply and .stl files to blocks of words with their lines.
+
+Line ends of any system, a byte order mark, indentation, comments and continued lines are resolved here and nowhere else. A block is
+about a megabyte; its words are found by NumPy, so that a reader can take columns of numbers out of thousands of lines at once."""
 
 from __future__ import annotations
 
-import io
 import re
-from array import array
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,21 @@ from numpy.typing import NDArray
 from antdsl import limits
 
 Floats = NDArray[np.float64]
-Faces = NDArray[np.int64]
+Whole = NDArray[np.int64]
 
 LINE_BYTES = limits.MIB
-_VERTICES = 3 * limits.MESH_FACES
-_EXPORT = "export it anew, as triangles or polygons in a .ply, .obj or .stl file"
+VERTICES = 3 * limits.MESH_FACES
+_BLOCK_BYTES = 64 * limits.KIB
+_WORD_BYTES = 40  # of a number
+_DIGITS = 10  # of a whole number
+_EXPORT = "export it again, as triangles or polygons in a .ply, .obj or .stl file"
+_WIDE = (b"\xff\xfe", b"\xfe\xff", b"\x00\x00\xfe\xff")
+_BLANK = np.zeros(256, np.bool_)
+_BLANK[[9, 10, 11, 12, 13, 32]] = True
+_BREAK = b"\x0b"  # stands for the line end of a continued line: blank, and counted
+_COMMENT = re.compile(rb"(?:(?<=[\t\n\x0b\x0c ])|\A)#[^\n]*")
+_CLOSE_COMMENT = re.compile(rb"^([\t\x0c ]*[vflpVFLP][nNtT]?[\t\x0c ][^\n#]*)#[^\n]*", re.MULTILINE)
+_CONTINUED = re.compile(rb"\\[\t\x0c ]*\n")
 
 
 class MeshError(Exception):
@@ -29,144 +40,159 @@ class MeshError(Exception):
         self.help = help
 
 
-def lines_of(data: bytes, start: int = 0, first: int = 1) -> Iterator[tuple[int, bytes]]:
-    """The lines of a text from `start` on, each with its number; MeshError for one that is longer than any mesh's."""
-    if b"\r" in data[:4096] and b"\n" not in data[:4096]:
-        data = data.replace(b"\r", b"\n")  # line ends of old
-    file = io.BytesIO(data)
-    file.seek(start)
-    number = first
-    while line := file.readline(LINE_BYTES + 1):
-        if len(line) > LINE_BYTES:
-            raise MeshError(f"has a line {number} of more than {LINE_BYTES:,} bytes")
-        yield number, line
-        number += 1
-
-
-def number_of(word: bytes) -> float:
-    """A decimal number; ValueError for anything else, also what Python alone takes for one."""
-    if len(word) > 40 or b"_" in word:
-        raise ValueError(word)
-    return float(word)
-
-
 def shown(word: bytes, most: int = 20) -> str:
-    """A word of a stranger's file, as it can stand in a message."""
+    """A word of a foreign file, as it can stand in a message."""
     text = word[:most].decode("ascii", "replace")
     return "".join(c if c.isprintable() else "\ufffd" for c in text)
 
 
-def checked_count(count: int, most: int, what: str) -> None:
+def check_count(count: int, most: int, what: str) -> None:
     """MeshError where there is more than may be."""
     if count > most:
         raise MeshError(f"has more than {most:,} {what}", "use a lighter mesh")
 
 
-def points_of(numbers: array[float]) -> Floats:
-    """Three numbers a row, as an array of its own."""
-    return np.frombuffer(numbers, np.float64).reshape(-1, 3) if numbers else np.empty((0, 3))
-
-
-def triangles_of(numbers: array[int]) -> Faces:
-    return np.frombuffer(numbers, np.int64).reshape(-1, 3) if numbers else np.empty((0, 3), np.int64)
-
-
-def fan(triangles: array[int], corners: list[int]) -> None:
-    """A polygon cut into triangles from its first corner."""
-    for i in range(1, len(corners) - 1):
-        triangles.extend((corners[0], corners[i], corners[i + 1]))
-    checked_count(len(triangles) // 3, limits.MESH_FACES, "faces")
-
-
-# --- .obj --------------------------------------------------------------------------------------------------------------
-
-
-def read_obj(data: bytes, group: str | None = None) -> tuple[Floats, Faces]:
-    """Vertices and faces of a Wavefront file, of one group or object where one is named; materials, normals and everything else
-    are passed over, polygons cut into fans."""
+def check_text(data: bytes) -> None:
+    """MeshError where a file is no text of single bytes."""
+    if data.startswith(_WIDE) or (data[1:2] == b"\0" and data[:4096].count(0) > len(data[:4096]) // 4):
+        raise MeshError("is text in UTF-16 or UTF-32", "save it as UTF-8 or plain ASCII text")
     if b"\0" in data[:4096]:
         raise MeshError("is not a text file")
-    points, triangles = array("d"), array("q")
-    names: dict[str, None] = {}
-    in_group, in_object = group is None, False
-    for number, line in lines_of(data):
-        if line[:2] in (b"v ", b"v\t"):
-            points.extend(_vertex(line, number))
-            checked_count(len(points) // 3, _VERTICES, "vertices")
-        elif group is not None and line.split(None, 1)[:1] == [b"g"]:
-            words = line.decode("utf-8", "replace").split()[1:] or ["default"]
-            _note(names, words)
-            in_group = group in words
-        elif group is not None and line[:2] == b"o ":
-            word = line[2:].decode("utf-8", "replace").strip()
-            _note(names, [word])
-            in_object = group == word
-        elif line[:2] in (b"f ", b"f\t") and (in_group or in_object):
-            corners = [_corner(word, len(points) // 3, number) for word in line.split()[1:]]
-            if len(corners) < 3:
-                raise MeshError(f"has a face of fewer than three corners in line {number}")
-            fan(triangles, corners)
-    if group is not None and not triangles:
-        raise MeshError(_no_group(group, list(names)), None)
-    return points_of(points), triangles_of(triangles)
 
 
-def _note(names: dict[str, None], words: list[str]) -> None:
-    """Names of groups, to be told where another is asked for."""
-    if len(names) < 1000:
-        names.update(dict.fromkeys(word[:60] for word in words[:100]))
+def plain_text(data: bytes) -> bytes:
+    """Text with `\\n` between lines, without byte order mark, comments and continued lines. A comment begins with `#` at the start of
+    a word, after numbers of a vertex or face also within one."""
+    data = data.removeprefix(b"\xef\xbb\xbf").removesuffix(b"\x1a")
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if b"\xa0" in data:
+        data = data.replace(b"\xc2\xa0", b"  ")
+    if _BREAK in data:
+        data = data.replace(_BREAK, b" ")
+    if b"#" in data:
+        data = _COMMENT.sub(b"", data)
+        data = _CLOSE_COMMENT.sub(rb"\1", data) if b"#" in data else data
+    if b"\\" in data:
+        data = _CONTINUED.sub(_BREAK, data)
+    return data
 
 
-def _vertex(line: bytes, number: int) -> tuple[float, float, float]:
-    try:
-        x, y, z = (number_of(word) for word in line.split(None, 4)[1:4])
-    except ValueError:
-        raise MeshError(f"has no three numbers after `{shown(line.split(None, 1)[0])}` in line {number}") from None
-    return x, y, z
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """Lines of a text that have words. `number` int64[L]: of each line in the file, from 1; its words are `first[k]` to `first[k] +
+    count[k]`. `start`, `end` int64[W]: where each word is among the `bytes`."""
+
+    number: Whole
+    first: Whole
+    count: Whole
+    start: Whole
+    end: Whole
+    bytes: NDArray[np.uint8]
+    _words: list[list[bytes]] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    @property
+    def words(self) -> list[bytes]:
+        """All words of the block's bytes."""
+        if not self._words:
+            self._words.append(self.bytes.tobytes().split())
+        return self._words[0]
+
+    def slice(self, begin: int, stop: int) -> Block:
+        """Some of its lines."""
+        part = slice(begin, stop)
+        return Block(self.number[part], self.first[part], self.count[part], self.start, self.end, self.bytes, self._words)
+
+    def line(self, k: int) -> list[bytes]:
+        """The words of the line at place k."""
+        return self.words[self.first[k] : self.first[k] + self.count[k]]
+
+    def letters(self) -> NDArray[np.bytes_]:
+        """The first word of each line in small letters, of a longer one its first 8 letters."""
+        start, stop = self.start[self.first], self.end[self.first]
+        found = np.zeros((len(self), 8), np.uint8)
+        for k in range(min(8, int((stop - start).max(initial=0)))):
+            char = self.bytes[np.minimum(start + k, len(self.bytes) - 1)]
+            found[:, k] = np.where(start + k < stop, char, 0)
+        found[(found >= 65) & (found <= 90)] += 32
+        return found.view("S8")[:, 0]
+
+    def floats(self, at: Whole, what: str) -> Floats:
+        """The words at places `at` as numbers, same shape; MeshError with the line of the first that is none."""
+        flat = at.ravel()
+        longest = int((self.end[flat] - self.start[flat]).max(initial=0))
+        words = self.words
+        if len(flat) and flat[-1] - flat[0] == len(flat) - 1 and (np.diff(flat) == 1).all():
+            chosen = words[int(flat[0]) : int(flat[-1]) + 1]
+        else:
+            chosen = [words[k] for k in flat.tolist()]
+        try:
+            if longest > _WORD_BYTES or ((self.bytes == 95).any() and any(b"_" in word for word in chosen)):
+                raise ValueError  # a number of Python alone
+            found = np.fromiter(map(float, chosen), np.float64, len(chosen))
+        except ValueError:
+            found = np.array([self._number(word, int(k), what) for word, k in zip(chosen, flat.tolist(), strict=True)])
+        return found.reshape(at.shape)
+
+    def _number(self, word: bytes, at: int, what: str) -> float:
+        try:
+            if len(word) > _WORD_BYTES or b"_" in word:
+                raise ValueError
+            return float(word)
+        except ValueError:
+            decimal = re.fullmatch(rb"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?", word)
+            help = f"write decimal points, such as `{shown(word.replace(b',', b'.'))}`" if decimal else _EXPORT
+            words = f"has in line {self.number_of(at):,} `{shown(word)}` for {what}, which is not a number"
+            raise MeshError(words, help) from None
+
+    def number_of(self, at: int) -> int:
+        """The line of a word."""
+        return int(self.number[np.searchsorted(self.first, at, side="right") - 1])
+
+    def integers(self, at: Whole, slash: bool = False) -> tuple[Whole, NDArray[np.bool_]]:
+        """The words at places `at` as whole numbers, and which of them are. With `slash` only what is before one counts, as in
+        `1/2/3`."""
+        start, end = self.start[at], self.end[at]
+        negative = self.bytes[start] == 45
+        start = start + negative
+        value = np.zeros(at.shape, np.int64)
+        running, length = start < end, np.zeros(at.shape, np.int64)
+        for k in range(_DIGITS + 1):
+            digit = self.bytes[np.minimum(start + k, len(self.bytes) - 1)].astype(np.int64) - 48
+            running = running & (start + k < end) & (digit >= 0) & (digit <= 9)
+            if not running.any():
+                break
+            value = np.where(running, value * 10 + digit, value)
+            length += running
+        stop = start + length
+        whole = stop >= end
+        if slash and (slashes := self.bytes == 47).any():
+            before = np.concatenate(([0], np.cumsum(slashes)))
+            whole |= slashes[np.minimum(stop, len(self.bytes) - 1)] & (before[end] - before[self.start[at]] <= 2)
+        return np.where(negative, -value, value), (length > 0) & (length <= _DIGITS) & whole
 
 
-def _no_group(group: str, names: list[str]) -> str:
-    from antdsl.diagnostics.suggestion import nearest_name
-
-    if group in names:
-        return f"has no faces in its group `{group}`"
-    near = nearest_name(group, names)
-    there = f"did you mean `{near}`?" if near else "it has " + (", ".join(f"`{n[:40]}`" for n in names[:8]) or "no groups")
-    return f"has no group `{group[:60]}`: {there}"
-
-
-def _corner(word: bytes, count: int, number: int) -> int:
-    parts = word.split(b"/", 3)
-    if len(parts) > 3 or not re.fullmatch(rb"-?[0-9]{1,10}", parts[0]) or int(parts[0]) == 0:
-        raise MeshError(f"has a corner `{shown(word)}` that is no vertex number in line {number}")
-    index = int(parts[0])
-    index = index - 1 if index > 0 else count + index
-    if index < 0 or index >= count:
-        raise MeshError(f"names a vertex {int(parts[0])} that is not there in line {number}")
-    return index
-
-
-# --- text .stl ---------------------------------------------------------------------------------------------------------
-
-
-def read_stl_text(data: bytes) -> Floats:
-    """The corners of all facets of a text .stl file (3 n, 3), in order."""
-    corners = array("d")
-    in_facet, before, number = False, 0, 0
-    for number, line in lines_of(data):
-        word = line.split(None, 1)[:1]
-        kind = word[0].lower() if word else b""
-        if kind == b"vertex":
-            if not in_facet:
-                raise MeshError(f"has a corner outside of a facet in line {number}")
-            corners.extend(_vertex(line, number))
-            checked_count(len(corners) // 9, limits.MESH_FACES, "faces")
-        elif kind in (b"facet", b"endfacet"):
-            if in_facet == (kind == b"facet") or len(corners) != before + 9 * in_facet:
-                raise MeshError(f"has a facet without three corners before line {number}")
-            in_facet, before = kind == b"facet", len(corners)
-        elif in_facet and kind not in (b"outer", b"endloop", b""):
-            raise MeshError(f"has a line {number} that is not understood: `{shown(line.strip())}`")
-    if in_facet:
-        raise MeshError(f"ends in line {number} with a facet without three corners: a part of it is missing")
-    return points_of(corners)
+def blocks(text: bytes, number: int = 1) -> Iterator[Block]:
+    """The lines of a `plain_text`, the first of which is line `number` of the file; MeshError for one that is too long."""
+    at = 0
+    while at < len(text):
+        stop = text.rfind(b"\n", at, at + _BLOCK_BYTES) + 1
+        if stop <= at:
+            stop = text.find(b"\n", at) + 1 or len(text)
+            if stop - at > LINE_BYTES + 1:
+                raise MeshError(f"has a line {number:,} of more than {LINE_BYTES:,} bytes")
+        data = np.frombuffer(text, np.uint8, stop - at, at)
+        blank = _BLANK[data]
+        start = np.flatnonzero(~blank & np.concatenate(([True], blank[:-1])))
+        end = np.flatnonzero(~blank & np.concatenate((blank[1:], [True]))) + 1
+        ends = np.flatnonzero(data == 10)
+        line = np.searchsorted(ends, start)
+        first = np.flatnonzero(np.concatenate(([True], line[1:] != line[:-1]))) if len(line) else np.empty(0, np.int64)
+        breaks = np.flatnonzero(data == 11)
+        numbers = number + line[first] + (np.searchsorted(breaks, start[first]) if len(breaks) else 0)
+        yield Block(numbers, first, np.diff(np.append(first, len(line))), start, end, data)
+        number += len(ends) + len(breaks)
+        at = stop

@@ -3,7 +3,6 @@ would let pass (indices out of range, values that are not finite, faces without 
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,9 +12,14 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.matrices import cosine_and_sine
-from antdsl.scene.geometry.mesh_text import MeshError, read_obj, read_stl_text
-from antdsl.scene.geometry.ply import HeaderError, read_header, read_triangles
-from antdsl.scene.geometry.ply_body import read_faces
+from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.obj_file import read_obj
+from antdsl.scene.geometry.ply import HeaderError
+from antdsl.scene.geometry.ply_body import read_ply
+from antdsl.scene.geometry.polygon_mesh import PolygonMesh
+from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
+from antdsl.scene.geometry.stl_file import read_stl
 from antdsl.scene.setting import MeshData
 from antdsl.scene.staging.cached import once_a_mesh
 
@@ -57,22 +61,48 @@ def _read(data: bytes, name: str, group: str | None) -> RawMesh:
     return mesh
 
 
-def mesh_arrays(data: bytes, name: str, group: str | None = None) -> tuple[Floats, Faces]:
-    """As `read_mesh`, all that the file has, nothing looked at but what reading needs."""
+def mesh_arrays(data: bytes, name: str, group: str | None = None, notes: ImportNotes | None = None) -> tuple[Floats, Faces]:
+    """As `read_mesh`, all triangles that the file has; nothing is checked but what reading needs. `notes` takes what was left out."""
+    notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     reader = READERS.get(kind)
     if reader is None:
         raise MeshError(f"is not one of {', '.join('.' + k for k in READERS)}")
+    if group is not None and kind != "obj":
+        raise MeshError("has no groups, as only .obj files do", "leave `group` out")
     try:
-        if group is not None:
-            if kind != "obj":
-                raise MeshError("has no groups, as only .obj files do", "leave `group` out")
-            return read_obj(data, group)
-        return reader(data)
-    except MeshError:
+        return _cut(read_obj(data, notes, group) if kind == "obj" else reader(data, notes), notes)
+    except (MeshError, MemoryError):
         raise
+    except HeaderError as why:
+        raise MeshError(str(why)) from None
+    except TooManyCorners as why:
+        raise MeshError(str(why), "cut it into smaller faces in the program that made the mesh") from None
     except Exception as problem:  # a reader of other people's making meets a file of other people's making
         raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
+
+
+def _cut(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
+    """The polygons of a mesh as triangles."""
+    wrong = np.flatnonzero((mesh.indices < 0) | (mesh.indices >= len(mesh.points)))
+    if len(wrong):
+        face = int(np.searchsorted(np.cumsum(mesh.counts), wrong[0], side="right"))
+        raise MeshError(f"has a face (number {face}) that names a vertex which is not there")
+    if np.maximum(mesh.counts - 2, 0).sum() > limits.MESH_FACES:
+        raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
+    points = mesh.points
+    bad = ~(np.isfinite(points).all(axis=1) & (np.abs(points) < 1e30).all(axis=1))
+    if bad.any():
+        wrong = np.flatnonzero(bad[mesh.indices])
+        if len(wrong):
+            raise MeshError(f"has a vertex (number {mesh.indices[wrong[0]]}) that is not a finite point")
+    found = triangulate(points, mesh.counts, mesh.indices)
+    small = mesh.counts < 3
+    notes.skip("faces of fewer than three corners", int(small.sum()))
+    notes.cut, notes.concave, notes.crossing = found.cut, found.concave, len(found.crossing)
+    notes.crossing_face = found.crossing[0] if found.crossing else 0
+    notes.vertices, notes.triangles = len(points), len(found.corners)
+    return points, mesh.indices[found.corners]
 
 
 def sound(vertices: Floats, faces: Faces) -> RawMesh:
@@ -126,36 +156,7 @@ def _first_of_each(rows: Faces, bound: int) -> NDArray[np.int64]:
     return np.asarray(first, np.int64)
 
 
-def _read_ply(data: bytes) -> tuple[Floats, Faces]:
-    """A .ply file, after its header was held against the size of the file."""
-    try:
-        header = read_header(data)
-        found = read_triangles(data, header)
-        return read_faces(data, header) if found is None else found
-    except HeaderError as why:
-        raise MeshError(str(why)) from None
-
-
-def _read_stl(data: bytes) -> tuple[Floats, Faces]:
-    """A .stl file, binary or text, with the corners that lie at one point joined."""
-    if len(data) >= 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
-        count = struct.unpack_from("<I", data, 80)[0]
-        if count > limits.MESH_FACES:
-            raise MeshError(f"says it has {count:,} faces, more than {limits.MESH_FACES:,}", "use a lighter mesh")
-        rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, 84)
-        corners = rows["corners"].reshape(-1, 3).astype(np.float64)
-    elif data[: 64 * limits.KIB].lstrip()[:5].lower() == b"solid" and b"facet" in data[: 64 * limits.KIB].lower():
-        corners = read_stl_text(data)
-    else:
-        raise MeshError("is not a .stl file, or a part of it is missing")
-    wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
-    if len(wrong):
-        raise MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
-    vertices, inverse = np.unique(corners, axis=0, return_inverse=True)
-    return vertices, inverse.reshape(-1, 3).astype(np.int64)
-
-
-READERS: dict[str, Callable[[bytes], tuple[Floats, Faces]]] = {"ply": _read_ply, "obj": read_obj, "stl": _read_stl}
+READERS: dict[str, Callable[[bytes, ImportNotes], PolygonMesh]] = {"ply": read_ply, "obj": read_obj, "stl": read_stl}
 
 
 def turned_up(points: Floats, own: str, wanted: str) -> Floats:

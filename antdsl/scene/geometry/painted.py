@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.arrays import ArrayFileError, read_arrays
-from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_columns, read_header
+from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
+from antdsl.scene.geometry.ply_body import read_columns
 
 Floats = NDArray[np.float64]
 

@@ -1,172 +1,308 @@
-"""Vertices and faces of any .ply file, text or binary, polygons of whatever kinds: element by element, each count held against
-what is left of the file before it is used."""
+"""Bodies of .ply files, text or binary: element after element as columns, each count held against what is left of the file."""
 
 from __future__ import annotations
 
 import struct
-from array import array
-from collections.abc import Iterator
-from itertools import islice
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.scene.geometry.mesh_text import MeshError, fan, lines_of, number_of, points_of, shown, triangles_of
-from antdsl.scene.geometry.ply import Element, Header, HeaderError, rows_of
+from antdsl import limits
+from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.mesh_text import Block, MeshError, blocks, plain_text, shown
+from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
+from antdsl.scene.geometry.polygon_mesh import PolygonMesh
+from antdsl.scene.geometry.polygons import strip_triangles
 
 Floats = NDArray[np.float64]
-Faces = NDArray[np.int64]
+Whole = NDArray[np.int64]
 
-_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
-_INDEX = ("vertex_indices", "vertex_index")
+_INDEX = ("vertex_indices", "vertex_index", "vertexindices", "vertex_indexes")
+_SHORT = "is shorter than its header says"
 
 
-def read_faces(data: bytes, header: Header) -> tuple[Floats, Faces]:
-    """Vertices and triangles; HeaderError or MeshError where the body is not as the header says."""
-    vertex = next((e for e in header.elements if e.name == "vertex"), None)
-    face = next((e for e in header.elements if e.name == "face"), None)
-    if vertex is None or face is None or not face.count:
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """The values of a property of all elements of one name, one after the other; of a list `counts` says how many each has."""
+
+    values: NDArray[Any]
+    counts: Whole | None = None
+
+
+Columns = Mapping[str, Column]
+
+
+def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
+    """Vertices and polygons of a file, triangle strips cut up; HeaderError or MeshError says what is wrong."""
+    header = read_header(data)
+    notes.form = {"": "text", "<": "binary", ">": "binary (big-endian)"}[header.order] + " .ply"
+    named = {e.name.lower(): e for e in reversed(header.elements)}
+    vertex, face, strips = (named.get(word) for word in ("vertex", "face", "tristrips"))
+    wanted: dict[int, Collection[str]] = {}
+    if vertex is None or not any(e is not None and e.count for e in (face, strips)):
         raise HeaderError("has no faces")
-    if not {"x", "y", "z"} <= {p.name for p in vertex.properties if not p.count}:
+    axes = {p.name.lower(): p.name for p in vertex.properties if not p.count}
+    if not {"x", "y", "z"} <= axes.keys():
         raise HeaderError("has vertices without x, y and z")
-    _corners_of(face)
-    read = _Binary(data, header) if header.order else _Text(data, header)
-    points, triangles = np.empty((0, 3)), array("q")
-    for element in header.elements[: max(header.elements.index(vertex), header.elements.index(face)) + 1]:
-        if element is vertex:
-            points = read.points(element)
-        elif element is face:
-            for corners in read.lists(element, _corners_of(face)):
-                if len(corners) > 2:  # points and lines have no area
-                    fan(triangles, corners)
+    wanted[id(vertex)] = [axes[axis] for axis in "xyz"]
+    lists = {id(e): _corners_of(e) for e in (face, strips) if e is not None and e.count}
+    wanted |= {key: [name] for key, name in lists.items()}
+    for element in header.elements:
+        if element.count and id(element) not in wanted:
+            notes.skip(f"element `{shown(element.name.encode())}` ({element.count:,})")
+    found = read_elements(data, header, wanted, notes)
+    columns = found[id(vertex)]
+    points = np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1).astype(np.float64)
+    counts, indices = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    for element in (face, strips):
+        if element is None or not element.count:
+            continue
+        column = found[id(element)][lists[id(element)]]
+        assert column.counts is not None
+        if element is face:
+            counts.append(column.counts)
+            indices.append(column.values)
         else:
-            read.skip(element)
-    return points, triangles_of(triangles)
+            triangles = strip_triangles(_with_restarts(column.values, column.counts))
+            counts.append(np.full(len(triangles), 3))
+            indices.append(triangles.reshape(-1))
+    return PolygonMesh(points, np.concatenate(counts), np.concatenate(indices))
 
 
-def _corners_of(face: Element) -> int:
-    """Which property of a face lists its corners."""
-    lists = [k for k, p in enumerate(face.properties) if p.count]
-    named = [k for k in lists if face.properties[k].name in _INDEX] or lists
+def _with_restarts(values: Whole, counts: Whole) -> Whole:
+    """The corners of several strips with -1 between them."""
+    return np.insert(values, np.cumsum(counts)[:-1], -1)
+
+
+def _corners_of(element: Element) -> str:
+    """The name of the property that lists the corners of a face or strip."""
+    lists = [p for p in element.properties if p.count]
+    named = [p for p in lists if p.name.lower() in _INDEX] or lists
     if len(named) != 1:
         raise HeaderError("has faces that do not list their vertices once")
-    if face.properties[named[0]].kind[0] == "f" or face.properties[named[0]].count in ("f4", "f8"):
+    if named[0].kind[0] == "f" or str(named[0].count)[0] == "f":
         raise HeaderError("has faces that name their vertices by numbers that are not whole")
-    return named[0]
+    return named[0].name
+
+
+def read_columns(data: bytes, header: Header, element: Element, names: Sequence[str]) -> Floats:
+    """Some single-valued properties of one element, (count, len(names)); HeaderError where the body is not as the header says."""
+    try:
+        found = read_elements(data, header, {id(element): names}, ImportNotes())[id(element)]
+    except MeshError as why:
+        raise HeaderError(str(why)) from None
+    return np.stack([found[name].values for name in names], axis=1).astype(np.float64).reshape(-1, len(names))
+
+
+def read_elements(
+    data: bytes, header: Header, wanted: Mapping[int, Collection[str]], notes: ImportNotes
+) -> dict[int, Columns]:
+    """The columns that are wanted, by the id of an element of the header and the property's name. What is not wanted is skipped."""
+    for element in header.elements:
+        names = [p.name for p in element.properties]
+        if len(set(names)) != len(names):
+            raise HeaderError(f"{_SHORT}, or names a property of `{shown(element.name.encode())}` twice")
+    read: _Text | _Binary = _Binary(data, header) if header.order else _Text(data, header)
+    found: dict[int, Columns] = {}
+    for element in header.elements:
+        if len(found) == len(wanted):
+            break
+        columns = read.columns(element, wanted.get(id(element), ()))
+        if id(element) in wanted:
+            found[id(element)] = columns
+    else:
+        read.note_rest(notes)
+    return found
 
 
 class _Text:
     """One line an element; blank lines are passed over."""
 
     def __init__(self, data: bytes, header: Header) -> None:
-        lines = lines_of(data, header.body, 1 + data.count(b"\n", 0, header.body))
-        self._lines = ((number, line) for number, line in lines if not line.isspace())
+        self._blocks = blocks(plain_text(data[header.body :]), header.line)
+        self._open: Block | None = None
 
-    def _rows(self, element: Element) -> Iterator[tuple[int, list[bytes]]]:
+    def _lines(self, count: int) -> Iterator[Block]:
+        """Blocks with so many lines; fewer where the file ends."""
+        while count > 0:
+            block = self._open if self._open is not None and len(self._open) else next(self._blocks, None)
+            if block is None:
+                return
+            yield block.slice(0, count)
+            self._open = block.slice(count, len(block))
+            count -= min(count, len(block))
+
+    def note_rest(self, notes: ImportNotes) -> None:
+        """Note what stands after the last element."""
+        for block in ([self._open] if self._open is not None else []) + list(self._blocks):
+            if len(block):
+                notes.skip("lines after the last element", len(block), int(block.number[0]))
+
+    def columns(self, element: Element, wanted: Collection[str]) -> Columns:
+        parts: dict[str, list[Column]] = {name: [] for name in wanted}
         count = 0
-        for number, line in islice(self._lines, element.count):
-            count += 1
-            yield number, line.split()
+        for block in self._lines(element.count):
+            count += len(block)
+            if wanted:
+                self._read(block, element, parts)
         if count < element.count:
-            raise HeaderError(f"is shorter than its header says: it has {count:,} of {element.count:,} {element.name} lines")
+            what = shown(element.name.encode())
+            raise HeaderError(f"{_SHORT}: it has {count:,} of {element.count:,} {what} lines")
+        return {name: _joined(each) for name, each in parts.items()}
 
-    def skip(self, element: Element) -> None:
-        for _ in self._rows(element):
-            pass
-
-    def points(self, element: Element) -> Floats:
-        numbers = array("d")
-        names = [p.name for p in element.properties]
-        simple = not any(p.count for p in element.properties)
-        at = [names.index(axis) for axis in "xyz"]
-        for number, words in self._rows(element):
-            places = at if simple else self._places(element, words, number)
-            try:
-                if simple and len(words) != len(names):
-                    raise ValueError
-                numbers.extend([number_of(words[places[k] if not simple else k]) for k in at])
-            except (ValueError, IndexError):
-                raise HeaderError(f"has no whole vertex in line {number}") from None
-        return points_of(numbers)
-
-    def lists(self, element: Element, which: int) -> Iterator[list[int]]:
-        for number, words in self._rows(element):
-            place = 0 if which == 0 else self._places(element, words, number)[which]
-            try:
-                count = _whole(words[place])
-                corners = [_whole(word) for word in words[place + 1 : place + 1 + count]] if count >= 0 else []
-                if len(corners) != count:
-                    raise ValueError
-            except (ValueError, IndexError):
-                words_shown = shown(b" ".join(words[:6]))
-                raise HeaderError(f"has no whole face in line {number}: `{words_shown}`") from None
-            yield corners
+    def _read(self, block: Block, element: Element, parts: Mapping[str, list[Column]]) -> None:
+        at, what = block.first, shown(element.name.encode())
+        stop = block.first + block.count
+        last = max(k for k, p in enumerate(element.properties) if p.name in parts)
+        for p in element.properties[: last + 1] if any(p.count for p in element.properties) else element.properties:
+            self._check(block, at < stop, what)
+            if p.count is None:
+                if p.name in parts:
+                    parts[p.name].append(Column(block.floats(at, f"`{shown(p.name.encode())}` of a {what}")))
+                at = at + 1
+                continue
+            count, whole = block.integers(at)
+            self._check(block, whole & (count >= 0), what)
+            self._check(block, at + 1 + count <= stop, what)
+            if p.name in parts:
+                within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+                places = np.repeat(at + 1, count) + within
+                values, are_whole = block.integers(places)
+                if not are_whole.all():
+                    line = block.number_of(int(places[np.flatnonzero(~are_whole)[0]]))
+                    self._check(block, block.number != line, what)
+                parts[p.name].append(Column(values, count))
+            at = at + 1 + count
+        if not any(p.count for p in element.properties):
+            self._check(block, at == stop, what)
 
     @staticmethod
-    def _places(element: Element, words: list[bytes], number: int) -> list[int]:
-        """At which word each property begins."""
-        found, at = [], 0
-        for each in element.properties:
-            found.append(at)
-            try:
-                at += 1 if each.count is None else 1 + max(_whole(words[at]), 0)
-            except (ValueError, IndexError):
-                raise HeaderError(f"has a line {number} that is shorter than its header says") from None
-        return found
+    def _check(block: Block, right: NDArray[np.bool_], what: str) -> None:
+        if not right.all():
+            k = int(np.flatnonzero(~right)[0])
+            text = shown(b" ".join(block.line(k)[:6]))
+            raise HeaderError(f"has no whole {what} in line {block.number[k]:,}: `{text}`")
 
 
-def _whole(word: bytes) -> int:
-    if len(word) > 20 or not word.removeprefix(b"-").isdigit():
-        raise ValueError(word)
-    return int(word)
+def _joined(parts: list[Column]) -> Column:
+    if not parts:
+        return Column(np.empty(0), np.empty(0, np.int64))
+    counts = [part.counts for part in parts if part.counts is not None]
+    return Column(np.concatenate([part.values for part in parts]), np.concatenate(counts) if counts else None)
 
 
 class _Binary:
     def __init__(self, data: bytes, header: Header) -> None:
-        self._data, self._header, self._at = data, header, header.body
+        self._data, self._order, self._at = data, header.order, header.body
 
-    def skip(self, element: Element) -> None:
-        if any(p.count for p in element.properties):
-            for _ in self.lists(element, -1):
-                pass
-        else:
-            self._at += element.count * element.least()
+    def note_rest(self, notes: ImportNotes) -> None:
+        """Note what stands after the last element."""
+        rest = len(self._data) - self._at
+        if rest > 2:  # a line end that an editor added
+            notes.skip(f"{rest:,} bytes after the last element")
 
-    def points(self, element: Element) -> Floats:
-        if any(p.count for p in element.properties):
-            raise HeaderError("has vertices with lists, which are not read")
-        rows = rows_of(self._data, self._header, self._at, element, [(p.name, p.kind) for p in element.properties])
-        if rows is None:
-            raise HeaderError("is shorter than its header says, or names a property twice")
+    def columns(self, element: Element, wanted: Collection[str]) -> Columns:
+        if not element.count:
+            return {p.name: Column(np.empty(0), np.empty(0, np.int64) if p.count else None) for p in element.properties}
+        lengths = self._lengths(element)
+        if lengths is None:
+            return self._uneven(element, wanted)
+        layout: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
+        for p in element.properties:
+            if p.count is not None:
+                layout += [(f"{p.name}#", self._order + p.count), (p.name, self._order + p.kind, (lengths[p.name],))]
+            else:
+                layout.append((p.name, self._order + p.kind))
+        kind = np.dtype(layout)
+        if self._at + element.count * kind.itemsize > len(self._data):
+            return self._uneven(element, wanted)
+        rows = np.frombuffer(self._data, kind, element.count, self._at)
+        if any((rows[f"{name}#"] != length).any() for name, length in lengths.items()):
+            return self._uneven(element, wanted)
         self._at += rows.nbytes
-        return np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
+        found = {}
+        for p in element.properties:
+            if p.name in wanted and p.count is None:
+                found[p.name] = Column(rows[p.name])
+            elif p.name in wanted:
+                found[p.name] = Column(rows[p.name].astype(np.int64).reshape(-1), np.full(element.count, lengths[p.name]))
+        return found
 
-    def lists(self, element: Element, which: int) -> Iterator[list[int]]:
-        """Each element's list of the number `which`; of none, empty ones."""
-        order, data, at = self._header.order, self._data, self._at
-        single = [(struct.Struct(order + _CODES[p.kind]), None) for p in element.properties]
-        counts = [None if p.count is None else struct.Struct(order + _CODES[p.count]) for p in element.properties]
+    def _lengths(self, element: Element) -> dict[str, int] | None:
+        """How long the lists of the first element are: most often all are as long. None where they cannot be."""
+        at, found = self._at, {}
+        for p in element.properties:
+            if p.count is not None:
+                length = self._whole(p.count, at, element, 0)
+                if length * np.dtype(p.kind).itemsize > len(self._data) - at:
+                    return None
+                found[p.name] = length
+                at += np.dtype(p.count).itemsize + length * np.dtype(p.kind).itemsize
+            else:
+                at += np.dtype(p.kind).itemsize
+        return found
+
+    def _whole(self, kind: str, at: int, element: Element, row: int) -> int:
+        if at + np.dtype(kind).itemsize > len(self._data):
+            raise HeaderError(f"{_SHORT}: it ends in its {shown(element.name.encode())} {row}")
+        count = np.frombuffer(self._data, self._order + kind, 1, at)[0]
+        if not (count >= 0 and np.isfinite(count)):
+            raise HeaderError(f"has a list of {count:,} values in its {shown(element.name.encode())} {row}, more than the file has")
+        return int(count)
+
+    def _uneven(self, element: Element, wanted: Collection[str]) -> Columns:
+        """Lists of different lengths: one element after the other to find where each begins, then all values at once."""
+        data, at, name = self._data, self._at, shown(element.name.encode())
+        starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in wanted}
+        counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in wanted and p.count}
+        steps = [_step(self._order, p.kind, p.count) for p in element.properties]
+        names = [p.name if p.name in wanted else "" for p in element.properties]
         try:
             for row in range(element.count):
-                corners: list[int] = []
-                for k, (one, _) in enumerate(single):
-                    each = counts[k]
-                    if each is None:
-                        at += one.size
-                        continue
-                    count = int(each.unpack_from(data, at)[0])
-                    at += each.size
-                    if count < 0 or count * one.size > len(data) - at:
-                        raise HeaderError(f"has a list of {count:,} values in its {element.name} {row}, more than the file has")
-                    if k == which:
-                        corners = list(struct.unpack_from(f"{order}{count}{one.format[-1]}", data, at))
-                    at += count * one.size
+                for (size, read, head), key in zip(steps, names, strict=True):
+                    count = 1
+                    if read is not None:
+                        count = int(read(data, at)[0])
+                        at += head
+                        if count < 0 or count * size > len(data) - at:
+                            raise HeaderError(f"has a list of {count:,} values in its {name} {row}, more than the file has")
+                    if key:
+                        starts[key].append(at)
+                        if read is not None:
+                            counts[key].append(count)
+                    at += count * size
                 if at > len(data):
-                    raise HeaderError(f"is shorter than its header says: it ends in its {element.name} {row}")
-                yield corners
+                    raise HeaderError(f"{_SHORT}: it ends in its {name} {row}")
         except (struct.error, OverflowError, ValueError):
-            raise HeaderError(f"is shorter than its header says: it ends among its {element.name}s") from None
+            raise HeaderError(f"{_SHORT}: it ends among its {name}s") from None
         self._at = at
+        found = {}
+        for p in element.properties:
+            if p.name in wanted:
+                count = np.array(counts[p.name], np.int64) if p.count else np.ones(element.count, np.int64)
+                values = self._gathered(np.array(starts[p.name], np.int64), count, p.kind)
+                found[p.name] = Column(values.astype(np.int64), count) if p.count else Column(values)
+        return found
+
+    def _gathered(self, start: Whole, count: Whole, kind: str) -> NDArray[Any]:
+        size, total = np.dtype(kind).itemsize, int(count.sum())
+        if total * size > limits.MESH_BYTES:
+            raise HeaderError(_SHORT)
+        within = np.arange(total) - np.repeat(np.cumsum(count) - count, count)
+        at = np.repeat(start, count) + within * size
+        raw = np.frombuffer(self._data, np.uint8)[at[:, None] + np.arange(size)]
+        return np.ascontiguousarray(raw).view(self._order + kind)[:, 0]
 
 
-__all__ = ["MeshError", "read_faces"]
+_CODES = {
+    "i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f4": "f", "f8": "d",
+}  # fmt: skip
+
+
+def _step(order: str, kind: str, count: str | None) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
+    """Bytes of one value, and for a list how its length is read, and the bytes of that."""
+    read = None if count is None else struct.Struct(order + _CODES[count])
+    return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

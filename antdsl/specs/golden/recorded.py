@@ -19,12 +19,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from antdsl import __version__, limits
 from antdsl.bounded import TooLarge, read_bounded
-from antdsl.outputs.cache.npz import write_whole
 from antdsl.program.model import Program
 from antdsl.runtime import World, state_hash
 from antdsl.specs.cases import Run
 from antdsl.specs.golden.differences import Difference, differences
 from antdsl.specs.golden.fingerprints import columns, digest
+from antdsl.whole import write_whole
 
 STATIONS = 48
 _BYTES = 64 * limits.MIB
@@ -136,7 +136,7 @@ def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
             json.dumps(frame.model_dump(exclude_defaults=True), ensure_ascii=False, separators=(",", ":")) for frame in run.frames
         )
         lines.append(f'{head}{told}}},\n"frames": [\n{frames}\n]}}{"," if number + 1 < len(ordered) else ""}')
-    write_whole(path, ("\n".join(lines) + "\n]}\n").encode(), sync=False)
+    write_whole(path, ("\n".join(lines) + "\n]}\n").encode())
 
 
 class Recorder:

@@ -195,9 +195,11 @@ class Grids:
         return found.tables
 
     def _sorted(self, world: World, other: Population, size: float) -> _Crowd | None:
-        """None where NumPy has to sort: where some are without a place, and of a crowd so far apart that its cells are not
-        listed."""
+        """None where NumPy has to sort: where some are without a place, of a crowd so far apart that its cells are not listed,
+        and of no agents at all."""
         count = len(other)
+        if not count:
+            return None
         crowd, threads = self._kept.get((other.name, size)), world.options.threads
         if crowd is None or crowd.count != count or crowd.threads != threads:
             crowd = self._kept[other.name, size] = _Crowd(count, threads)
@@ -206,7 +208,7 @@ class Grids:
         if places is None:
             places = self._places[other.name] = _Places()
         places.look(other, self._step, self._bounds, self._rooms)
-        if not places.corners or not count:
+        if not places.corners:
             return None
         if crowd.box is None or not crowd.box.suits(places.corners, self._step):
             box = _Box(places.corners, self._step + _AGAIN)
@@ -245,9 +247,9 @@ class Grids:
 
 
 def _shared(count: int, threads: int) -> list[tuple[int, int]]:
-    """The first row and the one after the last that each thread has of so many, where several pay."""
+    """The first row and the one after the last that each thread has of so many, where several pay; no part of no rows."""
     threads = max(1, min(threads, cores())) if count >= _PARTED else 1
-    part = -(-count // (WIDTH * threads)) * WIDTH
+    part = max(-(-count // (WIDTH * threads)), 1) * WIDTH
     return [(begin, min(begin + part, count)) for begin in range(0, count, part)]
 
 

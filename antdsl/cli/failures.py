@@ -1,0 +1,41 @@
+"""Failures of the disk and of memory: what could not be done, with which file, and how to continue."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from antdsl.cli.exits import Exit, Stop
+
+AGAIN = "run the same command again"
+_FIRST = {
+    errno.ENOSPC: "make room, then",
+    errno.EDQUOT: "make room, then",
+    errno.EACCES: "allow writing there, then",
+    errno.EPERM: "allow writing there, then",
+    errno.ENOLCK: "name a folder on a disk that has file locks, then",
+    errno.EROFS: "make the disk writable, then",
+}
+_OTHERWISE = "once that is mended,"
+
+
+@contextmanager
+def report_failures(what: str, again: str = AGAIN) -> Iterator[None]:
+    """End the command with exit code 3 where the disk or memory fails. `what` could not be done; `again`: how to continue."""
+    try:
+        yield
+    except BrokenPipeError:  # the reader of standard output is gone: that is not the disk
+        raise
+    except (OSError, MemoryError) as problem:
+        raise failure(problem, what, again) from None
+
+
+def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) -> Stop:
+    """The end of a command for a failure of the disk or of memory."""
+    if isinstance(problem, MemoryError):
+        words = "error: out of memory; fewer agents, larger cells or a lighter mesh need less"
+        return Stop(Exit.INPUT_OUTPUT, words, f"once there is more, {again}")
+    place = f": `{problem.filename}`" if problem.filename else ""
+    words = f"error: {what}{': ' if what else ''}{(problem.strerror or str(problem)).lower()}{place}"
+    return Stop(Exit.INPUT_OUTPUT, words, f"{_FIRST.get(problem.errno or 0, _OTHERWISE)} {again}")

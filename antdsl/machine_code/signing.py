@@ -1,0 +1,112 @@
+"""Signs stored machine code with a secret key of the user, so that code that anything else wrote is never run.
+
+The key is 32 random bytes in a file that only the user may read, below the home folder of the password database. What signs is
+derived from it, the user's number and the machine's, so that a copied key and cache are of no use elsewhere."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sys
+import time
+from contextlib import suppress
+from functools import cache
+from hashlib import blake2b
+from hmac import compare_digest
+from pathlib import Path
+
+from antdsl.bounded import read_bounded
+from antdsl.user_folders import NotPrivate, cache_folder, make_private_folder, read_private
+from antdsl.whole import create_complete
+
+SIGNATURE_BYTES = 32
+_KEY_BYTES = 32
+_ATTEMPTS = 50  # of reading or creating the key
+_PAUSE = 0.01  # s between two of them, while another process creates it
+_MACHINE_IDS = ("/etc/machine-id", "/var/lib/dbus/machine-id", "/etc/hostid")
+
+
+class Signer:
+    """Makes and checks signatures with a key that is derived from `secret`, this user and this machine."""
+
+    def __init__(self, secret: bytes) -> None:
+        user = os.geteuid() if hasattr(os, "geteuid") else os.environ.get("USERNAME", "")
+        self._key = blake2b(f"{user}\n{machine_id()}".encode(), key=secret, person=b"antdsl code").digest()
+
+    def name(self, key: str) -> str:
+        """The file name for a key: 64 hexadecimal digits, others for another user or machine."""
+        return blake2b(key.encode(), key=self._key, digest_size=32, person=b"name").hexdigest()
+
+    def sign(self, key: str, data: bytes) -> bytes:
+        """The signature of data that is stored under a key."""
+        hashed = blake2b(key.encode() + b"\0", key=self._key, digest_size=SIGNATURE_BYTES, person=b"content")
+        hashed.update(data)
+        return hashed.digest()
+
+    def is_signed(self, key: str, data: bytes, signature: bytes) -> bool:
+        """Whether `sign` gave this signature; takes the same time wherever they differ."""
+        return compare_digest(self.sign(key, data), signature)
+
+
+def key_file() -> Path:
+    """Where the key lies. OSError where there is no home folder."""
+    return cache_folder() / "antdsl" / "key"
+
+
+def signer(*, create: bool) -> Signer | None:
+    """The signer of this user; None where there is no usable key and `create` is false. With it, a key is created, and one that
+    others may know, or of another length, is replaced. OSError says why there can be none."""
+    path = key_file()
+    for attempt in range(_ATTEMPTS):
+        try:
+            return Signer(_read_key(path))
+        except OSError as problem:
+            if not create:
+                return None
+            make_private_folder(path.parent)
+            if isinstance(problem, NotPrivate) and _has_two_names(path) and attempt < _ATTEMPTS // 2:
+                time.sleep(_PAUSE)  # another process is just creating it
+                continue
+            if not isinstance(problem, FileNotFoundError):
+                with suppress(FileNotFoundError):
+                    os.unlink(path)
+        with suppress(FileExistsError):
+            create_complete(path, secrets.token_bytes(_KEY_BYTES), mode=0o600)
+    raise NotPrivate(0, f"no private key can be stored in `{path}`")
+
+
+def _read_key(path: Path) -> bytes:
+    secret = read_private(path, _KEY_BYTES)
+    if len(secret) != _KEY_BYTES:
+        raise OSError(0, "it has another length")
+    return secret
+
+
+def _has_two_names(path: Path) -> bool:
+    with suppress(OSError):
+        return os.lstat(path).st_nlink == 2
+    return False
+
+
+@cache
+def machine_id() -> str:
+    """What tells this machine from others and stays the same when it is started again; empty where the system has nothing."""
+    if sys.platform == "win32":
+        import winreg
+
+        with suppress(OSError), winreg.OpenKey(winreg.HKEY_LOCAL_MACHINE, r"SOFTWARE\Microsoft\Cryptography") as opened:
+            return str(winreg.QueryValueEx(opened, "MachineGuid")[0])
+        return ""
+    if sys.platform == "darwin":
+        import ctypes
+
+        number, wait = (ctypes.c_ubyte * 16)(), (ctypes.c_long * 2)()
+        with suppress(OSError, AttributeError):
+            if ctypes.CDLL(None).gethostuuid(number, wait) == 0:
+                return bytes(number).hex()
+        return ""
+    for path in _MACHINE_IDS:
+        with suppress(OSError):
+            if found := read_bounded(path, 4096).decode("ascii", "replace").strip():
+                return found
+    return ""

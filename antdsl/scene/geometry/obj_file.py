@@ -1,0 +1,149 @@
+"""Wavefront .obj files: vertices and polygons of all groups or of one. What else holds geometry is counted, not read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.mesh_text import VERTICES, Block, Floats, MeshError, Whole, blocks, check_count, check_text, plain_text, shown
+from antdsl.scene.geometry.polygon_mesh import PolygonMesh
+
+# Keywords without geometry: names, looks, numbers that belong to vertices.
+_SILENT = frozenset(
+    b"vn vt g o s mg usemtl mtllib usemap maplib shadow_obj trace_obj lod bevel c_interp d_interp".split()
+)
+_ELEMENTS = {b"l": "lines", b"p": "points", b"curv": "curves", b"curv2": "curves", b"surf": "surfaces"}
+_FREE_FORM = frozenset(
+    b"vp cstype deg bmat step parm trim hole scrv sp end con stech ctech bzp bsp cdc cdp res".split()
+)
+
+
+def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> PolygonMesh:
+    """Vertices and polygons of a file, of one group or object where one is named; MeshError says what is wrong."""
+    notes.form = "Wavefront .obj"
+    check_text(data)
+    reader = _Reader(notes, group)
+    for block in blocks(plain_text(data)):
+        reader.add(block)
+    return reader.mesh()
+
+
+@dataclass(slots=True)
+class _Reader:
+    notes: ImportNotes
+    group: str | None
+    points: list[Floats] = field(default_factory=list)
+    indices: list[Whole] = field(default_factory=list)
+    counts: list[Whole] = field(default_factory=list)
+    lines: list[Whole] = field(default_factory=list)
+    vertices: int = 0
+    corners: int = 0
+    names: dict[str, None] = field(default_factory=dict)
+    in_group: bool = False
+    in_object: bool = False
+
+    def add(self, block: Block) -> None:
+        """Read the lines of a block."""
+        kind = block.letters()
+        vertex, face = kind == b"v", (kind == b"f") | (kind == b"fo")
+        before = self.vertices + np.cumsum(vertex)
+        if vertex.any():
+            self._vertices(block.number[vertex], block.first[vertex], block.count[vertex], block)
+        chosen = face
+        if self.group is not None:
+            chosen = face & self._is_chosen(block, kind)
+        if chosen.any():
+            self._faces(block, np.flatnonzero(chosen), before[chosen])
+        rest = ~(vertex | face | (kind == b"vn") | (kind == b"vt"))
+        for k in np.flatnonzero(rest).tolist():
+            word = block.line(k)[0].lower()
+            if word in _SILENT:
+                continue
+            line = int(block.number[k])
+            if word in _ELEMENTS:
+                self.notes.skip(f"{_ELEMENTS[word]} (`{word.decode()}`)", 1, line)
+            elif word in _FREE_FORM:
+                self.notes.skip("free-form geometry", 1, line)
+            else:
+                self.notes.skip(f"unknown keyword `{shown(word)}`", 1, line)
+
+    def _vertices(self, number: Whole, first: Whole, count: Whole, block: Block) -> None:
+        short = np.flatnonzero(count < 4)
+        if len(short):
+            raise MeshError(f"has a vertex of fewer than three numbers in line {number[short[0]]:,}")
+        self.vertices += len(first)
+        check_count(self.vertices, VERTICES, "vertices")
+        self.points.append(block.floats(first[:, None] + np.arange(1, 4), "a vertex"))
+
+    def _faces(self, block: Block, lines: Whole, before: Whole) -> None:
+        count = block.count[lines] - 1
+        number = block.number[lines]
+        short = np.flatnonzero(count < 3)
+        if len(short):
+            raise MeshError(f"has a face of fewer than three corners in line {number[short[0]]:,}")
+        self.corners += int(count.sum())
+        check_count(self.corners // 3, limits.MESH_FACES, "faces")
+        within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+        at = np.repeat(block.first[lines] + 1, count) + within
+        index, whole = block.integers(at, slash=True)
+        wrong = np.flatnonzero(~whole | (index == 0))
+        if len(wrong):
+            word = block.words[at[wrong[0]]]
+            raise MeshError(f"has a corner `{shown(word)}` that is no vertex number in line {block.number_of(int(at[wrong[0]])):,}")
+        back = np.repeat(before, count)
+        absent = np.flatnonzero(index < -back)
+        if len(absent):
+            raise MeshError(_not_there(int(index[absent[0]]), block.number_of(int(at[absent[0]]))))
+        self.indices.append(np.where(index < 0, back + index, index - 1))
+        self.counts.append(count)
+        self.lines.append(number)
+
+    def _is_chosen(self, block: Block, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
+        """Whether each line stands below the named group or object."""
+        found = np.zeros(len(block), np.bool_)
+        begin = 0
+        for k in np.flatnonzero((kind == b"g") | (kind == b"o")).tolist():
+            found[begin:k] = self.in_group or self.in_object
+            words = [word.decode("utf-8", "replace") for word in block.line(k)[1:]]
+            if kind[k] == b"g":
+                words = words or ["default"]
+                self.in_group = self.group in words
+            else:
+                words = [" ".join(words)]
+                self.in_object = self.group == words[0]
+            if len(self.names) < 1000:
+                self.names.update(dict.fromkeys(word[:60] for word in words[:100]))
+            begin = k
+        found[begin:] = self.in_group or self.in_object
+        return found
+
+    def mesh(self) -> PolygonMesh:
+        """All that was read."""
+        if self.group is not None and not self.counts:
+            raise MeshError(_no_group(self.group, list(self.names)), None)
+        points = np.concatenate(self.points) if self.points else np.empty((0, 3))
+        indices = np.concatenate(self.indices) if self.indices else np.empty(0, np.int64)
+        counts = np.concatenate(self.counts) if self.counts else np.empty(0, np.int64)
+        absent = np.flatnonzero(indices >= len(points))
+        if len(absent):
+            face = int(np.searchsorted(np.cumsum(counts), absent[0], side="right"))
+            raise MeshError(_not_there(int(indices[absent[0]]) + 1, int(np.concatenate(self.lines)[face])))
+        return PolygonMesh(points, counts, indices)
+
+
+def _not_there(vertex: int, line: int) -> str:
+    return f"names a vertex {vertex} that is not there in line {line:,}"
+
+
+def _no_group(group: str, names: list[str]) -> str:
+    from antdsl.diagnostics.suggestion import nearest_name
+
+    if group in names:
+        return f"has no faces in its group `{group}`"
+    near = nearest_name(group, names)
+    there = f"did you mean `{near}`?" if near else "it has " + (", ".join(f"`{n[:40]}`" for n in names[:8]) or "no groups")
+    return f"has no group `{group[:60]}`: {there}"

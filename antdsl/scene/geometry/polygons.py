@@ -1,0 +1,230 @@
+"""Polygons to triangles: the one triangulator for .obj, .ply, USD and bodies, and triangle strips.
+
+Triangles, quads and polygons that a fan from one of their corners covers are cut by NumPy, all of one size at once. A convex polygon
+is a fan about its first corner. The rest, such as a polygon with two arms, goes to mapbox_earcut one by one, on a grid of whole
+numbers: all its products are exact there, so every processor finds the same triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+Corner = tuple[int, int]
+
+CORNERS = 20_000  # of one polygon that no fan covers: cutting it takes about a second
+WORK = 4 * CORNERS**2  # all such polygons of a file: the sum of the squares of their numbers of corners
+_FANS = 8  # corners that are tried as the middle of a fan
+_GRID = 2.0**24  # cells across a polygon: products of two sides stay below 2**53
+_FLAT = 1e-10  # of the square of a polygon's extent: triangles with less area have none
+_OVERLAP = 1e-5  # of a polygon's area: what its triangles may differ from it by rounding to the grid
+
+
+class TooManyCorners(Exception):
+    """Polygons that would take too long to cut; the message fits after a file's name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangulation:
+    """`corners` int64[m, 3]: places in the list of the corners of all polygons; `polygon` int64[m]: the polygon of each triangle, in
+    order. `cut`: how many polygons had more than three corners, `concave`: how many of those a fan about the first corner would
+    not cover. `crossing`: numbers of polygons that cut or cover themselves."""
+
+    corners: Whole
+    polygon: Whole
+    cut: int = 0
+    concave: int = 0
+    crossing: tuple[int, ...] = ()
+
+
+def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
+    """Cut polygons into triangles that keep their winding.
+
+    `points` float64[n, 3]; `counts` int64[p]: corners of each polygon, those of fewer than three have no triangles; `indices`
+    int64[counts.sum()]: the point of each corner, each below n. TooManyCorners where a polygon is too large to cut."""
+    start = np.cumsum(counts) - counts
+    if len(counts) and (counts == 3).all():
+        return Triangulation(np.arange(3 * len(counts)).reshape(-1, 3), np.arange(len(counts)))
+    parts: list[tuple[Whole, Whole]] = []
+    concave, crossing, hard = 0, [], []
+    for count in np.unique(counts[counts > 2]).tolist():
+        these = np.flatnonzero(counts == count)
+        at = start[these][:, None] + np.arange(count)
+        if count == 3:
+            parts.append((these, at[:, None, :]))
+            continue
+        fans, middle, crossed = _fans(points[indices[at]])
+        known = middle >= 0
+        parts.append((these[known], at[known][np.arange(int(known.sum()))[:, None, None], fans[known]]))
+        concave += int((middle != 0).sum())
+        crossing += these[crossed].tolist()
+        hard += these[~known].tolist()
+    _check_work(counts[hard])
+    for number in sorted(hard):
+        at = np.arange(start[number], start[number] + counts[number])
+        found, crossed_itself = _ears(_flat(points[indices[at]][None])[0][0], indices[at])
+        parts.append((np.full(1, number), at[found][None]))
+        if crossed_itself:
+            crossing.append(number)
+    polygon = np.concatenate([np.repeat(these, found.shape[1]) for these, found in parts] or [np.empty(0, np.int64)])
+    corners = np.concatenate([found.reshape(-1, 3) for _, found in parts] or [np.empty((0, 3), np.int64)])
+    order = np.argsort(polygon, kind="stable")
+    return Triangulation(corners[order], polygon[order], int((counts > 3).sum()), concave, tuple(sorted(crossing)))
+
+
+def _check_work(counts: Whole) -> None:
+    if len(counts) and counts.max() > CORNERS:
+        raise TooManyCorners(f"has a concave polygon of {counts.max():,} corners, more than {CORNERS:,}")
+    if (counts.astype(np.float64) ** 2).sum() > WORK:
+        raise TooManyCorners(f"has {len(counts):,} concave polygons with too many corners to cut")
+
+
+def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Polygons [p, n, 3] seen along the axis that their normal is nearest to, counter-clockwise [p, n, 2]; and whether they have
+    an area."""
+    low = rings.min(axis=1, keepdims=True)
+    extent = np.maximum((rings.max(axis=1, keepdims=True) - low).max(axis=2, keepdims=True), 1e-300)
+    unit = (rings - low) / 2.0 ** np.ceil(np.log2(extent))  # a power of two: nothing is rounded
+    following = np.roll(unit, -1, axis=1)
+    normal = np.stack(
+        [
+            ((unit[..., a] * following[..., b]) - (unit[..., b] * following[..., a])).sum(axis=1)
+            for a, b in ((1, 2), (2, 0), (0, 1))
+        ],
+        axis=1,
+    )
+    axis = np.abs(normal).argmax(axis=1)
+    rows = np.arange(len(rings))
+    size = normal[rows, axis]
+    one, two = (axis + 1) % 3, (axis + 2) % 3
+    one, two = np.where(size < 0, two, one), np.where(size < 0, one, two)
+    seen = np.stack([unit[rows, :, one], unit[rows, :, two]], axis=2)
+    return seen, np.abs(size) > _FLAT
+
+
+def _fans(rings: Floats) -> tuple[Whole, Whole, NDArray[np.bool_]]:
+    """For polygons [p, n, 3] the triangles [p, n - 2, 3] of a fan, the corner it is about (-1 where none of those tried covers the
+    polygon), and whether they cross themselves."""
+    number, count = rings.shape[:2]
+    seen, has_area = _flat(rings)
+    middle = np.where(has_area, -1, 0)  # without an area: a fan of nothing
+    step = np.arange(1, count - 1)
+    for k in range(min(count, _FANS)):
+        open_ = np.flatnonzero(middle < 0)
+        if not len(open_):
+            break
+        side = np.roll(seen[open_], -k, axis=1)
+        side = side[:, 1:] - side[:, :1]
+        area = side[:, :-1, 0] * side[:, 1:, 1] - side[:, :-1, 1] * side[:, 1:, 0]
+        # once past half a turn about the middle, the fan must not come back to its first side
+        turn = side[:, :1, 0] * side[:, :, 1] - side[:, :1, 1] * side[:, :, 0]
+        past = np.maximum.accumulate(turn < -_FLAT, axis=1)
+        covers = (area > _FLAT).all(axis=1) & ~(past[:, :-1] & (turn[:, 1:] >= -_FLAT)).any(axis=1)
+        middle[open_[covers]] = k
+    around = np.stack([np.zeros(len(step), np.int64), step, step + 1], axis=1)
+    fans = (around[None] + np.maximum(middle, 0)[:, None, None]) % count
+    return fans, middle, ~has_area & _crosses(rings)
+
+
+def _crosses(rings: Floats) -> NDArray[np.bool_]:
+    """Whether polygons without an area as a whole have triangles with one: they cross themselves, as an 8 does."""
+    side = rings[:, 1:] - rings[:, :1]
+    extent = np.maximum(np.abs(side).max(axis=(1, 2)), 1e-300)
+    across = np.abs(np.cross(side[:, :-1], side[:, 1:])).max(axis=(1, 2), initial=0.0)
+    return np.asarray(across > 1e-6 * extent * extent)
+
+
+def _ears(seen: Floats, names: Whole) -> tuple[Whole, bool]:
+    """Triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise; and whether it crosses itself. `names`: the points
+    of its corners; a point that is named twice, as where a bridge leads to a hole, is one place."""
+    from mapbox_earcut import triangulate_float64
+
+    grid = np.round(seen * _GRID)
+    found = triangulate_float64(grid, np.array([len(grid)], np.uint32)).astype(np.int64).reshape(-1, 3)
+    twice = _twice_areas(grid, found)
+    found[twice < 0] = found[twice < 0][:, [0, 2, 1]]
+    x, y = grid.T
+    whole = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    covered = float(np.abs(twice).sum())
+    corners = [(int(a), int(b)) for a, b in grid]
+    return np.array(_split(found.tolist(), corners), np.int64).reshape(-1, 3), abs(covered - whole) > _OVERLAP * whole
+
+
+def _twice_areas(grid: Floats, triangles: Whole) -> Floats:
+    a, b, c = (grid[triangles[:, k]] for k in range(3))
+    found: Floats = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return found
+
+
+def _split(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]:
+    """Triangles that use the corners on straight sides too, which earcut leaves out: else there would be a crack beside the
+    neighbour that uses them."""
+    count = len(corners)
+    border = {(k, (k + 1) % count) for k in range(count)}
+    edges = {(t[k], t[(k + 1) % 3]) for t in triangles for k in range(3)}
+    loose = {(a, b) for a, b in edges if (a, b) not in border and (b, a) not in edges}
+    if not loose:
+        return triangles
+    # Edges that somebody needs: sides of the polygon, and what lies across from a loose edge.
+    needed: dict[int, list[int]] = {}
+    for a, b in [*(border - edges), *((b, a) for a, b in loose)]:
+        needed.setdefault(a, []).append(b)
+    result: list[list[int]] = []
+    waiting = [list(t) for t in reversed(triangles)]
+    while waiting:
+        triangle = waiting.pop()
+        for k in range(3):
+            a, b, c = triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]
+            chain = _chain(a, b, needed, corners) if (a, b) in loose else []
+            if chain:
+                stops = [a, *chain, b]
+                waiting += [[one, two, c] for one, two in zip(stops, stops[1:], strict=False)][::-1]
+                break
+        else:
+            result.append(triangle)
+    return result
+
+
+def _chain(a: int, b: int, needed: dict[int, list[int]], corners: list[Corner]) -> list[int]:
+    """The corners on the straight way from a to b that needed edges lead through; none where they lead elsewhere."""
+    (ax, ay), (bx, by) = corners[a], corners[b]
+    at, chain = a, []
+    while True:
+        x, y = corners[at]
+        onward = [
+            c
+            for c in sorted(needed.get(at, ()))
+            if c not in chain
+            and c != a
+            and (c != b or chain)
+            and (corners[c][0] - ax) * (by - ay) == (corners[c][1] - ay) * (bx - ax)
+            and (corners[c][0] - x) * (bx - ax) + (corners[c][1] - y) * (by - ay) >= 0
+            and (bx - corners[c][0]) * (bx - ax) + (by - corners[c][1]) * (by - ay) >= 0
+        ]
+        if not onward:
+            return []
+        if b in onward:
+            return chain
+        at = onward[0]
+        chain.append(at)
+
+
+T = TypeVar("T", bound=np.integer)
+
+
+def strip_triangles(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
+    """Triangles (n, 3) of a strip of corners, every other one turned so that all look the same way; those that name a corner twice
+    join parts of a strip and are left out. `restart` begins a new strip."""
+    if len(corners) < 3:
+        return np.empty((0, 3), corners.dtype)
+    place = np.arange(len(corners))
+    since = place - np.maximum.accumulate(np.where(corners == restart, place + 1, 0))
+    found = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    odd = since[2:] % 2 == 1
+    found[odd] = found[odd][:, [1, 0, 2]]
+    apart = (found[:, 0] != found[:, 1]) & (found[:, 1] != found[:, 2]) & (found[:, 0] != found[:, 2])
+    return np.asarray(found[apart & (since[2:] >= 2)])

@@ -1,0 +1,110 @@
+"""Files in .stl, binary or text: triangles whose corners are joined where they are at one place."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+from antdsl import limits
+from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.mesh_text import Floats, MeshError, blocks, check_count, check_text, plain_text, shown
+from antdsl.scene.geometry.polygon_mesh import PolygonMesh
+
+_HEAD, _FACE = 84, 50  # bytes before the first face, and of each
+_MISSING = "is not a .stl file, or a part of it is missing"
+
+
+def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
+    """The triangles of a file; MeshError says what is wrong."""
+    corners = _text(data, notes) if _is_text(data) else _binary(data, notes)
+    wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
+    if len(wrong):
+        raise MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
+    points, inverse = np.unique(corners, axis=0, return_inverse=True)
+    return PolygonMesh.of_triangles(points, inverse.reshape(-1, 3).astype(np.int64))
+
+
+def _is_text(data: bytes) -> bool:
+    """A binary file may begin with `solid` too; its numbers have bytes that no text has."""
+    if len(data) >= _HEAD and len(data) == _HEAD + _FACE * struct.unpack_from("<I", data, 80)[0]:
+        return False
+    head = data[: 64 * limits.KIB]
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        check_text(head)
+    solid = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:5].lower() == b"solid"
+    return solid and b"\0" not in head and b"facet" in head.lower()
+
+
+def _binary(data: bytes, notes: ImportNotes) -> Floats:
+    notes.form = "binary .stl"
+    if len(data) < _HEAD:
+        raise MeshError(_MISSING)
+    count = int(struct.unpack_from("<I", data, 80)[0])
+    rest = len(data) - _HEAD - _FACE * count
+    if rest < 0:
+        room = (len(data) - _HEAD) // _FACE
+        raise MeshError(f"{_MISSING}: it says it has {count:,} faces, and {room:,} fit in its {len(data):,} bytes")
+    check_count(count, limits.MESH_FACES, "faces")
+    tail = data[len(data) - rest :]
+    if rest >= _FACE and rest % _FACE == 0 and tail.strip(b"\0 \n\r\t\x1a"):
+        raise MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE:,}")
+    if rest:
+        notes.skip(f"{rest:,} bytes after the last face")
+    rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEAD)
+    return rows["corners"].reshape(-1, 3).astype(np.float64)
+
+
+_FACET, _VERTEX, _END, _LOOP, _SOLID, _OTHER = range(6)
+_KINDS = {
+    b"facet": _FACET, b"vertex": _VERTEX, b"endfacet": _END, b"outer": _LOOP, b"endloop": _LOOP, b"solid": _SOLID, b"endsolid": _SOLID,
+}  # fmt: skip
+
+
+def _text(data: bytes, notes: ImportNotes) -> Floats:
+    notes.form = "text .stl"
+    corners, kinds, numbers, last = [np.empty((0, 3))], [np.empty(0, np.int64)], [np.empty(0, np.int64)], 0
+    for block in blocks(plain_text(data)):
+        letters = block.letters()
+        kind = np.full(len(block), _OTHER)
+        for word, code in _KINDS.items():
+            kind[letters == word] = code
+        vertex = kind == _VERTEX
+        short = np.flatnonzero(vertex & (block.count < 4))
+        if len(short):
+            raise MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
+        corners.append(block.floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
+        if (kind == _OTHER).any():
+            _check_others(block.number, kind, [shown(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes)
+        used = (kind != _LOOP) & (kind != _SOLID) & (kind != _OTHER)
+        kinds.append(kind[used])
+        numbers.append(block.number[used])
+        last = int(block.number[-1]) if len(block) else last
+        check_count(sum(map(len, corners)) // 3, limits.MESH_FACES, "faces")
+    _check_facets(np.concatenate(kinds), np.concatenate(numbers), last)
+    return np.concatenate(corners)
+
+
+def _check_others(number: np.ndarray, kind: np.ndarray, words: list[str], notes: ImportNotes) -> None:  # type: ignore[type-arg]
+    """MeshError for a line within a facet that is not known; others are noted."""
+    others = np.flatnonzero(kind == _OTHER)
+    opened = np.cumsum((kind == _FACET).astype(np.int64) - (kind == _END))
+    for place, text in zip(others.tolist(), words, strict=True):
+        if opened[place] > 0:
+            raise MeshError(f"has a line {number[place]:,} that is not understood: `{text}`")
+        notes.skip(f"a line that is not understood: `{text}`", 1, int(number[place]))
+
+
+def _check_facets(kinds: np.ndarray, numbers: np.ndarray, last: int) -> None:  # type: ignore[type-arg]
+    """MeshError where lines are not facet, three corners, end of the facet, again and again."""
+    wanted = np.resize(np.array([_FACET, _VERTEX, _VERTEX, _VERTEX, _END]), len(kinds))
+    wrong = np.flatnonzero(kinds != wanted)
+    if not len(wrong):
+        if len(kinds) % 5:
+            raise MeshError(f"ends in line {last:,} with a facet without three corners: a part of it is missing")
+        return
+    k = int(wrong[0])
+    if wanted[k] == _FACET and kinds[k] == _VERTEX:
+        raise MeshError(f"has a corner outside of a facet in line {numbers[k]:,}")
+    k += int((kinds[k:] != _VERTEX).argmax())
+    raise MeshError(f"has a facet without three corners before line {numbers[k]:,}")

@@ -1,0 +1,97 @@
+"""Folders of the user who runs this process, and private files in them.
+
+The home folder comes from the password database, on Windows from the system's known folders. `HOME` and `XDG_*` are not read:
+they may point into a project that a stranger wrote, and what lies in these folders is trusted."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+from pathlib import Path
+
+from antdsl.bounded import open_regular, read_handle
+
+_LOCAL_APP_DATA = "f1b32785-6fba-4fcf-9d55-7b8e7f157091"  # the known folder for data of one user on one machine
+
+
+class NotPrivate(PermissionError):
+    """A file or folder that another user could have written or read; the text says why."""
+
+
+def home_folder() -> Path:
+    """The home folder of the effective user. OSError where the system knows none, or it does not exist."""
+    try:
+        import pwd
+
+        home = pwd.getpwuid(os.geteuid()).pw_dir
+    except (ImportError, KeyError):
+        raise FileNotFoundError(0, "the password database has no home folder for this user") from None
+    if not os.path.isabs(home) or not os.path.isdir(home):
+        raise FileNotFoundError(0, "this user's home folder does not exist")
+    return Path(home)
+
+
+def cache_folder() -> Path:
+    """Where programs of this user store what they can compute again. OSError where there is no home folder."""
+    if sys.platform == "win32":
+        return _local_app_data()
+    return home_folder() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
+
+
+def state_folder() -> Path:
+    """Where programs of this user store what must survive a restart. OSError where there is no home folder."""
+    return _local_app_data() if sys.platform == "win32" else home_folder() / ".local" / "state"
+
+
+def make_private_folder(path: Path) -> None:
+    """Create a folder, and its parents, unless it exists. OSError where that fails; NotPrivate where it is a link, belongs to
+    another user, or others may write to it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.mkdir(mode=0o700, exist_ok=True)
+    _require_private(os.lstat(path), stat.S_IWGRP | stat.S_IWOTH)
+
+
+def read_private(path: Path, cap: int) -> bytes:
+    """A file of at most `cap` bytes that only this user may read. OSError where there is none, it is a link or no regular file;
+    NotPrivate where it has two names, belongs to another user, or others may read or write it."""
+    _require_private(os.lstat(path.parent), stat.S_IWGRP | stat.S_IWOTH)
+    handle = open_regular(path, follow=False)
+    try:
+        _require_private(os.fstat(handle), stat.S_IRWXG | stat.S_IRWXO)
+    except BaseException:
+        os.close(handle)
+        raise
+    return read_handle(handle, cap)
+
+
+def _require_private(status: os.stat_result, others: int) -> None:
+    """`others`: bits of the mode that no private file has. On Windows access lists say who may read, and a user's own folders
+    have lists that keep others out."""
+    if stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", False):
+        raise NotPrivate(0, "it is a link")
+    if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
+        raise NotPrivate(0, "it has another name elsewhere")
+    if sys.platform == "win32":
+        return
+    if status.st_uid != os.geteuid():
+        raise NotPrivate(0, "it belongs to another user")
+    if status.st_mode & others:
+        raise NotPrivate(0, "others may read or write it" if others & stat.S_IROTH else "others may write to it")
+
+
+def _local_app_data() -> Path:
+    if sys.platform != "win32":
+        raise FileNotFoundError(0, "only Windows has this folder")
+    import ctypes
+    from uuid import UUID
+
+    found = ctypes.c_wchar_p()
+    name = (ctypes.c_char * 16).from_buffer_copy(UUID(_LOCAL_APP_DATA).bytes_le)
+    failed = ctypes.windll.shell32.SHGetKnownFolderPath(name, 0, None, ctypes.byref(found))
+    try:
+        if failed or not found.value:
+            raise FileNotFoundError(0, "Windows knows no folder for data of this user")
+        return Path(found.value)
+    finally:
+        ctypes.windll.ole32.CoTaskMemFree(found)
