@@ -40,8 +40,8 @@ class ImageFile:
 
 
 def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: int) -> ImageFile:
-    """The image in a file's bytes. `format`: Pillow's name of it, such as `PNG`; `modes`: keys of MODES. ImageError says why there
-    is none."""
+    """The image in a file's bytes. `format`: Pillow's name of it, such as `PNG`; `modes`: keys of MODES. ImageError says why
+    there is none."""
     said = {"format": format, "modes": [mode for mode in modes if mode in MODES], "pixels": pixels}
     digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
     try:

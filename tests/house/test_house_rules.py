@@ -167,6 +167,7 @@ OWN_WRITING = {
     "executors/parcel.py": "files of a project, in a folder of the worker's own",
     "highlighting/textmate.py": "the highlighting that ships",
     "lsp/server.py": "standard output",
+    "reader/child.py": "its answers",
     "reader/private_folder.py": "the lock of its folder",
     "scene/geometry/usd/closure.py": "its own copies, to write them",
     "sweep/plots.py": "a file that antdsl/whole.py has opened",

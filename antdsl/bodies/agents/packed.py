@@ -97,7 +97,7 @@ def digest(body: Definition) -> str:
 
 
 def read_packed(arrays: Mapping[str, NDArray[Any]]) -> Definition:
-    """The definition that `packed` made these arrays of: every place, type, shape and index is checked, but not that what one part
+    """The definition that `packed` made these arrays of: each place, type, shape and index is checked, but not that what one part
     names is in another (`unpacked`). Raises BodyError for any others: nothing in them is trusted."""
     try:
         found = _read(arrays)
