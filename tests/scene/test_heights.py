@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from antdsl import limits
 from antdsl.cli import app
 from antdsl.pipeline import Shot, open_scene
-from antdsl.runtime import Options, bind, step
 from antdsl.reader.images import read_image
 from antdsl.reader.protocol import Message
+from antdsl.runtime import Options, bind, step
 from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
 from antdsl.scene.geometry.mesh_text import MeshError
 
