@@ -128,7 +128,7 @@ def _sandbox(problems: list[str]) -> None:
     landlock = f"Landlock {active['landlock']}" if active["landlock"] else "no Landlock"
     layers = ["rlimits" if active["rlimits"] else "no rlimits", landlock, "seccomp" if active["seccomp"] else "no seccomp"]
     weak = "" if active["seccomp"] else "; USD files need `antdsl --trust-usd …`"
-    echo(f"{'ok     ' if active['landlock'] and not weak else '-      '} {'reader':<16} {', '.join(layers)}{weak}")
+    print_result(f"{'ok     ' if active['landlock'] and not weak else '-      '} {'reader':<16} {', '.join(layers)}{weak}")
 
 
 def _files(problems: list[str]) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import cosine_and_sine
+from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.obj_file import read_obj
 from antdsl.scene.geometry.ply import HeaderError

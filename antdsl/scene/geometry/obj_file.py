@@ -9,18 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.mesh_text import (
-    VERTICES,
-    Block,
-    Floats,
-    MeshError,
-    Whole,
-    blocks,
-    check_count,
-    check_text,
-    plain_text,
-    shown,
-)
+from antdsl.scene.geometry.mesh_text import VERTICES, Block, Floats, MeshError, Whole, blocks, check_count, check_text, plain_text, shown
 from antdsl.scene.geometry.polygon_mesh import PolygonMesh
 
 # Keywords without geometry: names, looks, numbers that belong to vertices.
