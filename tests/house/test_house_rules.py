@@ -20,8 +20,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders", "bootstrap",
-    "syntax", "program",
+    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders",
+    "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "reader", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",

@@ -97,9 +97,7 @@ def read_columns(data: bytes, header: Header, element: Element, names: Sequence[
     return np.stack([found[name].values for name in names], axis=1).astype(np.float64).reshape(-1, len(names))
 
 
-def read_elements(
-    data: bytes, header: Header, wanted: Mapping[int, Collection[str]], notes: ImportNotes
-) -> dict[int, Columns]:
+def read_elements(data: bytes, header: Header, wanted: Mapping[int, Collection[str]], notes: ImportNotes) -> dict[int, Columns]:
     """The columns that are wanted, by the id of an element of the header and the property's name. What is not wanted is skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
@@ -250,7 +248,9 @@ class _Binary:
             raise HeaderError(f"{_SHORT}: it ends in its {shown(element.name.encode())} {row}")
         count = np.frombuffer(self._data, self._order + kind, 1, at)[0]
         if not (count >= 0 and np.isfinite(count)):
-            raise HeaderError(f"has a list of {count:,} values in its {shown(element.name.encode())} {row}, more than the file has")
+            raise HeaderError(
+                f"has a list of {count:,} values in its {shown(element.name.encode())} {row}, more than the file has"
+            )
         return int(count)
 
     def _uneven(self, element: Element, wanted: Collection[str]) -> Columns:

@@ -75,7 +75,9 @@ def _text(data: bytes, notes: ImportNotes) -> Floats:
             raise MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
         corners.append(block.floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
         if (kind == _OTHER).any():
-            _check_others(block.number, kind, [shown(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes)
+            _check_others(
+                block.number, kind, [shown(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes
+            )
         used = (kind != _LOOP) & (kind != _SOLID) & (kind != _OTHER)
         kinds.append(kind[used])
         numbers.append(block.number[used])
