@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from fractions import Fraction
+from math import pi
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator
@@ -19,6 +20,7 @@ from antdsl.scene.quantities import BadQuantity, Quantity, parse_number, parse_q
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _WORD_CHARACTERS = 1000
+_TURNS = 1_000_000  # of one angle, either way
 LENGTH, ANGLE, TIME, SPEED = Dim(length=1), Dim(angle=1), Dim(time=1), Dim(length=1, time=-1)
 
 
@@ -76,6 +78,14 @@ def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
         return found
 
     return read
+
+
+def _angle(value: Any) -> Quantity:
+    """An angle of at most a million turns, so that it can be reduced to one turn exactly; more is a mistake."""
+    found = of_dim(ANGLE)(value)
+    if abs(found.number) > _TURNS * 2 * pi:
+        raise refuse(f"{_shown(value)} is more than a million turns", "write an angle from `-360 deg` to `360 deg`")
+    return found
 
 
 def positive(dim: Dim) -> Callable[[Any], Quantity]:
@@ -232,6 +242,6 @@ def word_or(word: str, other: Callable[[Any], Quantity]) -> Callable[[Any], Quan
 PositiveLength = Annotated[Quantity, BeforeValidator(positive(LENGTH))]
 PositiveSpeed = Annotated[Quantity, BeforeValidator(positive(SPEED))]
 PositiveTime = Annotated[Quantity, BeforeValidator(positive(TIME))]
-Angle = Annotated[Quantity, BeforeValidator(of_dim(ANGLE))]
+Angle = Annotated[Quantity, BeforeValidator(_angle)]
 Fps = Annotated[Fraction, BeforeValidator(_fps)]
 Frames = Annotated[FrameRange, BeforeValidator(_frames)]

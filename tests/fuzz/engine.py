@@ -223,7 +223,7 @@ class _Worker:
         code = 70
         faulthandler.disable()
         try:
-            os.chdir(self.folder)
+            use_folder(self.folder)
             with open(os.devnull, "r+b") as null:
                 for stream in (0, 1, 2):
                     os.dup2(null.fileno(), stream)
@@ -315,14 +315,22 @@ class _Worker:
 
 def replay(target: Target, data: bytes) -> Outcome:
     """Feed one input in this process, in a folder of its own."""
-    place = os.getcwd()
+    place, temporary = os.getcwd(), tempfile.tempdir
     with tempfile.TemporaryDirectory() as name:
         folder = Path(os.path.realpath(name))
-        os.chdir(folder)
+        use_folder(folder)
         try:
             return Oracle(target.open(folder), folder, target.allowed).run(data)
         finally:
             os.chdir(place)
+            tempfile.tempdir = temporary
+
+
+def use_folder(folder: Path) -> None:
+    """Make a folder the working directory, with the folder for temporary files in it."""
+    os.chdir(folder)
+    (folder / "temporary").mkdir()
+    tempfile.tempdir = str(folder / "temporary")
 
 
 def skeletons(report: str) -> list[int]:
