@@ -55,7 +55,8 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
             notes.skip(f"element `{shown(element.name.encode())}` ({element.count:,})")
     found = read_elements(data, header, wanted, notes)
     columns = found[id(vertex)]
-    points = np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN warns as it is converted; what is not finite is refused later
+        points = np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1).astype(np.float64)
     counts, indices = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for element in (face, strips):
         if element is None or not element.count:
