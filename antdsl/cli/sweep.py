@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.destinations import folder_to_write, keeping_inputs
+from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import notes, say
@@ -125,7 +125,7 @@ def sweep(
         )
     )
     widths, first = widths_of(asked), Path(asked.scenes[0])
-    folder = out if out is not None else first.resolve().parent / "out" / "sweep"
+    folder = out if out is not None else default_place(first.resolve().parent, "out", "sweep")
     if first.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out", *RESULTS)
     with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs, sought() as read:

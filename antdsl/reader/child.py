@@ -1,7 +1,7 @@
 """The program of the reader's process. Run by its path: `python -P -S child.py CONFIGURATION`.
 
-The configuration is a JSON object: `paths` for `sys.path`, `readable` folders. It confines itself, reports what holds, and answers
-requests from its standard input until that is closed. A request that runs out of memory is its last one."""
+The configuration is a JSON object: `paths` for `sys.path`, `readable` folders. It confines itself, reports what holds and then
+answers requests from its standard input until that is closed. A request that runs out of memory is its last one."""
 
 from __future__ import annotations
 

@@ -8,6 +8,8 @@ import sys
 import sysconfig
 from pathlib import Path
 
+from antdsl.child_processes import INSTALLATION, isolate
+
 TRUST = "ANTDSL_TRUST_USD"  # an environment variable, so that the processes of pools and farms have it too
 # Folders of the system that libraries are loaded from.
 _SYSTEM = ("/lib", "/lib32", "/lib64", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache", "/nix/store",
@@ -37,6 +39,7 @@ def trust_usd() -> None:
 
 def environment() -> dict[str, str]:
     """The environment of the child: what it needs, and nothing that names code or files of a project."""
+    isolate()
     found = {name: value for name, value in os.environ.items() if name in _PASSED or name.startswith("NPY_")}
     return found | _SET
 
@@ -48,9 +51,8 @@ def paths() -> list[str]:
         here = os.path.realpath(os.getcwd())
     except OSError:
         here = ""
-    own = str(_package().parent)
     found = [path for path in sys.path if os.path.isabs(path) and (os.path.realpath(path) != here or _is_installation(path))]
-    return [*found, own] if own not in found else found
+    return found if INSTALLATION in found else [*found, INSTALLATION]
 
 
 def installation() -> list[str]:

@@ -14,31 +14,31 @@ from antdsl.reader.refusal import Refusal
 if TYPE_CHECKING:
     from antdsl.reader.protocol import Message
 
-FORMATS = ("PNG", "TIFF")
 _TEXTS = 64  # text entries of a PNG file that are passed on
 _CHARACTERS = 1000
 
 
 def read_image(request: Message) -> tuple[dict[str, Any], Mapping[str, NDArray[Any]]]:
-    """The samples of the image whose bytes are the array `data`, of the format `format`: `mode`, `texts` by name, and the array
-    `samples` (rows, columns) or (rows, columns, channels). `pixels`: more are not decoded."""
+    """An image whose file is the array `data`: its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the array
+    `samples` (rows, columns) or (rows, columns, channels). `format` is Pillow's name of the format. Without samples where the
+    image has several pages, more than `pixels`, or a mode that is not one of `modes`."""
     from PIL import Image
 
     said = request.document
     data = io.BytesIO(request.array("data", "|u1", None).tobytes())
+    arrays: dict[str, NDArray[Any]] = {}
     try:
         with Image.open(data, formats=(said["format"],)) as image:
             columns, rows = image.size
             pages = getattr(image, "n_frames", 1)
-            document = {"mode": image.mode, "columns": columns, "rows": rows, "pages": pages, "texts": _texts(image.info)}
-            if pages != 1 or columns * rows > int(said["pixels"]) or image.mode not in said["modes"]:
-                return document, {}
-            samples = np.asarray(image)
-    except (MemoryError, Refusal):
+            if pages == 1 and columns * rows <= int(said["pixels"]) and image.mode in said["modes"]:
+                arrays["samples"] = np.asarray(image)
+            document = {"mode": image.mode, "columns": columns, "rows": rows, "pages": pages}
+            return document | {"texts": _texts(image.info)}, arrays  # texts may come after the samples
+    except MemoryError:
         raise
     except Exception as problem:  # a library's reader meets a stranger's file
         raise Refusal("bad-image", type(problem).__name__) from problem
-    return document, {"samples": samples}
 
 
 def _texts(info: Mapping[Any, Any]) -> dict[str, str]:

@@ -23,6 +23,7 @@ _PREFIX = struct.Struct("<4sQ")
 _BLOCK = 64 * limits.MIB  # bytes that are allocated before more have arrived
 _ARRAYS = 4096
 _AXES = 8
+_LARGEST = 1.7e308
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -61,7 +62,7 @@ class Message:
     def number(self, name: str) -> float:
         """A finite number of the document."""
         found = self.document.get(name)
-        if isinstance(found, bool) or not isinstance(found, int | float) or not np.isfinite(found):
+        if isinstance(found, bool) or not isinstance(found, int | float) or not -_LARGEST < found < _LARGEST:
             raise ProtocolError(f"`{name}` is not a finite number")
         return float(found)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.packed import PARTS, unpacked
+from antdsl.bodies.agents.packed import PARTS, read_packed
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.reader.protocol import ProtocolError
 from antdsl.reader.refusal import Refusal, shown
@@ -30,4 +30,4 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
         raise BodyError(str(why), why.help, why.code) from None
     except ProtocolError as why:
         raise stage.senseless(why) from None
-    return unpacked(answer.arrays), left_out
+    return read_packed(answer.arrays), left_out

@@ -1,8 +1,8 @@
 """All files that a USD file is made of, collected layer by layer into a private folder, the only one that the reader may open.
 
 Each file is read here, by `Roots`, so the same rules hold as for any file that a scene names: below the scene's folder or a
-granted root, no link, no address, no larger than a mesh may be. The reader opens the copy and lists what it names. The copies have
-the same relative paths as the files, by which USD finds them. No message says whether a file outside exists."""
+granted root, no link, no address, no larger than a mesh may be. The reader opens the copy and lists what it names. The copies
+have the same relative paths as the files, by which USD finds them. No message says whether a file outside exists."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Closure:
             words = f"`{text}` cannot be read: there is no folder for temporary files ({(problem.strerror or '').lower()})"
             raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
         weakref.finalize(self, shutil.rmtree, self.folder, True)
-        self._top = os.path.abspath(roots.path(text)) if _is_kind(text) else text
+        self._top = self._path(text, None)
         self.path = self._collect(text)
 
     @property
@@ -82,16 +82,23 @@ class Closure:
             below = os.path.join(re.sub("[^A-Za-z0-9]", "_", drive), rest.lstrip("/\\"))
         return os.path.join(self.folder, below)
 
+    def _path(self, text: str, by: Place | None) -> str:
+        """The full path of a file by the name that a scene would give it, judged as text only."""
+        if not text.lower().endswith(KINDS):
+            raise UsdError("bad-usd", f"`{_cut(text)}` is not one of {', '.join(KINDS)}", None, "usd")
+        try:
+            return os.path.abspath(self._roots.path(text))
+        except PathRefused as refused:
+            raise _refused(refused, by) from None
+
     def _add(self, text: str, by: Place | None) -> Place:
         """Copy a file by the name that a scene would give it."""
-        if not _is_kind(text):
-            raise UsdError("bad-usd", f"`{shown(text)}` is not one of {', '.join(KINDS)}", None, "usd")
-        path = os.path.abspath(self._roots.path(text))
+        path = self._path(text, by)
         if path not in self._files:
             try:
                 data = self._roots.read(text, limits.MESH_BYTES)
             except PathRefused as refused:
-                raise UsdError(refused.code, f"{refused}{_naming(by)}", refused.help, "usd") from None
+                raise _refused(refused, by) from None
             self.size += len(data)
             if len(self._files) >= limits.USD_LAYERS or self.size > 4 * limits.MESH_BYTES:
                 raise self._too_large(text)
@@ -201,8 +208,8 @@ class Closure:
         return UsdError("too-large", f"`{text}` and the files it is made of are more than are read", None, "usd")
 
 
-def _is_kind(text: str) -> bool:
-    return text.lower().endswith(KINDS)
+def _refused(why: PathRefused, by: Place | None) -> UsdError:
+    return UsdError(why.code, f"{why}{_naming(by)}", why.help, "usd")
 
 
 def _naming(place: Place | None) -> str:

@@ -1,7 +1,6 @@
 """Why something of a USD file cannot be used, and the one place that imports usd-core: in the reader's process to read, in any to
 write."""
 
-
 from __future__ import annotations
 
 import re

@@ -41,9 +41,8 @@ def read_points(request: Message) -> Answer:
     arrays |= {f"value:{number}": array for number, array in enumerate(found.values.values())}
     for number, texts in enumerate(found.texts.values()):
         arrays |= pack_texts(f"text:{number}", texts)
-    return {"unit": found.unit, "values": list(found.values), "texts": list(found.texts)}, arrays | pack_texts(
-        "names", found.names
-    )
+    arrays |= pack_texts("names", found.names)
+    return {"unit": found.unit, "values": list(found.values), "texts": list(found.texts)}, arrays
 
 
 @guarded
