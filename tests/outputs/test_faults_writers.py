@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -18,6 +21,7 @@ from sampling import sampled
 
 from antdsl.cli import _run
 from antdsl.outputs.pictures import film
+from antdsl.sweep.finished_runs import Keeper
 
 SAMPLE = ("csv", "geo", "edit", "stills", "summary", "sweep", "golden", "fmt")
 
@@ -122,7 +126,8 @@ def test_usd_on_a_full_disk_is_no_bug_and_leaves_the_old_file(unbroken: Path, tm
         for number in (1, 2):
             os.dup2(nowhere, number)
         os.chdir(folder)
-        with patch("sys.argv", ["antdsl", *WRITERS[name]]):
+        stream = open(os.devnull, "w")  # noqa: SIM115
+        with patch("sys.argv", ["antdsl", *WRITERS[name]]), patch("sys.stdout", stream), patch("sys.stderr", stream):
             return _run()
 
     for limit in (1, size // 2, size - 10):
@@ -147,6 +152,25 @@ def test_a_film_on_a_full_disk_is_not_written(tmp_path: Path) -> None:
         assert limited(limit, encode) == 3
         assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
         assert (tmp_path / "film.mp4").read_bytes() == b"old"
+
+
+def test_a_finished_run_of_a_sweep_that_was_damaged_is_run_again(unbroken: Path, tmp_path: Path) -> None:
+    folder = copied(unbroken, tmp_path / "p")
+    assert written(folder, "sweep")[0] == 0
+    keeper = Keeper(folder / MADE / "sweep")
+    (path, *_) = sorted(keeper.runs.glob("*.json"))
+    data, document = path.read_bytes(), json.loads(path.read_bytes())
+    job: Any = SimpleNamespace(key=document["key"])
+    assert keeper.kept(job) == document["measures"]
+    found = []
+    for at in range(0, len(data), 3):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :])
+        found.append(keeper.kept(job))
+        path.write_bytes(data[:at])
+        assert keeper.kept(job) is None
+    assert {json.dumps(each) for each in found} <= {"null", json.dumps(document["measures"])} and found.count(None) > len(
+        found
+    ) / 2
 
 
 @pytest.mark.slow
