@@ -167,10 +167,8 @@ def test_a_finished_run_of_a_sweep_that_was_damaged_is_run_again(unbroken: Path,
         path.write_bytes(data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :])
         found.append(keeper.kept(job))
         path.write_bytes(data[:at])
-        assert keeper.kept(job) is None
-    assert {json.dumps(each) for each in found} <= {"null", json.dumps(document["measures"])} and found.count(None) > len(
-        found
-    ) / 2
+        found.append(keeper.kept(job))
+    assert all(each in (None, document["measures"]) for each in found) and found.count(None) > 0.9 * len(found)
 
 
 @pytest.mark.slow
