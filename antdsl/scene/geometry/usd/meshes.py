@@ -13,6 +13,7 @@ from antdsl import limits
 from antdsl.scene.geometry.matrices import after, applied, determinant, has_inverse, inverse, still
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import RawMesh, sound
+from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
 from antdsl.scene.geometry.usd.stage import Floats, UsdStage
@@ -86,7 +87,9 @@ def _shape(stage: UsdStage, placed: Placed) -> _Shape:
     whole = np.ones(len(counts), np.bool_)
     holes = np.array(mesh.GetHoleIndicesAttr().Get(stage.first) or [], np.int64)
     whole[holes[(holes >= 0) & (holes < len(counts))]] = False
-    faces = _triangles(counts, corners, whole, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded")
+    faces = corners[_triangles(points, np.where(whole, counts, 0), corners, counts, path)]
+    if mesh.GetOrientationAttr().Get(stage.first) == "leftHanded":
+        faces = faces[:, [0, 2, 1]]
     bent = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
     return _Shape(placed, points, faces, bent)
 
@@ -103,17 +106,18 @@ def _same_faces(stage: UsdStage, attribute: Any, path: Any) -> None:
             raise UsdError("moving-topology", f"the mesh `{path}` has other faces at other frames", BAKE)
 
 
-def _triangles(counts: NDArray[np.int64], corners: NDArray[np.int64], whole: NDArray[np.bool_], backwards: bool) -> Faces:
-    """Polygons, of which those that are `whole`, cut into fans about their first corner; `backwards`: each read the other way
-    round."""
-    start = np.cumsum(counts) - counts
-    many = np.where(whole, np.maximum(counts - 2, 0), 0)
-    face = np.repeat(np.arange(len(counts)), many)
-    step = np.arange(len(face)) - np.repeat(np.cumsum(many) - many, many)
-    at, one, two = start[face], step + 1, step + 2
-    if backwards:
-        one, two = counts[face] - one, counts[face] - two
-    return np.stack([corners[at], corners[at + one], corners[at + two]], axis=1).reshape(-1, 3)
+def _triangles(
+    points: Floats, counts: NDArray[np.int64], corners: NDArray[np.int64], all_counts: NDArray[np.int64], path: Any
+) -> Faces:
+    """Triangles (m, 3) of polygons as places among the `corners`; those of which the count is 0, and not in `all_counts`, are
+    left out."""
+    kept = np.flatnonzero(np.repeat(counts > 0, all_counts))
+    if len(kept) and not np.isfinite(points[corners[kept]]).all():
+        raise MeshError(f"has at `{path}` a point that is not finite")
+    try:
+        return kept[triangulate(points, counts[counts > 0], corners[kept]).corners]
+    except TooManyCorners as why:
+        raise MeshError(f"has at `{path}` what {why}", "cut it into smaller faces in the program that made it") from None
 
 
 def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
