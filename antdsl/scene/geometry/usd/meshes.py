@@ -87,9 +87,7 @@ def _shape(stage: UsdStage, placed: Placed) -> _Shape:
     whole = np.ones(len(counts), np.bool_)
     holes = np.array(mesh.GetHoleIndicesAttr().Get(stage.first) or [], np.int64)
     whole[holes[(holes >= 0) & (holes < len(counts))]] = False
-    faces = corners[_triangles(points, np.where(whole, counts, 0), corners, counts, path)]
-    if mesh.GetOrientationAttr().Get(stage.first) == "leftHanded":
-        faces = faces[:, [0, 2, 1]]
+    faces = _triangles(points, counts, corners, whole, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
     bent = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
     return _Shape(placed, points, faces, bent)
 
@@ -107,17 +105,21 @@ def _same_faces(stage: UsdStage, attribute: Any, path: Any) -> None:
 
 
 def _triangles(
-    points: Floats, counts: NDArray[np.int64], corners: NDArray[np.int64], all_counts: NDArray[np.int64], path: Any
+    points: Floats, counts: NDArray[np.int64], corners: NDArray[np.int64], whole: NDArray[np.bool_], backwards: bool, path: Any
 ) -> Faces:
-    """Triangles (m, 3) of polygons as places among the `corners`; those of which the count is 0, and not in `all_counts`, are
-    left out."""
-    kept = np.flatnonzero(np.repeat(counts > 0, all_counts))
-    if len(kept) and not np.isfinite(points[corners[kept]]).all():
+    """Triangles (m, 3) of those polygons that are `whole`; `backwards`: each is read the other way round from its first
+    corner."""
+    at = np.arange(len(corners))
+    if backwards:
+        start, count = np.repeat(np.cumsum(counts) - counts, counts), np.repeat(counts, counts)
+        at = start + (start - at) % np.maximum(count, 1)
+    kept = corners[at[np.repeat(whole, counts)]]
+    if len(kept) and not np.isfinite(points[kept]).all():
         raise MeshError(f"has at `{path}` a point that is not finite")
     try:
-        return kept[triangulate(points, counts[counts > 0], corners[kept]).corners]
+        return np.asarray(kept[triangulate(points, counts[whole], kept).corners])
     except TooManyCorners as why:
-        raise MeshError(f"has at `{path}` what {why}", "cut it into smaller faces in the program that made it") from None
+        raise MeshError(f"has at `{path}` a part that {why}", "cut it into smaller faces in the program that made it") from None
 
 
 def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
