@@ -1,4 +1,4 @@
-"""A program that confines itself as the reader does, then tries what it must not be able to do: `confined.py FOLDER OUTSIDE PORT`.
+"""A program that confines itself as the reader does, then tries what it must not be able to do: `confined.py FOLDER FILE PORT`.
 
 It prints a JSON object: what confines it, and for each attempt `refused` or what happened."""
 
