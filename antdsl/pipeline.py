@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from antdsl.program.model import Program
     from antdsl.runtime import Options, World
     from antdsl.scene import Scene
+    from antdsl.scene.geometry.import_notes import MeshImport
     from antdsl.scene.setting import Setting
     from antdsl.scene.values import FrameRange
 
@@ -245,6 +246,18 @@ def check_path(
         if setting is not None:
             report = _less_what_the_scene_gives(report, program, setting)
     return program, report
+
+
+def mesh_imports(path: Path, choices: Choices) -> tuple[Mapping[str, MeshImport], str]:
+    """By name, what was read of each mesh of a scene; and the scene's unit. Nothing where the scene has errors."""
+    from antdsl.scene.overriding import overrides
+    from antdsl.scene.staging.stage_scene import stage
+
+    scene, program, _, report = _read_scene(path, choices)
+    if scene is None or program is None or not report.ok:
+        return {}, "mm"
+    setting, _, _ = stage(scene, program, overrides(scene, program, choices.params, Report()))
+    return (setting.imports if setting else {}), scene.model.units
 
 
 def _less_what_the_scene_gives(report: Report, program: Program, setting: Setting) -> Report:

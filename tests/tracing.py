@@ -110,7 +110,7 @@ def traced(
             if process.poll() is None:
                 process.kill()
     text = printed.read_text(encoding="utf-8", errors="replace")
-    trace = read_trace(log.read_text(encoding="utf-8", errors="replace"), Trace(code, text))
+    trace = read_trace(log.read_text(encoding="utf-8", errors="replace"), Trace(code, text), cwd)
     if not trace.programs:
         raise RuntimeError(f"strace could not trace here, so nothing is known of what the command did:\n{text}")
     return trace
@@ -131,8 +131,8 @@ def _interrupt(log: Path) -> None:
     os.kill(int(first), signal.SIGINT)
 
 
-def read_trace(text: str, trace: Trace) -> Trace:
-    """Fill a trace from what strace wrote."""
+def read_trace(text: str, trace: Trace, cwd: Path) -> Trace:
+    """Fill a trace from what strace wrote of a command that was started in `cwd`."""
     waiting: dict[str, str] = {}
     for line in text.splitlines():
         if (resumed := _RESUMED.match(line)) and (begun := waiting.pop(resumed[1] + resumed[2], None)) is not None:
@@ -142,18 +142,18 @@ def read_trace(text: str, trace: Trace) -> Trace:
         if line.endswith(_UNFINISHED):
             waiting[call[1] + call[2]] = line.removesuffix(_UNFINISHED)
             continue
-        _add(trace, call[2], call[3])
+        _add(trace, call[2], call[3], cwd)
     for line in waiting.values():  # a call during which the process ended
         if call := _STARTED.match(line):
-            _add(trace, call[2], call[3])
+            _add(trace, call[2], call[3], cwd)
     return trace
 
 
-def _add(trace: Trace, name: str, rest: str) -> None:
+def _add(trace: Trace, name: str, rest: str, cwd: Path) -> None:
     if name in ("bind", "listen", "connect"):
         trace.sockets.append(f"{name} {_decoded(rest)}")
         return
-    paths = [str(Path(_decoded(folder) or "?") / _decoded(name)) for folder, name in _PATH.findall(rest)]
+    paths = [str(Path(_decoded(folder) or cwd) / _decoded(name)) for folder, name in _PATH.findall(rest)]
     result = _RESULT.search(rest)
     done = result is not None and int(result[1]) >= 0
     if name in ("execve", "execveat"):

@@ -138,15 +138,17 @@ class TrappedProject:
 def copy_scene(folder: Path) -> None:
     """Put a scene of 20 agents into a folder, another of the same program, and one with a ground in USD."""
     example = ROOT / "examples" / "minimal"
-    for name in ("walker.ant", "ground.ply"):
-        shutil.copy(example / name, folder / name)
+    shutil.copy(example / "ground.ply", folder / "ground.ply")
     text = (example / "scene.yaml").read_text(encoding="utf-8").replace("count: 50", "count: 20").replace("1..240", "0..2")
+    program = (example / "walker.ant").read_text(encoding="utf-8")
+    (folder / "walker.ant").write_text(program + SPEC, encoding="utf-8")
     (folder / "scene.yaml").write_text(text, encoding="utf-8")
     (folder / "other.yaml").write_text("# other\n" + text, encoding="utf-8")
-    (folder / "stage.yaml").write_text(text.replace("ground.ply", "ground.usda"), encoding="utf-8")
+    (folder / "stage.yaml").write_text(text.replace("mesh: ground.ply", "usd: ground.usda"), encoding="utf-8")
     (folder / "ground.usda").write_text(USD, encoding="utf-8")
 
 
+SPEC = '\nspec "walkers live" on "scene.yaml" {\n  for 0.1 s\n  always: count(walker) == 20\n}\n'
 USD = """#usda 1.0
 (
     metersPerUnit = 0.001

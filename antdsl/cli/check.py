@@ -38,13 +38,14 @@ def check(
     ),
     params: bool = typer.Option(False, "--params", help="List every param as a table: default, unit, range, help."),
     cost: bool = typer.Option(False, "--cost", help="List what each state asks for, and the memory an agent takes."),
+    imports: bool = typer.Option(False, "--imports", help="List what was read of each mesh of a scene, and what was changed."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
 ) -> None:
     """Find mistakes in .ant files and scenes without running them."""
     if explain is not None:
         _explain(explain)
         return
-    for wanted, flag in ((params, "--params"), (cost, "--cost")):
+    for wanted, flag in ((params, "--params"), (cost, "--cost"), (imports, "--imports")):
         if wanted and format not in (Format.full, Format.concise):
             raise typer.BadParameter("this is listed as text; ask for it without `--format`", param_hint=flag)
     if not paths:
@@ -78,6 +79,11 @@ def check(
         for line in params_table(programs) if params else ():
             print_result(line)
         for line in cost_table(sound) if cost else ():
+            print_result(line)
+    if imports:
+        from antdsl.cli.printing.check_tables import import_table
+
+        for line in import_table([file for file in files if checked.reports[file].ok], Choices(grants(root))):
             print_result(line)
     if not report.ok:
         raise Stop(verdict(report))

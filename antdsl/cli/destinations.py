@@ -57,6 +57,18 @@ def put(path: Path | None, data: bytes, output: TextIO) -> None:
     output.buffer.flush()
 
 
+def default_place(base: Path, *names: str, flag: str = "--out") -> Path:
+    """Where results go below `base` if the user names no place with `flag`. Leave where one of `names` is a link: it could lead
+    anywhere, and only the user may choose that."""
+    from antdsl.outputs.links import first_link
+
+    link = first_link(base, *names)
+    if link is not None:
+        words = f"error: `{link}` is a link, and results follow no link that you did not name"
+        raise Stop(Exit.INPUT_OUTPUT, words, f"name the place that it leads to, or another one, with `{flag}`")
+    return base.joinpath(*names)
+
+
 def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
     """The same for files of some names in a folder that is made where it is not there."""
     if path is None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from antdsl.cli.destinations import folder_to_write, keeping_inputs
+from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import say
@@ -32,7 +32,7 @@ def edit(
     from antdsl.outputs.editing import NotEditable, smooth_orientations
 
     width = _width(smooth)
-    folder = out if out is not None else cache.with_name(f"{cache.resolve().name}_edited")
+    folder = out if out is not None else default_place(cache.parent, f"{cache.resolve().name}_edited")
     folder_to_write(folder, "--out")
     try:
         with keeping_inputs({}, {"--out": (folder, NAMES)}) as inputs:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import AGAIN, advice
 from antdsl.cli.printing.messages import print_result, say
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ class _Work:
 
     def files(self, paths: list[Path]) -> None:
         from antdsl.files import find_files
+        from antdsl.outputs.links import is_link
 
         found, report = find_files(paths)
         self.report.extend(report)
@@ -69,7 +71,12 @@ class _Work:
                 self.report.error("not-an-ant-file", f"`{path}` is not an .ant file", None, "name files that end in `.ant`")
         programs = [path for path in found if path.suffix == ".ant"]
         for path in programs:
-            self.file(path)
+            if path in paths or not is_link(path) or any(path.resolve().is_relative_to(each.resolve()) for each in paths):
+                self.file(path)
+                continue
+            self.left += 1
+            words = f"`{path}` is a link to a file outside the folder", "name that file to lay it out"
+            self.report.error("cannot-write", words[0], None, words[1])
         same = len(programs) - len(self.changed) - self.left
         word = "would change" if self.check or self.diff else "changed"
         counts = ((len(self.changed), word), (same, "laid out well"), (self.left, "left alone"))
@@ -92,7 +99,7 @@ class _Work:
         except OSError as problem:
             self.left += 1
             reason = (problem.strerror or "unknown reason").lower()
-            self.report.error("cannot-write", f"cannot write `{path}`: {reason}", None, "check your right to change it")
+            self.report.error("cannot-write", f"cannot write `{path}`: {reason}", None, f"{advice(problem)} {AGAIN}")
 
     def standard_input(self) -> None:
         from antdsl import limits, syntax

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, is_output, keeping_inputs, put
+from antdsl.cli.destinations import default_place, file_to_write, is_output, keeping_inputs, put
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 
@@ -43,8 +43,8 @@ def graph(
     from antdsl.cli.printing.reports import demand
 
     chosen = _format(format, out)
-    file_to_write(out, "--out")
-    target = out or Path(file.stem + graphs.FORMATS[chosen][0][0])
+    target = out or default_place(Path(), file.stem + graphs.FORMATS[chosen][0][0])
+    file_to_write(target, "--out")
     with keeping_inputs({"--out": target}) as inputs:
         inputs.append(file)
         program, report = pipeline.check_path(file)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, is_output, keeping_inputs, put
+from antdsl.cli.destinations import default_place, file_to_write, is_output, keeping_inputs, put
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 
@@ -74,12 +74,12 @@ def jobs(
         opened, report = open_scene(scene, Choices(granted, frame_range(frames), seed, given), thorough=False)
     demand(report)
     assert opened is not None
-    cache = out if out is not None else scene.resolve().parent / "out" / scene.stem
+    cache = out if out is not None else default_place(scene.resolve().parent, "out", scene.stem)
     seeded = () if seed is None else ("--seed", str(seed))
     shot = Shot(
         scene=scene.resolve(),
         cache=cache,
-        pictures=pictures if pictures is not None else cache / "pictures",
+        pictures=pictures if pictures is not None else default_place(cache, "pictures", flag="--pictures"),
         first=opened.frames.first,
         last=opened.frames.last,
         every=every,

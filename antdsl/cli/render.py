@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from antdsl.cli.cache_tasks import Where, answers
-from antdsl.cli.destinations import folder_to_write
+from antdsl.cli.destinations import default_place, folder_to_write
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import say
@@ -128,7 +128,7 @@ def render(
     )
     gallery = _gallery(cache, wanted)
     drawn = _frames(gallery, frame_range(frames), every, sheet, film)
-    folder = out if out is not None else cache / "pictures"
+    folder = out if out is not None else default_place(cache, "pictures")
     folder_to_write(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
     make_folder(folder)
     if film:
@@ -275,7 +275,7 @@ def _by_cluster(
     from antdsl.outputs.kept_stills import still_path
     from antdsl.shots.stills import tasks
 
-    stills = folder if fps is None else folder / "film.frames"
+    stills = folder if fps is None else default_place(folder, "film.frames")
     make_folder(stills)
     for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, together, to)):
         for frame in answered.task.document["frames"] if fps is None else ():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
+from antdsl.cli.destinations import default_place, file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import say
@@ -97,7 +97,7 @@ def run(
         return
     (scene,) = scenes
     file_to_write(summary, "--summary")
-    folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
+    folder = out if out is not None else default_place(scene.resolve().parent, "out", scene.stem)
     if scene.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out")
     again = _again(scene, out, frames, seed, set_, root, summary)
@@ -187,12 +187,12 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
     from antdsl.outputs.recording import NothingToResume, begin
     from antdsl.outputs.starting import StartError
     from antdsl.runtime import BindError
-    from antdsl.runtime.binding.crowding import crowding
+    from antdsl.runtime.binding.start_findings import start_findings
 
     try:
         recording = begin(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
-            show(crowding(shot.scene, recording.world), to_stderr=True)
+            show(start_findings(shot.scene, recording.world), to_stderr=True)
         for note in recording.notes:
             say(note, err=True)
         return recording

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.destinations import folder_to_write, keeping_inputs
+from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import cluster
@@ -113,7 +113,14 @@ def run_shots(
 def _folders(scenes: Sequence[Path], out: Path | None) -> list[Path]:
     """The folder of each cache."""
     one = len(scenes) == 1 and out is not None
-    found = [out if one and out else (out or scene.resolve().parent / "out") / scene.stem for scene in scenes]
+    found = [
+        out
+        if one and out
+        else default_place(out, scene.stem)
+        if out
+        else default_place(scene.resolve().parent, "out", scene.stem)
+        for scene in scenes
+    ]
     twice = [folder for number, folder in enumerate(found) if folder in found[:number]]
     if twice:
         raise typer.BadParameter(f"two scenes would be put into `{twice[0]}`; run them apart", param_hint="SCENE")

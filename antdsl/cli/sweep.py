@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.destinations import folder_to_write, keeping_inputs
+from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import notes, say
@@ -125,7 +125,7 @@ def sweep(
         )
     )
     widths, first = widths_of(asked), Path(asked.scenes[0])
-    folder = out if out is not None else first.resolve().parent / "out" / "sweep"
+    folder = out if out is not None else default_place(first.resolve().parent, "out", "sweep")
     if first.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out", *RESULTS)
     with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs, sought() as read:
@@ -192,7 +192,8 @@ def _demand_measures(chooser: Chooser) -> None:
 def _tell(keeper: Keeper, study: Study, chooser: Chooser, done: Mapping[str, Any], show: Sequence[str], plots: bool) -> None:
     """Write the table in all its forms, and print it."""
     from antdsl.sweep import rows
-    from antdsl.sweep.plots import HOW, available, draw, draw_factors
+    from antdsl.sweep.figures import available
+    from antdsl.sweep.plots import HOW, draw, draw_factors
     from antdsl.sweep.sensitivity import as_csv as effects_csv
     from antdsl.sweep.sensitivity import text as effects_text
     from antdsl.sweep.table import as_csv, as_json, known_text, runs_csv, runs_parquet, shown, text

@@ -99,7 +99,7 @@ CODES: dict[str, str] = {
     "per-frame": "a value changes by so much in every step, so it depends on the frames per second",
     "per-step": "a value depends on the frames per second (only with `--strict`)",
     "set-in-body": "`velocity` or `heading` is set in every step",
-    "too-many": "there are more states, layers, fields or names than the limit",
+    "too-many": "there are more states, layers, fields, names, statements or species than the limit",
     "two-decays": "a field says in two ways how fast it fades",
     "two-writers": "one value is set twice in one block, or by two machines",
     # --- the whole program ---
@@ -137,6 +137,7 @@ CODES: dict[str, str] = {
     "bad-path": "a path leaves the folder of the scene, or is written in a way that is not followed",
     "bad-points": "a file of points is not a list of `[x, y, z]`",
     "bad-usd": "a USD file cannot be read, or what a prim of it says does not fit together",
+    "crossing-face": "a face of a mesh crosses itself, so that its inside is not clear",
     "degenerate-faces": "faces without area, or given twice, were left out of a mesh",
     "duplicate-key": "a key is given twice, or two of a scene differ by case only",
     "empty-scene": "the scene says nothing",
@@ -157,6 +158,7 @@ CODES: dict[str, str] = {
     "root-not-granted": "a path begins with a root that the person who runs the scene has not granted",
     "scene-syntax": "the text of the scene is not YAML as a scene may have it",
     "too-large": "a file, a program, a crowd or a grid is larger than the limit for it",
+    "unread-content": "a mesh file has content that is not read",
     "unknown-key": "a key of a scene or of a body is not known at its place",
     "unknown-thing": "the scene names something that no program declares",
     "unlaid-field": "a field that is smelled is neither laid by anybody nor started by the scene",
@@ -178,6 +180,7 @@ CODES: dict[str, str] = {
     "field-setting": "a setting of a field has a value that no field can have",
     "field-too-fine": "a field would need more cells than are allowed",
     "flow-too-fine": "a flow would be worked out in more points than are allowed",
+    "unreachable-target": "agents stand where no path leads to the target of a flow that they go by",
     # --- running specs ---
     "no-scene": "a spec does not say on which scene it runs, and none lies beside its program",
     "other-scene": "the scene of a spec does not use the spec's program",

@@ -84,6 +84,11 @@ class Flow:
                 found[:, ~known] = laid_by_up(self.source(place[~known]), up[~known]).T
         return tuple(np.ascontiguousarray(part, np.float32) for part in found)  # type: ignore[return-value]
 
+    def reaches(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
+        """Whether it leads agents on from where they stand, bool[n]: whether it is anything there. Arguments as of `at`."""
+        x, y, z = self.at(meshes, footing, place, up)
+        return (x != 0) | (y != 0) | (z != 0)
+
     def show(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Give as `state` what these arrays say, without being it: for a copy that is only looked at."""
 

@@ -13,7 +13,7 @@ from antdsl.fields import path_cost as cost
 from antdsl.fields.face_points import Lattice
 from antdsl.fields.flow import Flow, laid
 from antdsl.fields.path_cost import Land
-from antdsl.ground.protocol import Floats, Index
+from antdsl.ground.protocol import Floats, Footing, Index, Meshes
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
@@ -55,6 +55,8 @@ class Solved(Flow):
     every: int = 1  # steps
     due: Callable[[World], bool] = lambda world: False
     crowd: NDArray[np.int64] | None = None  # covered ground at each point, in parts
+    reached: NDArray[np.bool_] | None = None  # from which points there is a path to the goal
+    stores_reached: bool = False  # where a program reads it, it is part of the state
 
     def solve(self) -> None:
         """Work the flow out for the crowd as it was last looked at."""
@@ -62,10 +64,24 @@ class Solved(Flow):
         assert g is not None and self.cost is not None and self.start is not None and self.first is not None
         price = self.cost if self.crowd is None else self.cost + self.crowding * self._shares(self.crowd)
         bound = cost.ways(g.land, price, self.start, self.first)
+        self.reached = np.isfinite(bound)
         way = cost.directions(g.land, bound) * self.strength
         self.c, self.s = laid(way[g.point], g.axis1, g.axis2)
         self.c *= g.faces[g.lattice.faces()]
         self.s *= g.faces[g.lattice.faces()]
+
+    def reaches(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
+        """Whether a path leads to the goal from the lattice's point next to each agent, bool[n]; false off the flow's faces."""
+        g = self.grounds
+        if meshes is None or g is None or self.reached is None:
+            return np.zeros(len(place), bool)
+        face, known = meshes.on_faces(footing)
+        slot = self._nearest_slot(face, footing)
+        return known & g.faces[face] & self.reached[g.point[slot]]
+
+    def _nearest_slot(self, face: Index, footing: Footing) -> Index:
+        slots, weights = self.lattice.locate(face, footing.b1, footing.b2)
+        return np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
 
     def _shares(self, crowd: NDArray[np.int64]) -> Floats:
         """The share of each triangle that is covered by agents, felt a little beyond them."""
@@ -99,8 +115,7 @@ class Solved(Flow):
         found = np.zeros(len(g.land.points), np.int64)
         for population in world.populations.values():
             face, known = meshes.on_faces(population.footing)
-            slots, weights = g.lattice.locate(face, population.footing.b1, population.footing.b2)
-            slot = np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
+            slot = self._nearest_slot(face, population.footing)
             radius = population.start["radius"].astype(np.float64)
             parts = np.rint(np.pi * radius * radius * _GRAIN)
             counted = known & g.faces[face] & (parts > 0) & (parts < 2.0**40)
@@ -110,7 +125,11 @@ class Solved(Flow):
 
     def state(self) -> dict[str, NDArray[Any]]:
         found: dict[str, NDArray[Any]] = {} if self.crowd is None else {"crowd": self.crowd}
-        return found if self.renew is None else {**found, "c": self.c, "s": self.s}
+        if self.renew is not None:
+            found |= {"c": self.c, "s": self.s}
+            if self.stores_reached and self.reached is not None:
+                found["reached"] = self.reached
+        return found
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
         for name, array in arrays.items():

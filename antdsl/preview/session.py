@@ -19,7 +19,7 @@ from antdsl.preview.layer_order import Off, texts_without
 from antdsl.preview.timeline import Light, Stretch, Timeline, nearest_checkpoint
 from antdsl.reload import migration_line
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
-from antdsl.runtime.binding.crowding import crowding
+from antdsl.runtime.binding.start_findings import start_findings
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.adjusting import settable
 from antdsl.scene.matching import check_param
@@ -259,7 +259,7 @@ class Session:
             world = bind(shot.plan, shot.setting, self.options, built=self.compiler.built)
         except BindError as why:
             return Outcome(why.report)
-        report.extend(crowding(shot.scene, world))
+        report.extend(start_findings(shot.scene, world))
         self.timeline = self.timeline.begun_again(_AGAIN)
         stretch = Stretch(shot, world.frame, "from the first frame", world.origin, choices, off)
         self.timeline.start(stretch, world)
@@ -290,7 +290,7 @@ class Session:
         report.extend(findings)
         if world is None:
             return Outcome(report)
-        report.extend(crowding(shot.scene, world))
+        report.extend(start_findings(shot.scene, world))
         line = " · ".join([migration_line(migration), *(f"layer `{layer}` is gone" for _, layer in gone)])
         off = {key: path for key, path in off.items() if key not in gone}
         stretch = Stretch(shot, world.frame, did, world.origin, choices, off)

@@ -278,6 +278,12 @@ def _flow_value(world: World, population: Population, node: ir.Node, rows: Rows)
     return world.flows[node.attrs[0]].at(world.ground.meshes, population.footing.take(rows), place, up)
 
 
+def _flow_reachable(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    place = np.stack(_place(world, population, rows), axis=1).astype(np.float64)
+    up = population.normal[rows].astype(np.float64)
+    return world.flows[node.attrs[0]].reaches(world.ground.meshes, population.footing.take(rows), place, up)
+
+
 def _map_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
     meshes = world.ground.meshes
     assert meshes is not None  # maps are painted on them
@@ -343,6 +349,7 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "field.gradient": _field_gradient,
     "curve.closest": _curve_closest,
     "flow.value": _flow_value,
+    "flow.reachable": _flow_reachable,
     "map.value": _map_value,
     "noise": _noise,
     "clear.velocity": _clear_velocity,

@@ -15,6 +15,7 @@ from pathlib import Path
 from antdsl.loading import shown
 from antdsl.outputs.cache.cache_writer import ForeignFolder, InTheWay, prepare_folder
 from antdsl.outputs.cache.frames import static_arrays
+from antdsl.outputs.links import first_link
 from antdsl.outputs.recording import Recording, record
 from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
@@ -80,6 +81,10 @@ class Keeper:
             return SavedFrames(None, f"not saved: only the first {MOST} are")
         above = self.folder if self.folder is not None else case.scene.parent / "out" / "failed"
         folder = above / f"{slug(case.name)}-{case.seed}"
+        named = (case.scene.parent, "out", "failed") if self.folder is None else (above,)
+        link = first_link(*named, folder.name)
+        if link is not None:
+            return SavedFrames(None, f"not saved: `{shown(link)}` is a link; name a folder with `--keep`")
         params = {change.name: _flag(run.shot, change.value) for change in case.spec.changes}
         frames = FrameRange(moment.begins, max(run.shot.frames.last, moment.frame + 1))
         shot, report = open_scene(case.scene, Choices(self.grants, frames, run.seed, params))

@@ -9,6 +9,7 @@ from typing import Any
 
 from antdsl import __version__, limits
 from antdsl.bounded import read_bounded
+from antdsl.outputs.links import is_link
 from antdsl.sweep.jobs import Job
 from antdsl.whole import make_folder, write_whole
 
@@ -25,6 +26,8 @@ class Keeper:
     def __init__(self, folder: Path) -> None:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / "runs").is_dir():
             raise OtherFiles(f"`{folder}` has other files")
+        if is_link(folder / "runs"):
+            raise OtherFiles(f"`{folder / 'runs'}` is a link")
         self.folder = folder
         self.runs = folder / "runs"
         make_folder(self.runs)

@@ -4,39 +4,28 @@ panel for each measure and range. Needs matplotlib."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from antdsl.sweep.factors import Factor
+from antdsl.sweep.figures import figure
 from antdsl.sweep.sensitivity import Analysis, Effect
 from antdsl.sweep.study import Study
 from antdsl.sweep.table import Result, quantile
-from antdsl.whole import whole_file
 
 _COLOURS = ("#3b6ea5", "#b5651d", "#4f8a4f", "#8a4f7d", "#7a7a3a", "#555555")  # of scenes
 _PARTS = 6  # of a range, for each of which a median is drawn
 HOW = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 
-def available() -> bool:
-    """Whether pictures can be drawn here; nothing is imported."""
-    return find_spec("matplotlib") is not None
-
-
 def draw(results: Sequence[Result], measures: Sequence[str], path: Path) -> None:
     """Write one PNG with a panel a measure. What did not happen stands above the dashed line."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     labels = list(dict.fromkeys(job.label for job, _ in results))
     height = max(2.0, 0.45 * len(labels) + 1.0)
-    figure = Figure(figsize=(9.0, height * len(measures)), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(len(measures), 1, squeeze=False)[:, 0]
-    for panel, measure in zip(panels, measures, strict=True):
-        _panel(panel, results, labels, measure)
-    _write(figure, path)
+    with figure(9.0, height * len(measures), path) as drawn:
+        panels = drawn.subplots(len(measures), 1, squeeze=False)[:, 0]
+        for panel, measure in zip(panels, measures, strict=True):
+            _panel(panel, results, labels, measure)
 
 
 def _panel(panel, results: Sequence[Result], labels: Sequence[str], measure: str) -> None:  # type: ignore[no-untyped-def]
@@ -65,27 +54,21 @@ def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str
     """Write one PNG with a row a measure and a column a range, and, where a design tells of it, one of how much each factor
     matters. A dot is the median of a point over its seeds, with its quartiles; the line and the band are the median and the
     quartiles of all points within a part of the range."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = len(study.ranges) + bool(effects)
-    figure = Figure(figsize=(1.0 + 3.6 * columns, 0.6 + 2.6 * len(measures)), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(len(measures), columns, squeeze=False)
     names = [str(scene) for scene in study.scenes]
     scenes = {variation.label: str(variation.scene) for variation in study.variations}
-    for row, measure in zip(panels, measures, strict=True):
-        for panel, factor in zip(row, study.ranges, strict=False):
-            _over_range(panel, factor, results, names, scenes, measure)
-        if effects and study.chosen.design.analysis is not None:
-            _bars(row[-1], study.chosen.design.analysis, [e for e in effects if e.measure == measure], names)
-        row[0].set_ylabel(_title(measure), fontsize=9)
-    if len(names) > 1:
-        marks = [panels[0, 0].plot([], [], "o", color=_colour(k), markersize=5)[0] for k in range(len(names))]
-        figure.legend(
-            marks, [scene.stem for scene in study.scenes], loc="outside lower center", ncols=4, fontsize=9, frameon=False
-        )
-    _write(figure, path)
+    with figure(1.0 + 3.6 * columns, 0.6 + 2.6 * len(measures), path) as drawn:
+        panels = drawn.subplots(len(measures), columns, squeeze=False)
+        for row, measure in zip(panels, measures, strict=True):
+            for panel, factor in zip(row, study.ranges, strict=False):
+                _over_range(panel, factor, results, names, scenes, measure)
+            if effects and study.chosen.design.analysis is not None:
+                _bars(row[-1], study.chosen.design.analysis, [e for e in effects if e.measure == measure], names)
+            row[0].set_ylabel(_title(measure), fontsize=9)
+        if len(names) > 1:
+            marks = [panels[0, 0].plot([], [], "o", color=_colour(k), markersize=5)[0] for k in range(len(names))]
+            stems = [scene.stem for scene in study.scenes]
+            drawn.legend(marks, stems, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
 
 
 def _over_range(
@@ -143,11 +126,6 @@ def _bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes: Seq
     panel.set_xlabel(analysis.first.replace("_", " "), fontsize=9)
     panel.tick_params(labelsize=8)
     panel.spines[["top", "right"]].set_visible(False)
-
-
-def _write(figure: Any, path: Path) -> None:
-    with whole_file(path) as file:
-        figure.savefig(file, format="png", dpi=110, metadata={"Software": "antdsl"})
 
 
 def _colour(number: int) -> str:

@@ -115,6 +115,8 @@ def feed_mesh(ending: str) -> Callable[[Path], Feed]:
             except MeshError as why:
                 if not str(why).isprintable() or len(str(why)) > 400:
                     raise Violation("message", repr(str(why))[:300]) from None
+                if why.__cause__ is not None:
+                    raise why.__cause__ from None  # a reader that does not know what is wrong
                 return f"refused {why}"
             if not len(mesh.faces) or mesh.faces.max() >= len(mesh.vertices) or mesh.faces.min() < 0:
                 raise Violation("mesh", "a face names a vertex that is not there")

@@ -170,7 +170,7 @@ OWN_WRITING = {
     "reader/child.py": "its answers",
     "reader/private_folder.py": "the lock of its folder",
     "scene/geometry/usd/closure.py": "its own copies, to write them",
-    "sweep/plots.py": "a file that antdsl/whole.py has opened",
+    "sweep/figures.py": "a file that antdsl/whole.py has opened",
     "syntax/grammar.py": "the grammar that ships",
 }
 WRITING_MODES = frozenset(["a", "ab", "w", "wb", "x", "xb", "r+b", "r+"])

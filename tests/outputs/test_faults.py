@@ -5,51 +5,10 @@ from __future__ import annotations
 import random
 import shutil
 from pathlib import Path
-from subprocess import CompletedProcess
 
-import commands
 import pytest
 from fault_shim import FAULTS, STYLES, Disk, Fault, Faults
-
-from antdsl.outputs.cache.cache_reader import frame_path
-from antdsl.outputs.cache.hashes import HASHES, read_lines
-
-PROGRAM = """ant 1
-use steering
-species walker {
-  size 4 mm
-  max_speed 25 mm/s
-  start stroll
-  state stroll amber {
-    steer wander(swing: 40 deg)
-    when chance 50 %/s -> rest
-  }
-  state rest blue { when after 0.1 s -> stroll }
-  layers { separate(radius: 2 * size); state }
-}
-"""
-SCENE = """antdsl: 1
-frames: 1..5
-seed: 1
-crowd: [{species: walker, from: walker.ant, count: 6, place: {radius: 30 mm}}]
-output: {checkpoint: 2}
-"""
-LAST = 5
-
-
-def project(folder: Path) -> Path:
-    """The scene of a small crowd on the endless plane."""
-    folder.mkdir(parents=True)
-    (folder / "walker.ant").write_text(PROGRAM)
-    (folder / "scene.yaml").write_text(SCENE)
-    (folder / "out").mkdir()
-    return folder
-
-
-def ran(folder: Path, *words: str) -> CompletedProcess[str]:
-    done = commands.run("run", "scene.yaml", "--threads", "1", "--backend", "numpy", *words, cwd=folder)
-    assert "Traceback" not in done.stderr, done.stderr
-    return done
+from fault_shots import assert_same, project, ran
 
 
 @pytest.fixture(scope="module")
@@ -57,18 +16,6 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = project(tmp_path_factory.mktemp("faults") / "p")
     assert ran(folder).returncode == 0
     return folder
-
-
-def assert_same(folder: Path, unbroken: Path) -> None:
-    """The cache has the frames of a run that nothing happened to, and no leftovers."""
-    mine, whole = folder / "out" / "scene", unbroken / "out" / "scene"
-    for frame in range(1, LAST + 1):
-        assert frame_path(mine, frame).read_bytes() == frame_path(whole, frame).read_bytes()
-    lines = read_lines(whole / HASHES)
-    assert {f: (line.hash, line.file) for f, line in read_lines(mine / HASHES).items()} == {
-        f: (line.hash, line.file) for f, line in lines.items()
-    }
-    assert not [path for path in mine.rglob("*.part")]
 
 
 def calls_of_a_run(folder: Path, *words: str) -> list[str]:

@@ -1,9 +1,10 @@
-"""Tables that `antdsl check` prints about programs: `--params` and `--cost`."""
+"""Tables that `antdsl check` prints about programs and scenes: `--params`, `--cost` and `--imports`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from antdsl.diagnostics.places import safe
 from antdsl.program.cost import Part, costs
@@ -11,6 +12,9 @@ from antdsl.program.kinds import Kind
 from antdsl.program.model import Const, Param, Program, Species
 from antdsl.program.tables.units import measure
 from antdsl.source import Span
+
+if TYPE_CHECKING:
+    from antdsl.pipeline import Choices
 
 Programs = Sequence[tuple[Path, Program]]
 
@@ -105,3 +109,25 @@ def _memory(program: Program) -> dict[str, str]:
         of_all = sum(size[role] for role in _KEPT)
         found[name] = f", {of_all} bytes an agent ({', '.join(kept)}), {size['temp']} more in a step"
     return found
+
+
+# --- imports ---------------------------------------------------------------------------------------------------------
+
+
+def import_table(files: Sequence[Path], choices: Choices) -> Iterator[str]:
+    """What was read of each mesh of the scenes among some files, and what was changed."""
+    from antdsl.pipeline import mesh_imports
+    from antdsl.scene.geometry.import_notes import import_lines
+
+    count = 0
+    for file in files:
+        if file.suffix == ".ant":
+            continue
+        imports, units = mesh_imports(file, choices)
+        for name, found in imports.items():
+            first, *rest = import_lines(found, units)
+            yield f"{file}: {name}: {first}"
+            yield from (f"  {line}" for line in rest)
+            count += 1
+    if not count:
+        yield "no scene without errors here has a mesh"

@@ -1,5 +1,6 @@
 """Pictures into files: PNG stills, and films where the extra `[video]` is installed."""
 
+import errno
 import io
 from collections.abc import Iterable
 from pathlib import Path
@@ -60,17 +61,32 @@ def film(images: Iterable[Image], path: Path, fps: float) -> Report:
                 str(part), (width, height), fps=float(fps), quality=8, macro_block_size=2, ffmpeg_log_level="error"
             )
             writer.send(None)
+            count = 0
             try:
                 for image in _with(first, pictures):
                     writer.send(np.ascontiguousarray(image[:height, :width]))
+                    count += 1
             finally:
                 writer.close()
+            _demand_frames(part, count)
     except OSError as problem:
         why = (problem.strerror or "the encoder stopped").lower()
         report.error(
             "cannot-write", f"cannot write the film `{path.name}`: {why}", None, "name a folder that is there, with room"
         )
     return report
+
+
+def _demand_frames(path: Path, count: int) -> None:
+    """OSError where a film has fewer frames than were drawn: the encoder says nothing of a disk that is full."""
+    import imageio_ffmpeg
+
+    try:
+        there = imageio_ffmpeg.count_frames_and_secs(str(path))[0]
+    except RuntimeError:
+        there = 0
+    if there is None or there < count:
+        raise OSError(errno.EIO, f"{there or 0} of {count} frames reached the disk, which may be full", str(path))
 
 
 def _with(first: Image, others: Iterable[Image]) -> Iterable[Image]:

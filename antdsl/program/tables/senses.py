@@ -175,6 +175,23 @@ _ROWS = (
         ),
     ),
     Sense(
+        "flow.reachable",
+        "flow",
+        (Part("", "b"),),
+        "whether a path leads from where the agent stands to the target of a solved flow; of other flows, whether they are anything",
+        (
+            Builtin(
+                (Arg("of", "flow"),),
+                "bool",
+                "a path leads from here to the target of a solved flow; of other flows: it is anything here",
+                "reachable",
+                sense=True,
+                cost=Cost(30, "flow {thing}"),
+                sample="reachable(drift)",
+            ),
+        ),
+    ),
+    Sense(
         "map.value",
         "map",
         (Part("value"),),

@@ -279,6 +279,7 @@ def _solved(world: World, flow: SolvedFlow) -> Flow:
         grounds=grounds, cost=_cost(world, flow, grounds), start=start, first=first, strength=flow.strength,
         crowding=flow.crowding, every=every, due=due,
         crowd=np.zeros(len(grounds.land.points), np.int64) if flow.crowding else None,
+        stores_reached=any(node.op == "flow.reachable" for node in world.plan.nodes),
     )  # fmt: skip
     made.solve()
     return made

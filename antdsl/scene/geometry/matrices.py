@@ -20,6 +20,20 @@ def still(*shape: int) -> Floats:
     return made
 
 
+def of_parts(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
+    """The way (3, 4) that scales, then rotates by a quaternion x y z w of any length, then shifts."""
+    x, y, z, w = rotation / max(float(np.sqrt((rotation * rotation).sum())), 1e-30)
+    made = still()
+    made[:, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    made[:, :3] *= scale
+    made[:, 3] = translation
+    return made
+
+
 def after(outer: Floats, inner: Floats) -> Floats:
     """The inner way first, then the outer."""
     made = product(outer[..., :3], inner)
@@ -89,3 +103,15 @@ def applied(way: Floats, points: Floats) -> Floats:
     x, y, z = (points[:, axis, None] for axis in range(3))
     found: Floats = ((way[..., 0] * x + way[..., 1] * y) + way[..., 2] * z) + way[..., 3]
     return found
+
+
+def different(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
+    """An order by x, y, z of points (n, 3); which of them in that order differ from the one before; and for each point, counted from
+    0, which of the different ones it is. Zero and minus zero are one."""
+    order = np.lexsort(points.T[::-1])
+    ranked = points[order]
+    new = np.ones(len(points), np.bool_)
+    new[1:] = (ranked[1:] != ranked[:-1]).any(axis=1)
+    which = np.empty(len(points), np.int64)
+    which[order] = np.cumsum(new) - 1
+    return order, new, which

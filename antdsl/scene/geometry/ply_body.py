@@ -199,7 +199,7 @@ class _Binary:
     def note_rest(self, notes: ImportNotes) -> None:
         """Note what stands after the last element."""
         rest = len(self._data) - self._at
-        if rest > 2:  # a line end that an editor added
+        if self._data[self._at :].strip(b"\0 \n\r\t\x1a"):  # no padding
             notes.skip(f"{rest:,} bytes after the last element")
 
     def columns(self, element: Element, wanted: Collection[str]) -> Columns:

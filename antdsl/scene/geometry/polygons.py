@@ -17,7 +17,8 @@ Whole = NDArray[np.int64]
 Corner = tuple[int, int]
 
 CORNERS = 20_000  # of one polygon that no fan covers: cutting it takes about a second
-WORK = 4 * CORNERS**2  # all such polygons of a file: the sum of the squares of their numbers of corners
+WORK = 16 * CORNERS**2  # all such polygons of a file: the sum of the squares of their numbers of corners, and each for itself
+_EACH = 20_000  # of the same for the call alone
 _FANS = 8  # corners that are tried as the middle of a fan
 _GRID = 2.0**24  # cells across a polygon: products of two sides stay below 2**53
 _FLAT = 1e-10  # of the square of a polygon's extent: triangles with less area have none
@@ -79,7 +80,7 @@ def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
 def _check_work(counts: Whole) -> None:
     if len(counts) and counts.max() > CORNERS:
         raise TooManyCorners(f"has a concave polygon of {counts.max():,} corners, more than {CORNERS:,}")
-    if (counts.astype(np.float64) ** 2).sum() > WORK:
+    if (counts.astype(np.float64) ** 2 + _EACH).sum() > WORK:
         raise TooManyCorners(f"has {len(counts):,} concave polygons with too many corners to cut")
 
 
@@ -109,8 +110,9 @@ def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 def _fans(rings: Floats) -> tuple[Whole, Whole, NDArray[np.bool_]]:
     """For polygons [p, n, 3] the triangles [p, n - 2, 3] of a fan, the corner it is about (-1 where none of those tried covers the
     polygon), and whether they cross themselves."""
-    number, count = rings.shape[:2]
+    count = rings.shape[1]
     seen, has_area = _flat(rings)
+    crossed = ~has_area & _crosses(rings)
     middle = np.where(has_area, -1, 0)  # without an area: a fan of nothing
     step = np.arange(1, count - 1)
     for k in range(min(count, _FANS)):
@@ -125,9 +127,12 @@ def _fans(rings: Floats) -> tuple[Whole, Whole, NDArray[np.bool_]]:
         past = np.maximum.accumulate(turn < -_FLAT, axis=1)
         covers = (area > _FLAT).all(axis=1) & ~(past[:, :-1] & (turn[:, 1:] >= -_FLAT)).any(axis=1)
         middle[open_[covers]] = k
+    if count == 4:  # a quad that no fan covers crosses itself
+        crossed |= middle < 0
+        middle = np.maximum(middle, 0)
     around = np.stack([np.zeros(len(step), np.int64), step, step + 1], axis=1)
     fans = (around[None] + np.maximum(middle, 0)[:, None, None]) % count
-    return fans, middle, ~has_area & _crosses(rings)
+    return fans, middle, crossed
 
 
 def _crosses(rings: Floats) -> NDArray[np.bool_]:

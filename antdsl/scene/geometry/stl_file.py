@@ -8,6 +8,7 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.matrices import different
 from antdsl.scene.geometry.mesh_text import Floats, MeshError, blocks, check_count, check_text, plain_text, shown
 from antdsl.scene.geometry.polygon_mesh import PolygonMesh
 
@@ -21,8 +22,8 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
     wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if len(wrong):
         raise MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
-    points, inverse = np.unique(corners, axis=0, return_inverse=True)
-    return PolygonMesh.of_triangles(points, inverse.reshape(-1, 3).astype(np.int64))
+    order, new, which = different(corners)
+    return PolygonMesh.of_triangles(corners[order[new]], which.reshape(-1, 3))
 
 
 def _is_text(data: bytes) -> bool:
@@ -47,9 +48,10 @@ def _binary(data: bytes, notes: ImportNotes) -> Floats:
         raise MeshError(f"{_MISSING}: it says it has {count:,} faces, and {room:,} fit in its {len(data):,} bytes")
     check_count(count, limits.MESH_FACES, "faces")
     tail = data[len(data) - rest :]
-    if rest >= _FACE and rest % _FACE == 0 and tail.strip(b"\0 \n\r\t\x1a"):
+    is_padding = not tail.strip(b"\0 \n\r\t\x1a")
+    if rest >= _FACE and rest % _FACE == 0 and not is_padding:
         raise MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE:,}")
-    if rest:
+    if not is_padding:
         notes.skip(f"{rest:,} bytes after the last face")
     rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEAD)
     return rows["corners"].reshape(-1, 3).astype(np.float64)

@@ -13,6 +13,7 @@ from antdsl import limits
 from antdsl.scene import setting as stage_of
 from antdsl.scene.crowd_model import UsdPlaces
 from antdsl.scene.document import Key
+from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import applied, has_inverse
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import RawMesh, mesh_arrays, rotated, sound, turned_up
@@ -29,6 +30,7 @@ from antdsl.scene.model import (
     UsdThing,
     millimetres,
 )
+from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.moves import MeshMoves
 
@@ -125,9 +127,10 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         if data is None:
             return None
         try:
-            vertices, faces = mesh_arrays(data, file, value.group)
+            notes = ImportNotes()
+            vertices, faces = mesh_arrays(data, file, value.group, staging.beside(file), notes)
             if raw is None or places is None or first is None:
-                raw, first = sound(vertices, faces), faces
+                raw, first = sound(vertices, faces, notes), faces
                 size = len(files) * len(raw.vertices) * 48
                 if size > limits.MOVES_BYTES:
                     words = f"{len(files):,} frames of `{value.mesh}` would take {size / limits.GIB:.1f} GiB"
@@ -143,6 +146,9 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
                 raise MeshError("has a vertex that is not a finite point")
         except MeshError as why:
             staging.report.error("bad-mesh", f"the mesh `{file}` {why}", span, why.help)
+            return None
+        except PathRefused as refused:
+            staging.report.error(refused.code, f"the mesh `{file}` names a buffer: {refused}", span, refused.help)
             return None
         read = {file: places[k]}
     assert raw is not None and places is not None
@@ -230,7 +236,11 @@ def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> F
         found = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
         factor, own_up = value.scale, model.up
     else:
-        files = sequence(staging, value.curve, "world", name, "curve") if "#" in value.curve else [value.curve]
+        files = (
+            sequence(staging, value.curve, "world", name, "curve")
+            if staging.scene.roots.is_sequence(value.curve)
+            else [value.curve]
+        )
         if files is None:
             return None
         read = {file: staging.points(file, 2, "world", name, "curve") for file in dict.fromkeys(files)}

@@ -1,0 +1,43 @@
+"""What is wrong with where a crowd begins, known once it is bound: no room for all, or no path to where a flow leads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.diagnostics import Report
+from antdsl.plan.ir import SpeciesPlan
+from antdsl.plan.traverse import blocks, needed, operands, statements
+from antdsl.runtime.binding.crowding import crowding
+from antdsl.runtime.world import World
+from antdsl.scene import Scene
+from antdsl.scene.setting import SolvedFlow
+
+_HELP = "open a way for it, move the target or the crowd, or write what they do there: `when not reachable({flow}) -> …`"
+
+
+def start_findings(scene: Scene, world: World) -> Report:
+    """Warnings about the crowd of a world as it stands, each at its place in the scene."""
+    report = crowding(scene, world)
+    for name, flow in world.setting.flows.items():
+        if not isinstance(flow, SolvedFlow) or name not in world.flows:
+            continue
+        for species, plan in world.plan.species.items():
+            count = len(world.populations[species])
+            cut_off = count - reaching(world, species, name) if count and name in _flows_read(plan) else 0
+            if cut_off:
+                words = f"{cut_off:,} of {count:,} `{species}` stand where no path leads to the target of `{name}`"
+                report.warning("unreachable-target", words, scene.span("world", name, "solved"), _HELP.format(flow=name))
+    return report
+
+
+def reaching(world: World, species: str, flow: str) -> int:
+    """How many agents of a species stand where a path leads to the target of a flow."""
+    population = world.populations[species]
+    place, up = population.position.astype(np.float64), population.normal.astype(np.float64)
+    return int(np.count_nonzero(world.flows[flow].reaches(world.ground.meshes, population.footing, place, up)))
+
+
+def _flows_read(species: SpeciesPlan) -> set[str]:
+    """Names of the flows that a species goes by."""
+    asked = [node for _, block in blocks(species) for _, each in statements(block) for node in operands(each)]
+    return {str(node.attrs[0]) for node in needed([*asked, *species.lazy]) if node.op.startswith("flow.")}

@@ -1,0 +1,85 @@
+"""The one door to matplotlib: figures with its packaged defaults, whatever the working directory or the user sets.
+
+Its settings start programs (`text.usetex` starts LaTeX), and it looks for them in the working directory first, when it is
+imported. So it is imported from a folder of antdsl's own, with its own variables pointing to the installation."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, chdir, contextmanager, suppress
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from antdsl.user_folders import cache_folder, make_private_folder
+from antdsl.whole import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NAME = "matplotlib"
+
+
+def available() -> bool:
+    """Whether figures can be drawn here; nothing is imported."""
+    return find_spec(NAME) is not None
+
+
+@contextmanager
+def figure(width: float, height: float, path: Path) -> Iterator[Figure]:
+    """A figure of a size in inches to draw into; at the end it is put at `path` as a PNG file. OSError where it cannot be."""
+    matplotlib = _matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        made = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(made)
+        yield made
+        with whole_file(path) as file:
+            made.savefig(file, format="png", dpi=110, metadata={"Software": "antdsl"})
+
+
+@cache
+def _matplotlib() -> Any:
+    """matplotlib with all that reads settings or a list of fonts as it is imported. It stores that list in a folder that only
+    this user may write to."""
+    import importlib
+
+    with ExitStack() as opened:
+        try:
+            folder = cache_folder() / "antdsl" / NAME
+            make_private_folder(folder.parent)
+            make_private_folder(folder)
+        except OSError:  # no home folder
+            folder = Path(opened.enter_context(TemporaryDirectory(prefix="antdsl-fonts-")))
+        spec = find_spec(NAME)
+        assert spec is not None and spec.origin is not None
+        defaults = str(Path(spec.origin).parent / "mpl-data" / "matplotlibrc")
+        own = {"MATPLOTLIBRC": defaults, "MPLCONFIGDIR": str(folder), "MPLBACKEND": "agg"}
+        # Without a search path it does not find `fc-list`, which names more fonts than it needs.
+        opened.enter_context(_environment({**own, "PATH": str(folder)}))
+        with suppress(FileNotFoundError):  # the working directory was deleted: nothing is found in it
+            opened.enter_context(chdir(folder))
+        for module in ("font_manager", "style", "figure", "backends.backend_agg"):
+            importlib.import_module(f"{NAME}.{module}")
+        return importlib.import_module(NAME)
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Variables of this process have other values meanwhile."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
