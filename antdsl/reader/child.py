@@ -1,8 +1,8 @@
 """The program of the reader's process. Run by its path: `python -P -S child.py CONFIGURATION`.
 
 The configuration is a JSON object: `paths` for `sys.path`, `readable` folders, `modules` to import. The process confines itself,
-reports what holds and then answers requests from its standard input until that is closed. A request that runs out of memory is its
-last one."""
+reports what holds and then answers requests from its standard input until that is closed. After one that runs out of memory it
+ends."""
 
 from __future__ import annotations
 

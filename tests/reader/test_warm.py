@@ -12,8 +12,8 @@ from cases.hostile.usd import ABORTS, GOOD, MESH, usd
 
 pytest.importorskip("pxr")
 
-from antdsl.preview.session import Session  # noqa: E402
-from antdsl.reader import client  # noqa: E402
+from antdsl.preview.session import Session
+from antdsl.reader import client
 
 
 def test_a_preview_goes_on_when_the_reader_dies(tmp_path: Path) -> None:
