@@ -164,6 +164,8 @@ def _read_scene(
     loaded = Loaded(real_path(path).parent, parsed={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
+    if data is None:  # an editor's text is read without the meshes of its world
+        _prepare_reader(scene)
     scene = scene.changed(frames=choices.frames, seed=choices.seed)
     for number, line in enumerate(scene.model.crowd):
         if line.source not in {other.source for other in scene.model.crowd[:number]}:
@@ -178,6 +180,14 @@ def _read_scene(
         report.extend(match(scene, program))
         overrides(scene, program, choices.params, report)
     return scene, program, loaded, report
+
+
+def _prepare_reader(scene: Scene) -> None:
+    """Have the reader load USD while the programs are checked, where the scene has things out of USD files."""
+    if any(getattr(thing, "usd", None) for thing in (*scene.model.world.values(), scene.model.camera)):
+        from antdsl.reader import client
+
+        client.prepare("usd")
 
 
 _CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE.ant, count: 100, place: {on: SURFACE}}`"

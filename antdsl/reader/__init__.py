@@ -22,3 +22,5 @@ READERS: Final = {
     "usd-body": ("antdsl.bodies.agents.usd_body", "read_body"),
     "image": ("antdsl.reader.images", "read_image"),
 }
+# Modules that the child imports before the first request of a format, while the other process does something else.
+PREPARED: Final = {"usd": ("antdsl.scene.geometry.usd.child.requests", "pxr.Usd", "pxr.UsdGeom")}

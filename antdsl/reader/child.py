@@ -1,13 +1,16 @@
 """The program of the reader's process. Run by its path: `python -P -S child.py CONFIGURATION`.
 
-The configuration is a JSON object: `paths` for `sys.path`, `readable` folders. It confines itself, reports what holds and then
-answers requests from its standard input until that is closed. A request that runs out of memory is its last one."""
+The configuration is a JSON object: `paths` for `sys.path`, `readable` folders, `modules` to import. The process confines itself,
+reports what holds and then answers requests from its standard input until that is closed. After one that runs out of memory it
+ends."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
+from contextlib import suppress
+from importlib import import_module
 from typing import Any
 
 
@@ -27,6 +30,9 @@ def main() -> None:
     from antdsl.reader import protocol
 
     protocol.write_message(answers, {"active": active}, {})
+    with suppress(ImportError):  # a request says what is missing
+        for module in configuration["modules"]:
+            import_module(module)
     while True:
         try:
             request = protocol.read_message(requests, limits.READER_BYTES)
@@ -41,8 +47,6 @@ def main() -> None:
 
 def _answer(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]:
     """The answer to a request, its arrays, and whether it is the last one."""
-    from importlib import import_module
-
     from antdsl.reader import READERS
     from antdsl.reader.refusal import Refusal
 

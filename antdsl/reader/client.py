@@ -11,13 +11,13 @@ import subprocess
 import sys
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 from antdsl import limits
-from antdsl.reader import READERS, confinement
+from antdsl.reader import PREPARED, READERS, confinement
 from antdsl.reader.private_folder import PrivateFolder
 from antdsl.reader.protocol import Arrays, EndOfMessages, Message, ProtocolError, read_message, write_message
 from antdsl.reader.refusal import Refusal
@@ -41,8 +41,9 @@ class ReaderFailure(Exception):
 class _Process:
     """A running child, and what confines it."""
 
-    def __init__(self, folder: Path) -> None:
-        configuration = json.dumps({"paths": confinement.paths(), "readable": [*confinement.installation(), str(folder)]})
+    def __init__(self, folder: Path, modules: Sequence[str]) -> None:
+        readable = [*confinement.installation(), str(folder)]
+        configuration = json.dumps({"paths": confinement.paths(), "readable": readable, "modules": modules})
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-S", str(_PROGRAM), configuration],
             stdin=subprocess.PIPE,
@@ -76,9 +77,11 @@ class _Process:
 
     def forget(self) -> None:
         """Close this process's ends of the pipes: the child belongs to the process that this one was forked from."""
+        nothing = os.open(os.devnull, os.O_RDWR)
         for pipe in (self.requests, self.answers):
             with suppress(OSError, ValueError):
-                os.close(pipe.fileno())
+                os.dup2(nothing, pipe.fileno(), inheritable=False)  # what is left in a buffer goes nowhere
+        os.close(nothing)
         self.process.returncode = 0  # nothing is waited for
 
 
@@ -175,13 +178,18 @@ class Reader:
         self._end()
         raise ReaderFailure(_SENSELESS, _DAMAGED)
 
-    def _start(self) -> _Process:
+    def prepare(self, format: str) -> None:
+        """As the function `prepare`."""
+        with self._lock, suppress(OSError):  # a request says why it cannot be started
+            self._start(PREPARED[format])
+
+    def _start(self, modules: Sequence[str] = ()) -> _Process:
         if self._running is not None and self._running.process.poll() is not None:
             self._end()  # it died between two requests
         if self._running is None:
             if self._folder is None:
                 self._folder = PrivateFolder()
-            self._running = _Process(self._folder.path)
+            self._running = _Process(self._folder.path, modules)
         return self._running
 
     def _end(self) -> int:
@@ -234,6 +242,12 @@ def ask(
     return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest)
 
 
+def prepare(format: str) -> None:
+    """Start the reader for a key of PREPARED and return at once, so that it loads libraries while this process does something
+    else."""
+    _reader.prepare(format)
+
+
 def new_folder() -> Path:
     """An empty folder that the reader may open, to be removed by the caller; the end of this process removes it too."""
     return _reader.folder()
@@ -244,9 +258,13 @@ def active_layers() -> dict[str, int]:
     return _reader.active()
 
 
+_of_owners: list[Reader] = []  # never freed: a thread that is not in this process may hold their locks
+
+
 def _forked() -> None:
     global _reader
     _reader.forget()
+    _of_owners.append(_reader)
     _reader = Reader()
 
 

@@ -219,6 +219,30 @@ def test_heavy_packages_are_imported_late_below_the_pictures() -> None:
                     assert name.split(".")[0] not in HEAVY, f"{path}:{node.lineno} imports {name} at once"
 
 
+# What reads files by a C or C++ library, and runs in the reader's process only: nothing else imports it.
+READ_BY_LIBRARIES = ("antdsl.scene.geometry.usd.child", "antdsl.bodies.agents.usd_body", "antdsl.bodies.agents.usd_shapes",
+                     "antdsl.reader.images", "antdsl.reader.child")  # fmt: skip
+WRITES_USD = ("antdsl.outputs.", "antdsl.scene.geometry.usd.errors", "antdsl.scene.geometry.usd")
+COMPOSES_USD = frozenset(["FindOrOpen", "OpenMasked", "OpenAsAnonymous", "AddReference", "AddPayload", "subLayerPaths"])
+
+
+def test_foreign_formats_are_read_in_the_process_of_the_reader_only() -> None:
+    for path in FILES:
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        if module.startswith(READ_BY_LIBRARIES):
+            continue
+        for name, line in imports(path):
+            assert not name.startswith(READ_BY_LIBRARIES), f"{path}:{line} imports {name}"
+            assert not name.startswith("pxr"), f"{path}:{line} imports {name}"
+        for node in nodes(path):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "pxr":
+                assert module.startswith(WRITES_USD), f"{path}:{node.lineno} uses USD"
+            if isinstance(node, ast.Attribute):
+                assert node.attr not in COMPOSES_USD, f"{path}:{node.lineno} opens a layer"
+                opens = ast.unparse(node) in ("Image.open", "PillowImage.open", "PIL.Image.open", "usd.Stage.Open")
+                assert not opens, f"{path}:{node.lineno} decodes an image or opens a stage"
+
+
 def test_the_plan_and_what_is_below_never_see_numpy() -> None:
     for path in FILES:
         if room(path) in ("source", "diagnostics", "limits", "resources", "syntax", "program", "plan", "passes"):

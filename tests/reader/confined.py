@@ -1,4 +1,4 @@
-"""A program that confines itself as the reader does, then tries what it must not be able to do: `confined.py FOLDER OUTSIDE PORT`.
+"""A program that confines itself as the reader does, then tries what it must not be able to do: `confined.py FOLDER FILE PORT`.
 
 It prints a JSON object: what confines it, and for each attempt `refused` or what happened."""
 
@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 from antdsl.reader import confinement, sandbox
 
@@ -21,13 +22,13 @@ def main() -> None:
     before = os.open(os.devnull, os.O_WRONLY)
     active = sandbox.confine([*confinement.installation(), folder])
     attempts: dict[str, Callable[[], object]] = {
-        "read inside": lambda: open(os.path.join(folder, "inside"), "rb").read(),
-        "read outside": lambda: open(outside, "rb").read(),
-        "read through a link": lambda: open(os.path.join(folder, "link"), "rb").read(),
+        "read inside": lambda: Path(os.path.join(folder, "inside")).read_bytes(),
+        "read outside": lambda: Path(outside).read_bytes(),
+        "read through a link": lambda: Path(os.path.join(folder, "link")).read_bytes(),
         "list outside": lambda: os.listdir(os.path.dirname(outside)),
-        "read the password file": lambda: open("/etc/passwd", "rb").read(),
-        "write inside": lambda: open(os.path.join(folder, "new"), "wb"),
-        "append inside": lambda: open(os.path.join(folder, "inside"), "ab"),
+        "read the password file": lambda: Path("/etc/passwd").read_bytes(),
+        "write inside": lambda: Path(folder, "new").write_bytes(b"x"),
+        "append inside": lambda: os.open(os.path.join(folder, "inside"), os.O_WRONLY | os.O_APPEND),
         "write an open file": lambda: os.open(outside, os.O_RDWR),
         "remove": lambda: os.unlink(os.path.join(folder, "inside")),
         "rename": lambda: os.rename(os.path.join(folder, "inside"), os.path.join(folder, "other")),

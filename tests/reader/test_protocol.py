@@ -44,15 +44,27 @@ def test_a_message_is_read_as_it_was_written() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"", b"ant", b"GET / HTTP/1.1\r\n\r\n", struct.pack("<4sQ", MAGIC, 1 << 62), framed([]), framed({}), framed(b"[" * 100_000),
-        framed({"document": {}, "arrays": [["a", "<f8", [1 << 39]]]}), framed({"document": {}, "arrays": [["a", "<f8", [-1]]]}),
-        framed({"document": {}, "arrays": [["a", "<f8", [2, 1 << 39, 1 << 39]]]}), framed({"document": {}, "arrays": [["a", "O", [1]]]}),
-        framed({"document": {}, "arrays": [["a", "<f8", [1]]]}, b"1234"), framed({"document": {}, "arrays": [["a", "|V8", [1]]]}),
-        framed({"document": {}, "arrays": [["a", "<f8", [0]], ["a", "<f8", [0]]]}), framed(b'{"document": {"x": NaN}, "arrays": []}'),
-        framed({"document": {}, "arrays": [["a", "<f8", [True]]]}), framed({"document": {}, "arrays": [[["a"], "<f8", [0]]]}),
-        framed({"document": {}, "arrays": [["a", ["<f8"], [0]]]}), framed(b'{"document": {"x": 1' + b"0" * 9000 + b'}, "arrays": []}'),
+        b"",
+        b"ant",
+        b"GET / HTTP/1.1\r\n\r\n",
+        struct.pack("<4sQ", MAGIC, 1 << 62),
+        framed([]),
+        framed({}),
+        framed(b"[" * 100_000),
+        framed({"document": {}, "arrays": [["a", "<f8", [1 << 39]]]}),
+        framed({"document": {}, "arrays": [["a", "<f8", [-1]]]}),
+        framed({"document": {}, "arrays": [["a", "<f8", [2, 1 << 39, 1 << 39]]]}),
+        framed({"document": {}, "arrays": [["a", "O", [1]]]}),
+        framed({"document": {}, "arrays": [["a", "<f8", [1]]]}, b"1234"),
+        framed({"document": {}, "arrays": [["a", "|V8", [1]]]}),
+        framed({"document": {}, "arrays": [["a", "<f8", [0]], ["a", "<f8", [0]]]}),
+        framed(b'{"document": {"x": NaN}, "arrays": []}'),
+        framed({"document": {}, "arrays": [["a", "<f8", [True]]]}),
+        framed({"document": {}, "arrays": [[["a"], "<f8", [0]]]}),
+        framed({"document": {}, "arrays": [["a", ["<f8"], [0]]]}),
+        framed(b'{"document": {"x": 1' + b"0" * 9000 + b'}, "arrays": []}'),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_message_is_refused(data: bytes) -> None:
     with pytest.raises(ProtocolError):
         read_message(io.BytesIO(data), limits.READER_BYTES)

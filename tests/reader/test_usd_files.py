@@ -16,12 +16,12 @@ from cases.hostile.usd import GOOD, HEAD, MESH
 
 pytest.importorskip("pxr")
 
-from antdsl.reader import client  # noqa: E402
-from antdsl.reader.protocol import Message  # noqa: E402
-from antdsl.scene import Roots  # noqa: E402
-from antdsl.scene.geometry import usd  # noqa: E402
-from antdsl.scene.geometry.mesh_text import MeshError  # noqa: E402
-from antdsl.scene.geometry.usd.package import PackageError, layers_of, packed  # noqa: E402
+from antdsl.reader import client
+from antdsl.reader.protocol import Message
+from antdsl.scene import Roots
+from antdsl.scene.geometry import usd
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.usd.package import PackageError, layers_of, packed
 
 NAMED = HEAD.replace("(\n", '(\n    defaultPrim = "ground"\n', 1)
 
@@ -108,7 +108,8 @@ def test_links_and_value_clips_are_refused_in_a_project(folder: Path) -> None:
         os.symlink(folder.parent / f"{name}.usda", folder / f"{name}.usda")
         (folder / "a.usda").write_text(refers(f"{name}.usda"))
         assert "link" in refused(folder, "a.usda")
-    clips = f'{NAMED}def "ground" ( clips = {{ dictionary default = {{ asset[] assetPaths = [@{folder.parent}/pipe.usda@] }} }} ) {{}}'
+    pipe = f"dictionary default = {{ asset[] assetPaths = [@{folder.parent}/pipe.usda@] }}"
+    clips = f'{NAMED}def "ground" ( clips = {{ {pipe} }} ) {{}}'
     (folder / "a.usdz").write_bytes(zipped({"top.usda": refers("b.usda"), "b.usda": clips}))
     assert "value clips" in refused(folder, "a.usdz")
 
@@ -191,10 +192,12 @@ POINTS = {"places": np.zeros((1, 2, 3)), "radius": np.zeros(2), "ahead": np.zero
 @pytest.mark.parametrize(
     ("read_it", "message"),
     [
-        (usd.read_usd_mesh, answer({})), (usd.read_usd_mesh, answer({**MESH_ARRAYS, "faces": np.array([[0, 1, 3]])})),
+        (usd.read_usd_mesh, answer({})),
+        (usd.read_usd_mesh, answer({**MESH_ARRAYS, "faces": np.array([[0, 1, 3]])})),
         (usd.read_usd_mesh, answer({**MESH_ARRAYS, "faces": np.array([[0, -1, 2]])})),
         (usd.read_usd_mesh, answer({**MESH_ARRAYS, "vertices": np.full((3, 3), np.nan)})),
-        (usd.read_usd_mesh, answer({**MESH_ARRAYS, "vertices": np.zeros((3, 2))})), (usd.read_usd_mesh, answer(MESH_ARRAYS, passed_over=1)),
+        (usd.read_usd_mesh, answer({**MESH_ARRAYS, "vertices": np.zeros((3, 2))})),
+        (usd.read_usd_mesh, answer(MESH_ARRAYS, passed_over=1)),
         (usd.read_usd_mesh, answer({**MESH_ARRAYS, **MOVES, "moves:group": np.array([0, 0, 1], np.int32)})),
         (usd.read_usd_mesh, answer({**MESH_ARRAYS, **MOVES, "moves:tracks": np.zeros((1, 2, 3, 4))})),
         (usd.read_usd_mesh, answer({**MESH_ARRAYS, **MOVES, "moves:bent": np.array([7]), "moves:offsets": np.zeros((1, 1, 3))})),
@@ -202,10 +205,11 @@ POINTS = {"places": np.zeros((1, 2, 3)), "radius": np.zeros(2), "ahead": np.zero
         (usd.read_usd_points, answer({**POINTS, "radius": np.zeros(3)}, values=[], texts=[], unit=1.0)),
         (usd.read_usd_points, answer(POINTS, values=["a"], texts=[], unit=1.0)),
         (usd.read_usd_points, answer({**POINTS, "places": np.full((1, 2, 3), np.inf)}, values=[], texts=[], unit=1.0)),
-        (usd.read_usd_curve, answer({"places": np.zeros((1, 1, 3))})), (usd.read_usd_curve, answer({"places": np.zeros((3, 5, 3))})),
+        (usd.read_usd_curve, answer({"places": np.zeros((1, 1, 3))})),
+        (usd.read_usd_curve, answer({"places": np.zeros((3, 5, 3))})),
         (usd.read_usd_camera, answer({"at": np.zeros((1, 3))})),
     ],
-)  # fmt: skip
+)
 def test_an_answer_that_makes_no_sense_is_an_error(
     read_it: Callable[[usd.UsdStage], Any], message: Message, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -78,17 +78,24 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
         return float(found[0]), float(found[1])
 
 
-def inverse(way: Floats) -> Floats:
-    """The way back of one way (3, 4) that has a size."""
-    a, b, c = way[:, :3]
-    turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1) / determinant(way)
-    return np.concatenate([turn, -product(turn, way[:, 3:])], axis=1)
+def inverse(ways: Floats) -> Floats:
+    """The ways back of ways (…, 3, 4) that have a size."""
+    a, b, c = (ways[..., row, :3] for row in range(3))
+    turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1) / determinants(ways)[..., None, None]
+    return np.concatenate([turn, -product(turn, ways[..., 3:])], axis=-1)
 
 
 def has_inverse(way: Floats) -> bool:
     """Whether there is a way back: the way flattens nothing."""
-    square = float((way[:, :3] * way[:, :3]).sum())
-    return bool(np.isfinite(way).all() and abs(determinant(way)) > 1e-12 * square * np.sqrt(square))
+    return bool(have_inverses(way))
+
+
+def have_inverses(ways: Floats) -> NDArray[np.bool_]:
+    """The same of ways (…, 3, 4)."""
+    turn = ways[..., :3].reshape(*ways.shape[:-2], 9)
+    square = (turn * turn).sum(axis=-1)
+    is_large = np.abs(determinants(ways)) > 1e-12 * square * np.sqrt(square)
+    return np.asarray(np.isfinite(ways).all(axis=(-2, -1)) & is_large)
 
 
 def applied(way: Floats, points: Floats) -> Floats:

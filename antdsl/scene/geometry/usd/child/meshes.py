@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.reader.sandbox import allow_memory
-from antdsl.scene.geometry.matrices import after, applied, determinants, has_inverse, inverse, still
+from antdsl.scene.geometry.matrices import after, applied, determinants, have_inverses, inverse, still
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
@@ -140,37 +140,52 @@ def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | 
     frames = len(stage.times)
     if not any(shape.bent or shape.placed.ways.shape[1] > 1 for shape in shapes):
         return None
-    places = [(shape, way) for shape in shapes for way in shape.placed.ways]
-    free = [shape.bent or (len(way) > 1 and not has_inverse(way[0])) for shape, way in places]
-    check_bytes(
-        sum(len(s.points) * frames * 24 if f else len(w) * 96 for (s, w), f in zip(places, free, strict=True)), "what moves"
-    )
-    tracks, group, bent, before = [still(frames)], [], [], 0
-    for (shape, way), alone in zip(places, free, strict=True):
-        moved = len(way) > 1 and not alone and not (way == way[0]).all()
-        group.append(np.full(len(shape.points), len(tracks) if moved else 0, np.int32))
-        if moved:
-            track = after(way, inverse(way[0]))
-            track[(way == way[0]).all(axis=(1, 2))] = still()  # exactly where it rests
+    free = [_are_free(shape) for shape in shapes]
+    sizes = [
+        len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed.ways.shape[1] * 96 * int((~alone).sum())
+        for shape, alone in zip(shapes, free, strict=True)
+    ]
+    check_bytes(sum(sizes), "what moves")
+    tracks, group, bent, before, count = [still(1, frames)], [], [], 0, 1
+    for shape, alone in zip(shapes, free, strict=True):
+        ways, points = shape.placed.ways, len(shape.points)
+        is_first = (ways == ways[:, :1]).all(axis=(2, 3))
+        moved = ~alone & ~is_first.all(axis=1)
+        number = np.where(moved, count + np.cumsum(moved) - 1, 0)
+        group.append(np.repeat(number.astype(np.int32), points))
+        if moved.any():
+            track = after(ways[moved], inverse(ways[moved, 0])[:, None])
+            track[is_first[moved]] = still()  # exactly where it rests
             tracks.append(track)
-        if alone:
-            bent.append(np.arange(before, before + len(shape.points)))
-        before += len(shape.points)
-    offsets = np.empty((frames if bent else 0, sum(map(len, bent)), 3))
+            count += len(track)
+        bent.append((before + points * np.flatnonzero(alone)[:, None] + np.arange(points)).ravel())
+        before += points * len(ways)
+    numbers = np.concatenate(bent)
+    offsets = np.empty((frames if len(numbers) else 0, len(numbers), 3))
     for k in range(len(offsets)):
-        offsets[k] = np.concatenate([_offset(stage, s, w, k) for (s, w), f in zip(places, free, strict=True) if f])
-    if len(tracks) == 1 and not bent:
+        offsets[k] = np.concatenate([_offsets(stage, s, f, k) for s, f in zip(shapes, free, strict=True) if f.any()])
+    if count == 1 and not len(numbers):
         return None
-    numbers = np.concatenate(bent) if bent else np.empty(0, np.int64)
-    return {"group": np.concatenate(group), "tracks": np.stack(tracks), "bent": numbers, "offsets": offsets}
+    return {"group": np.concatenate(group), "tracks": np.concatenate(tracks), "bent": numbers, "offsets": offsets}
 
 
-def _offset(stage: OpenStage, shape: _Shape, way: Floats, k: int) -> Floats:
+def _are_free(shape: _Shape) -> NDArray[np.bool_]:
+    """For each place of a shape whether its vertices move one by one."""
+    ways = shape.placed.ways
+    if shape.bent:
+        return np.ones(len(ways), np.bool_)
+    return ~have_inverses(ways[:, 0]) if ways.shape[1] > 1 else np.zeros(len(ways), np.bool_)
+
+
+def _offsets(stage: OpenStage, shape: _Shape, free: NDArray[np.bool_], k: int) -> Floats:
+    """How far the vertices of free places are at a frame from where they are at rest."""
     points = _points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.bent else shape.points
     if len(points) != len(shape.points):
         path = shape.placed.prim.GetPath()
         raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE)
-    return applied(way[min(k, len(way) - 1)], points) - applied(way[0], shape.points)
+    ways = shape.placed.ways[free]
+    shift = applied(ways[:, min(k, ways.shape[1] - 1), None], points) - applied(ways[:, 0, None], shape.points)
+    return shift.reshape(-1, 3)
 
 
 def _values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
@@ -187,7 +202,7 @@ def _values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
         words = f"the primvar `{name}` of `{prim.GetPath()}` has {len(found):,} values for {len(shape.points):,} points"
         raise UsdError("bad-usd", words, "paint it on the points (interpolation `vertex`)")
     if found.shape[1] == 3:
-        return np.concatenate([_turned(way[0], found) for way in shape.placed.ways])
+        return _turned(shape.placed.ways[:, 0, None], found).reshape(-1, 3)
     return np.tile(found[:, 0], shape.count)
 
 
@@ -195,9 +210,9 @@ def _is_vector(primvar: Any) -> bool:
     return "3" in str(primvar.GetTypeName())
 
 
-def _turned(way: Floats, vectors: Floats) -> Floats:
-    turned = applied(np.concatenate([way[:, :3], np.zeros((3, 1))], axis=1), vectors)
-    long, size = (np.sqrt((v * v).sum(axis=1, keepdims=True)) for v in (vectors, turned))
+def _turned(ways: Floats, vectors: Floats) -> Floats:
+    turned = applied(np.concatenate([ways[..., :3], np.zeros((*ways.shape[:-1], 1))], axis=-1), vectors)
+    long, size = (np.sqrt((v * v).sum(axis=-1, keepdims=True)) for v in (vectors, turned))
     return np.asarray(turned * (long / np.where(size > 0, size, 1.0)))
 
 

@@ -97,6 +97,7 @@ def _instances(stage: OpenStage, prim: Any, ways: Floats, count: Count, depth: i
 
 def _together(outer: Floats, inner: Floats) -> Floats:
     """Every outer way after every inner one: (a, f, 3, 4) and (b, g, 3, 4) to (a·b, max(f, g), 3, 4)."""
+    check_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
     made = after(outer[:, None], inner[None])
     return made.reshape(-1, *made.shape[2:])
 
