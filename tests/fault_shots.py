@@ -40,7 +40,7 @@ WRITERS: dict[str, tuple[str, ...]] = {
     "fmt": ("fmt", "walker.ant"),
 }
 BESIDE = {"golden": ("scene.golden.json",), "fmt": ("walker.ant",)}  # what is written beside the scene
-_TIMES = re.compile(rb'"(seconds|fps)": [0-9.e-]+')
+_TIMES = re.compile(rb'"(seconds|fps|hash)": "?[0-9a-f.-]+"?')
 PROGRAM = """ant 1
 use steering
 species walker {

@@ -107,14 +107,15 @@ def test_a_termination_leaves_whole_pictures_and_its_own_exit_code(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from antdsl.outputs import kept_stills
+    from antdsl.whole import whole_file
 
     put, count = kept_stills.Stills.put, []
 
     def ended(self: kept_stills.Stills, frame: int, image: object) -> Path:
         count.append(frame)
         if len(count) == 3:
-            with kept_stills.whole(kept_stills.still_path(self.folder, frame)) as part:
-                part.write_bytes(b"half")
+            with whole_file(kept_stills.still_path(self.folder, frame)) as file:
+                file.write(b"half")
                 signal.raise_signal(signal.SIGTERM)
         return put(self, frame, image)  # type: ignore[arg-type]
 
