@@ -32,7 +32,7 @@ from antdsl.cli import (  # noqa: E402
     sweep,
     test,
 )
-from antdsl.cli.exits import Exit, Stop  # noqa: E402
+from antdsl.cli.exits import Exit, Stop, is_out_of_memory  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
@@ -129,13 +129,14 @@ def _command() -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
-    except MemoryError:
-        print("error: out of memory; fewer agents, larger cells or a lighter mesh need less", file=sys.stderr)
-        return Exit.INPUT_OUTPUT
-    except OSError as problem:
-        print(f"error: {(problem.strerror or str(problem)).lower()}: {problem.filename or ''}".rstrip(": "), file=sys.stderr)
-        return Exit.INPUT_OUTPUT
-    except Exception:
+    except Exception as problem:
+        if is_out_of_memory(problem):
+            print("error: out of memory; fewer agents, larger cells or a lighter mesh need less", file=sys.stderr)
+            return Exit.INPUT_OUTPUT
+        if isinstance(problem, OSError):
+            words = f"error: {(problem.strerror or str(problem)).lower()}: {problem.filename or ''}"
+            print(words.rstrip(": "), file=sys.stderr)
+            return Exit.INPUT_OUTPUT
         import traceback
 
         traceback.print_exc()
