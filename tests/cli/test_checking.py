@@ -12,6 +12,7 @@ from unittest.mock import patch
 import pytest
 
 from antdsl import checking
+from antdsl.diagnostics import Report
 from antdsl.files import find_files
 from antdsl.pipeline import Choices
 
@@ -68,7 +69,6 @@ def test_a_file_that_takes_too_long_is_reported_and_the_others_are_checked(tmp_p
     slow, fine = tmp_path / "slow.ant", tmp_path / "fine.ant"
     for file in (slow, fine):
         file.write_text("ant 1\nspecies moth { state a { }\nlayers { state } }\n")
-    check = checking.check_path
 
     def spin(path: Path, *words: object, **more: object) -> object:
         try:
@@ -76,7 +76,7 @@ def test_a_file_that_takes_too_long_is_reported_and_the_others_are_checked(tmp_p
                 pass
         except Exception:
             raise AssertionError("a handler of Exception sees it") from None
-        return check(path, *words, **more)  # type: ignore[arg-type]
+        return None, Report()
 
     with patch.object(checking, "check_path", spin):
         found = checking.check_all([slow, fine], Choices(), cpu_seconds=0.05)
