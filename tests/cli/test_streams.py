@@ -63,7 +63,7 @@ USES = {
     "export": Use("export cache --to points.csv", "points.csv"),
     "jobs": Use("jobs scene.yaml --to job.yaml", "job.yaml"),
     "info": Use("info cache --verify", is_result=True),
-    "body": Use("body capsules --json", is_result=True),
+    "body": Use("body ant --json", is_result=True),
     "explain": Use("explain cache --agent 0 --frame 2", is_result=True),
     "graph": Use("graph walker.ant --out graph.svg", "graph.svg"),
     "plan": Use("plan walker.ant", is_result=True),
