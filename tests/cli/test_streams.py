@@ -161,7 +161,13 @@ def start(words: list[str], folder: Path, use: Use, stream: str, state: str) -> 
             if state == "closed":
                 command = ["sh", "-c", f'exec "$@" {number}>&-', "sh", *command]
             process = subprocess.Popen(
-                command, cwd=folder, stdin=stdin, stdout=outputs[0], stderr=outputs[1], env=child_environment(NO_COLOR="1")
+                command,
+                cwd=folder,
+                stdin=stdin,
+                stdout=outputs[0],
+                stderr=outputs[1],
+                env=child_environment(NO_COLOR="1"),
+                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job may ignore Ctrl-C
             )
     os.close(target)
     if state == "closed":
