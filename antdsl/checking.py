@@ -6,8 +6,10 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+import threading
+import traceback
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,7 +20,7 @@ from antdsl.files import sources
 from antdsl.loading import CheckedOnce
 from antdsl.pipeline import Choices, check_path
 from antdsl.program.model import Program
-from antdsl.source import Source
+from antdsl.source import Source, Span
 from antdsl.whole import write_parts
 
 # So few files are checked sooner than a process begins.
@@ -35,6 +37,7 @@ class Checked:
     reports: dict[Path, Report] = field(default_factory=dict)
     sources: list[Source] = field(default_factory=list)
     programs: dict[Path, Program] = field(default_factory=dict)
+    cpu_seconds: float = 0.0
 
     def add(self, other: Checked) -> None:
         self.reports |= other.reports
@@ -43,11 +46,42 @@ class Checked:
         self.sources += [source for source in other.sources if source.path not in known]
 
 
+class CpuBudgetSpent(BaseException):
+    """Checking a file has taken more processor time than it may. No handler of Exception may swallow this."""
+
+
+@contextmanager
+def cpu_budget(seconds: float) -> Iterator[None]:
+    """Raise CpuBudgetSpent within, once this process has used so much processor time; 0 is no limit. Main thread only, and not
+    on Windows, which has no such timer. A library that is at work ends its call first."""
+    if not seconds or not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(number: int, frame: object) -> None:
+        raise CpuBudgetSpent
+
+    previous = signal.signal(signal.SIGPROF, end)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, previous)
+
+
 def check_all(
-    files: Sequence[Path], choices: Choices, *, strict: bool = False, cores: int = 1, programs: bool = False
+    files: Sequence[Path],
+    choices: Choices,
+    *,
+    strict: bool = False,
+    cores: int = 1,
+    programs: bool = False,
+    cpu_seconds: float = 0.0,
 ) -> Checked:
-    """Check each file as `check_path` does, on so many cores. With `programs` they are given too, which takes one process."""
-    result = Checked()
+    """Check each file as `check_path` does, on so many cores. With `programs` they are given too, which takes one process. A file
+    that takes more than `cpu_seconds` of processor time is reported; 0 is no limit."""
+    result = Checked(cpu_seconds=cpu_seconds)
     groups = _groups(files)
     parsed = CheckedOnce()
     if programs or choices.grants or len(files) < WORTH_SHARING or len(groups) < 3 or cores < 2 or not _may_fork():
@@ -73,7 +107,7 @@ def _share(groups: list[list[Path]], choices: Choices, strict: bool, cores: int,
     children: list[tuple[int, int]] = []
     try:
         for _ in range(min(cores, len(groups)) - 1):
-            children.append(_begin(groups, mine, choices, strict, parsed))
+            children.append(_begin(groups, mine, choices, strict, parsed, result.cpu_seconds))
         _take(groups, mine, choices, strict, parsed, result)
         while children:
             result.add(_end(*children.pop(0)))
@@ -96,9 +130,37 @@ def _check(
     files: Iterable[Path], choices: Choices, strict: bool, parsed: CheckedOnce, result: Checked, programs: bool = False
 ) -> None:
     for file in files:
-        program, result.reports[file] = check_path(file, choices, strict=strict, parsed=parsed)
+        try:
+            with cpu_budget(result.cpu_seconds):
+                program, result.reports[file] = check_path(file, choices, strict=strict, parsed=parsed)
+        except CpuBudgetSpent as spent:
+            program, result.reports[file] = None, _overdue(file, result.cpu_seconds, spent)
         if programs and program is not None:
             result.programs[file] = program
+
+
+def _overdue(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report:
+    """What is said of a file that took too long: its place, and the part of the check that was at work."""
+    modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(spent.__traceback__)]
+    stages = [name.split(".")[1] for name in modules if name.startswith("antdsl.") and name != __name__]
+    stage = next((each for each in reversed(stages) if each in _STAGES), "")
+    words = f" while {_STAGES[stage]}" if stage else ""
+    report = Report()
+    message = f"checking this file took more than {seconds:g} s of processor time{words}, and was ended"
+    help = "make the file or its meshes smaller, or allow more time with `--cpu-limit`"
+    report.error("too-large", message, Span(Source(str(file), ""), 0, 0), help)
+    return report
+
+
+_STAGES = {
+    "syntax": "its text was parsed",
+    "program": "its program was checked",
+    "scene": "its scene and meshes were read",
+    "ground": "its meshes were examined",
+    "bodies": "its bodies were read",
+    "plan": "its plan was made",
+    "passes": "its plan was made",
+}
 
 
 def _groups(files: Sequence[Path]) -> list[list[Path]]:
@@ -128,7 +190,9 @@ def _may_fork() -> bool:
     return sys.platform == "linux" and "open3d" not in sys.modules
 
 
-def _begin(groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce) -> tuple[int, int]:
+def _begin(
+    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce, cpu_seconds: float
+) -> tuple[int, int]:
     """A child process that checks groups: its number, and the pipe that its answer comes by."""
     ours, theirs = os.pipe()
     process = os.fork()
@@ -136,7 +200,7 @@ def _begin(groups: Sequence[list[Path]], claims: int, choices: Choices, strict: 
         code = 1
         try:
             os.close(ours)
-            _work(theirs, groups, claims, choices, strict, parsed)
+            _work(theirs, groups, claims, choices, strict, parsed, cpu_seconds)
             code = 0
         finally:
             os._exit(code)  # nothing that the parent has begun is ended twice
@@ -144,8 +208,10 @@ def _begin(groups: Sequence[list[Path]], claims: int, choices: Choices, strict: 
     return process, ours
 
 
-def _work(pipe: int, groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce) -> None:
-    found = Checked()
+def _work(
+    pipe: int, groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce, cpu_seconds: float
+) -> None:
+    found = Checked(cpu_seconds=cpu_seconds)
     _take(groups, claims, choices, strict, parsed, found)
     write_parts(pipe, [encode_reports(found.reports, sources((), parsed))])  # scenes are read once, by the parent
 

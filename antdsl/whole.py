@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -67,14 +68,60 @@ def new_beside(path: Path, ending: str = PART) -> Path:
 def _new(path: Path, ending: str, mode: int) -> tuple[str, int]:
     """The same, open to be written: its path, and its handle."""
     place, name = os.path.split(path)
+    remove_stale(place)
     for left in reversed(range(_TRIES)):
-        new = os.path.join(place, f".{name[:_LONGEST]}.{os.urandom(6).hex()}{ending}")
+        new = os.path.join(place, f".{name[:_LONGEST]}.{_machine()}-{os.getpid():x}-{os.urandom(6).hex()}{ending}")
         try:
             return new, os.open(new, _NEW, mode)
         except FileExistsError:
             if not left:
                 raise
     raise AssertionError
+
+
+# The name that `_new` gives: which machine, which process, chance.
+_STALE = re.compile(r"\..{1,40}\.([0-9a-f]{8})-([0-9a-f]{1,8})-[0-9a-f]{12}(?:\.\w{1,8})+", re.DOTALL)
+_cleaned: set[tuple[int, str]] = set()
+
+
+def remove_stale(folder: str) -> None:
+    """Remove files from a folder that a process began to write here and was killed. Once for each folder and process.
+
+    Only regular files of this user with a name of ours are removed, whose process ran on this machine (in this container) and
+    is gone. No clock is looked at. Not on Windows, where a process cannot be looked for without harm."""
+    key = (os.getpid(), os.path.abspath(folder or "."))
+    if key in _cleaned or os.name == "nt":
+        return
+    _cleaned.add(key)
+    with suppress(OSError), os.scandir(folder or ".") as entries:
+        for entry in entries:
+            found = _STALE.fullmatch(entry.name) if entry.name.startswith(".") else None
+            if found is None or found[1] != _machine() or _is_running(int(found[2], 16)):
+                continue
+            with suppress(OSError):
+                if entry.is_file(follow_symlinks=False) and entry.stat(follow_symlinks=False).st_uid == os.geteuid():
+                    os.unlink(entry.path)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
+def _machine() -> str:
+    """Eight digits for this machine, and for the container whose process numbers are seen here."""
+    from zlib import crc32
+
+    space = ""
+    with suppress(OSError):
+        space = os.readlink("/proc/self/ns/pid")
+    node = os.uname().nodename if hasattr(os, "uname") else ""
+    return f"{crc32(f'{node} {space}'.encode()):08x}"
 
 
 @contextmanager

@@ -35,7 +35,7 @@ from antdsl.cli import (  # noqa: E402
     sweep,
     test,
 )
-from antdsl.cli.exits import Exit, Stop  # noqa: E402
+from antdsl.cli.exits import Exit, Stop, is_out_of_memory  # noqa: E402
 from antdsl.cli.failures import failure  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 
@@ -155,11 +155,13 @@ def _command() -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
-    except (MemoryError, OSError) as problem:
-        found = failure(problem)
-        print(found.message, found.hint, sep="\n", file=sys.stderr)
-        return found.code
-    except Exception:
+    except Exception as problem:
+        if is_out_of_memory(problem):
+            problem = MemoryError()
+        if isinstance(problem, OSError | MemoryError):
+            found = failure(problem)
+            print(found.message, found.hint, sep="\n", file=sys.stderr)
+            return found.code
         import traceback
 
         traceback.print_exc()

@@ -43,6 +43,9 @@ def check(
         help="List what each state asks for, the memory an agent takes, and the faces, voxels, cells and points of a scene.",
     ),
     imports: bool = typer.Option(False, "--imports", help="List what was read of each mesh of a scene, and what was changed."),
+    cpu_limit: float = typer.Option(
+        300.0, "--cpu-limit", metavar="SECONDS", min=0, max=1e6, help="Processor time that one file may take; 0 is no limit."
+    ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
 ) -> None:
     """Find mistakes in .ant files and scenes without running them."""
@@ -64,7 +67,7 @@ def check(
 
     files, report = find_files(paths)
     choices = Choices(grants(root))
-    checked = check_all(files, choices, strict=strict, cores=cores(), programs=params or cost)
+    checked = check_all(files, choices, strict=strict, cores=cores(), programs=params or cost, cpu_seconds=cpu_limit)
     for file in files:
         report.extend(checked.reports[file])
     report = judged(report, checked.sources, strict=strict)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
@@ -100,3 +102,24 @@ def test_files_that_may_use_each_other_stay_together(tmp_path: Path) -> None:
     files = sorted(tmp_path.rglob("*.ant"))
     groups = {frozenset(file.name for file in group) for group in checking._groups(files)}
     assert groups == {frozenset({"one.ant", "two.ant"}), frozenset({"three.ant"}), frozenset({"four.ant"})}
+
+
+def test_a_file_that_takes_too_long_is_reported_and_the_others_are_checked(tmp_path: Path) -> None:
+    slow, fine = tmp_path / "slow.ant", tmp_path / "fine.ant"
+    for file in (slow, fine):
+        file.write_text("ant 1\nspecies moth { state a { }\nlayers { state } }\n")
+
+    def spin(path: Path, *words: object, **more: object) -> object:
+        try:
+            while path == slow:
+                pass
+        except Exception:
+            raise AssertionError("a handler of Exception sees it") from None
+        return None, Report()
+
+    with patch.object(checking, "check_path", spin):
+        found = checking.check_all([slow, fine], Choices(), cpu_seconds=0.05)
+    (error,) = found.reports[slow].errors
+    assert error.code == "too-large" and "more than 0.05 s of processor time" in error.message
+    assert error.span is not None and error.span.source.path == str(slow)
+    assert found.reports[fine].ok and signal.getitimer(signal.ITIMER_PROF)[0] == 0

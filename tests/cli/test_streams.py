@@ -63,7 +63,7 @@ USES = {
     "export": Use("export cache --to points.csv", "points.csv"),
     "jobs": Use("jobs scene.yaml --to job.yaml", "job.yaml"),
     "info": Use("info cache --verify", is_result=True),
-    "body": Use("body capsules --json", is_result=True),
+    "body": Use("body ant --json", is_result=True),
     "explain": Use("explain cache --agent 0 --frame 2", is_result=True),
     "graph": Use("graph walker.ant --out graph.svg", "graph.svg"),
     "plan": Use("plan walker.ant", is_result=True),
@@ -161,7 +161,13 @@ def start(words: list[str], folder: Path, use: Use, stream: str, state: str) -> 
             if state == "closed":
                 command = ["sh", "-c", f'exec "$@" {number}>&-', "sh", *command]
             process = subprocess.Popen(
-                command, cwd=folder, stdin=stdin, stdout=outputs[0], stderr=outputs[1], env=child_environment(NO_COLOR="1")
+                command,
+                cwd=folder,
+                stdin=stdin,
+                stdout=outputs[0],
+                stderr=outputs[1],
+                env=child_environment(NO_COLOR="1"),
+                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job may ignore Ctrl-C
             )
     os.close(target)
     if state == "closed":

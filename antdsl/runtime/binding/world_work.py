@@ -56,7 +56,7 @@ def _meshes(setting: Setting) -> Iterator[Work]:
 def _fields(setting: Setting, fields: Mapping[str, tuple[tuple[str, ...], float]]) -> Iterator[Work]:
     for name, (surfaces, edge) in fields.items():
         area = sum(_area(setting.surfaces[each]) for each in surfaces if each in setting.surfaces)
-        yield _work(f"field {name}", area / (edge * edge), "cells at least", _CELL)
+        yield _work(f"field {name}", area / edge / edge, "cells at least", _CELL)
 
 
 def _area(mesh: MeshData) -> float:

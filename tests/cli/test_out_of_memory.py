@@ -1,0 +1,72 @@
+"""No memory is reported as such, with exit code 3, whichever library finds out."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from unittest.mock import patch
+
+import commands
+import pytest
+from children import child_environment
+
+from antdsl.cli import app
+from antdsl.cli.exits import is_out_of_memory
+
+
+class ArrayMemoryError(MemoryError):
+    """As NumPy's."""
+
+
+PROBLEMS = (
+    MemoryError(),
+    ArrayMemoryError("Unable to allocate 8.00 GiB for an array"),
+    RuntimeError("std::bad_alloc"),
+    RuntimeError("can't start new thread"),
+    OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)),
+    ImportError("libopenblas.so: failed to map segment from shared object"),
+)
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda each: f"{type(each).__name__} {each}")
+def test_no_memory_is_exit_code_3_and_no_bug(tmp_path: Path, problem: Exception) -> None:
+    with patch.object(type(app), "__call__", side_effect=problem):
+        done = commands.run("doctor", cwd=tmp_path)
+    assert done.returncode == 3 and done.stderr.startswith("error: out of memory")
+
+
+def test_an_error_that_follows_is_out_of_memory_too() -> None:
+    try:
+        try:
+            raise MemoryError
+        except MemoryError as cause:
+            raise ValueError("no array") from cause
+    except ValueError as problem:
+        assert is_out_of_memory(problem)
+
+
+@pytest.mark.parametrize("problem", [RuntimeError("wrong"), ValueError("std::bad_alloc is a word"), KeyError("x"), None])
+def test_other_errors_are_not(problem: Exception | None) -> None:
+    assert not is_out_of_memory(problem)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mebibytes", [250, 350, 500, 700, 1000, 1500, 2500])
+def test_a_run_with_little_memory_ends_with_a_message(tmp_path: Path, mebibytes: int) -> None:
+    assert commands.run("new", "project", cwd=tmp_path).returncode == 0
+    size = mebibytes << 20
+    done = subprocess.run(
+        [sys.executable, "-m", "antdsl", "run", "project/scene.yaml", "--frames", "1..3", "--threads", "2"],
+        cwd=tmp_path,
+        env=child_environment(OPENBLAS_NUM_THREADS="2"),
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (size, size)),
+    )
+    assert done.returncode in (0, 3), done.stderr[-2000:]
+    assert "bug in antdsl" not in done.stderr
+    assert done.returncode == 0 or "error: " in done.stderr
