@@ -37,6 +37,8 @@ QUICK = (
     "tests/diagnostics/test_diagnostics*.py",
     "tests/runtime/test_backends.py",
 )
+# What tests start, and the Debian package that brings it.
+TEST_PROGRAMS = {"strace": "strace"}
 INSTALL = "apt-get install -y --no-install-recommends"
 VENV = "python3-venv"
 
@@ -81,6 +83,18 @@ def install_browser() -> None:
         install(packages)
     except subprocess.CalledProcessError:
         print(words, flush=True)
+
+
+def install_test_programs() -> None:
+    """Install what tests start, where this user may. Elsewhere those tests fail: they hold what others rely on."""
+    packages = [package for name, package in TEST_PROGRAMS.items() if not shutil.which(name)]
+    if not packages or not sys.platform.startswith("linux"):
+        return
+    if installable():
+        install(packages)
+    else:
+        print(f"some tests will fail: they need {' '.join(packages)}; on Debian or Ubuntu, run as root:", flush=True)
+        print(f"  {INSTALL} {' '.join(packages)}", flush=True)
 
 
 def debian() -> bool:
@@ -178,6 +192,7 @@ def main() -> int:
         install_system_packages()
         if arguments.job == "test" and not arguments.quick:
             install_browser()
+            install_test_programs()
         python = ensure_environment(arguments.env.resolve(), arguments.require)
     except subprocess.CalledProcessError as failed:
         words = " ".join(map(str, failed.cmd))

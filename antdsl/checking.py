@@ -19,6 +19,7 @@ from antdsl.loading import CheckedOnce
 from antdsl.pipeline import Choices, check_path
 from antdsl.program.model import Program
 from antdsl.source import Source
+from antdsl.whole import write_parts
 
 # So few files are checked sooner than a process begins.
 WORTH_SHARING = 12
@@ -146,8 +147,7 @@ def _begin(groups: Sequence[list[Path]], claims: int, choices: Choices, strict: 
 def _work(pipe: int, groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce) -> None:
     found = Checked()
     _take(groups, claims, choices, strict, parsed, found)
-    with os.fdopen(pipe, "wb") as file:
-        file.write(encode_reports(found.reports, sources((), parsed)))  # scenes are read once, by the parent
+    write_parts(pipe, [encode_reports(found.reports, sources((), parsed))])  # scenes are read once, by the parent
 
 
 def _end(process: int, pipe: int) -> Checked:

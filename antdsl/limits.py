@@ -19,6 +19,9 @@ NUMBER_DIGITS: Final = 32
 LARGEST: Final = 3.0e38  # number that can be kept; a little further a float32 is endless
 NESTING: Final = 64  # brackets of any kind, open at once
 EXPRESSION_DEPTH: Final = 200  # operations inside operations, `1 + 1 + 1` being two deep; keeps recursion over a tree safe
+STATEMENTS: Final = 4000  # of one file, those in braces too; counted before any of them is parsed
+SPECIES: Final = 256  # of one file
+TOKENS: Final = 30_000  # of one file: words, numbers and signs
 DIAGNOSTICS_SHOWN: Final = 50
 
 # meaning of one program
@@ -44,6 +47,12 @@ AGENTS: Final = 5_000_000
 BIRTHS_IN_A_ROW: Final = 16  # generations within one step, where those born bear at once
 FRAMES: Final = 1_000_000
 FPS: Final = 960  # frames of a second of a scene, at most
+SCENE_LENGTH: Final = 1e10  # millimetres (or units of the scene) of a length or a coordinate; squares of it fit float32
+SCENE_ANGLE: Final = 1e6  # radians; a larger angle has too few digits left within its turn
+SCENE_TIME: Final = 1e9  # seconds
+SCENE_SPEED: Final = 1e10  # millimetres a second
+SCENE_NUMBER: Final = 1e30  # of a value of a param or an attribute, in base units
+SCENE_LEAST: Final = 1e-9  # of a length, time or speed that has to be above zero, in the same units
 
 # bodies
 BODY_TEXT_BYTES: Final = 64 * MIB  # of one JSON file
@@ -61,6 +70,21 @@ BODY_POINTS: Final = 3_000_000  # of all shapes of one definition
 CLIP_BYTES: Final = 1 * GIB  # of all samples of the clips of one definition
 CLIP_SAMPLES: Final = 1_000_000  # of one clip
 CAPTURED: Final = 64  # joints that one point follows
+
+# foreign files: what the process that reads them may take
+READER_HEADER_BYTES: Final = 16 * MIB  # of the JSON of one message
+READER_BYTES: Final = 6 * GIB  # of the arrays of one message
+READER_MEMORY: Final = 1536 * MIB  # of address space, of which libraries take a half
+READER_MEMORY_A_BYTE: Final = 12  # more for each byte of the files of a request
+READER_MEMORY_MOST: Final = 8 * GIB
+READER_BYTES_A_SECOND: Final = 256 * KIB  # of files that are given one second of CPU more each
+READER_SECONDS: Final = 5  # of CPU for one request about files of no size
+READER_WALL_SECONDS: Final = 60  # besides four times the seconds of CPU
+USD_LAYERS: Final = 10_000  # files that one USD file is made of
+USD_LEVELS: Final = 256  # of prims below each other
+USD_PRIMS: Final = 1_000_000  # of one composed stage
+USD_INSTANCES: Final = 250_000  # places of one mesh by point instancers, nested ones multiplied
+PACKAGE_PARTS: Final = 10_000  # files in one .usdz
 
 # senses and fields
 NEIGHBOURS: Final = 256  # of one agent in one question, the nearest

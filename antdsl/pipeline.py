@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from antdsl.program.model import Program
     from antdsl.runtime import Options, World
     from antdsl.scene import Scene
+    from antdsl.scene.geometry.import_notes import MeshImport
     from antdsl.scene.setting import Setting
     from antdsl.scene.values import FrameRange
 
@@ -151,8 +152,7 @@ def _read_scene(
     texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, Loaded, Report]:
     """The scene, the programs of its crowd checked together, and how they match."""
-    from antdsl.scene import load
-    from antdsl.scene.load import load_text
+    from antdsl.scene.load import load, load_text
     from antdsl.scene.matching import match
     from antdsl.scene.overriding import overrides
     from antdsl.scene.paths import Roots
@@ -164,6 +164,8 @@ def _read_scene(
     loaded = Loaded(real_path(path).parent, parsed={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
+    if data is None:  # an editor's text is read without the meshes of its world
+        _prepare_reader(scene)
     scene = scene.changed(frames=choices.frames, seed=choices.seed)
     for number, line in enumerate(scene.model.crowd):
         if line.source not in {other.source for other in scene.model.crowd[:number]}:
@@ -178,6 +180,14 @@ def _read_scene(
         report.extend(match(scene, program))
         overrides(scene, program, choices.params, report)
     return scene, program, loaded, report
+
+
+def _prepare_reader(scene: Scene) -> None:
+    """Have the reader load USD while the programs are checked, where the scene has things out of USD files."""
+    if any(getattr(thing, "usd", None) for thing in (*scene.model.world.values(), scene.model.camera)):
+        from antdsl.reader import client
+
+        client.prepare("usd")
 
 
 _CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE.ant, count: 100, place: {on: SURFACE}}`"
@@ -236,6 +246,18 @@ def check_path(
         if setting is not None:
             report = _less_what_the_scene_gives(report, program, setting)
     return program, report
+
+
+def mesh_imports(path: Path, choices: Choices) -> tuple[Mapping[str, MeshImport], str]:
+    """By name, what was read of each mesh of a scene; and the scene's unit. Nothing where the scene has errors."""
+    from antdsl.scene.overriding import overrides
+    from antdsl.scene.staging.stage_scene import stage
+
+    scene, program, _, report = _read_scene(path, choices)
+    if scene is None or program is None or not report.ok:
+        return {}, "mm"
+    setting, _, _ = stage(scene, program, overrides(scene, program, choices.params, Report()))
+    return (setting.imports if setting else {}), scene.model.units
 
 
 def _less_what_the_scene_gives(report: Report, program: Program, setting: Setting) -> Report:

@@ -112,9 +112,10 @@ def _placed(part: str, path: Path, sync: bool) -> Iterator[None]:
     except BaseException as problem:
         with suppress(OSError):
             os.unlink(part)
-        if isinstance(problem, OSError) and problem.errno is not None and problem.filename in (None, part, Path(part)):
-            problem.filename, problem.filename2 = str(path), None
-        raise
+        if isinstance(problem, OSError) and problem.filename in (part, Path(part)):
+            problem.filename = None
+        with name_failures(path):
+            raise
     if sync:
         sync_folder(Path(path).parent)
 
@@ -133,9 +134,36 @@ def _replace(part: str, path: Path) -> None:
             time.sleep(0.02 * 2**attempt)
 
 
-def open_to_append(path: Path) -> int:
-    """A handle of a file that `write_parts` appends to. Raises OSError."""
-    return os.open(path, _APPEND, 0o666)
+@contextmanager
+def name_failures(path: Path) -> Iterator[None]:
+    """Have an OSError that names no file name `path`."""
+    try:
+        yield
+    except OSError as problem:
+        if problem.errno is not None and problem.filename is None:
+            problem.filename, problem.filename2 = str(path), None
+        raise
+
+
+class AppendedFile:
+    """A file that grows at its end. An OSError names it. To be closed."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._handle = os.open(path, _APPEND, 0o666)
+
+    def write(self, parts: Parts) -> None:
+        """Add parts end to end. They are on the disk after the next `sync`; before that any beginning of them may be."""
+        with name_failures(self._path):
+            write_parts(self._handle, parts)
+
+    def sync(self) -> None:
+        """Bring all that was written onto the disk."""
+        with name_failures(self._path):
+            os.fsync(self._handle)
+
+    def close(self) -> None:
+        os.close(self._handle)
 
 
 def write_parts(handle: int, parts: Parts) -> None:
@@ -151,16 +179,12 @@ def write_parts(handle: int, parts: Parts) -> None:
             left[0] = left[0][done:]
 
 
-def sync_opened(handle: int) -> None:
-    """Bring what was written into an open file onto the disk."""
-    os.fsync(handle)
-
-
 def sync_file(path: Path) -> None:
-    """The same for a file that was written before."""
+    """Bring a file that was written before onto the disk."""
     handle = os.open(path, os.O_RDWR)
     try:
-        os.fsync(handle)
+        with name_failures(path):
+            os.fsync(handle)
     finally:
         os.close(handle)
 
@@ -174,7 +198,8 @@ def sync_folder(folder: Path) -> None:
     except PermissionError:  # a folder that may be written into and not be listed
         return
     try:
-        os.fsync(handle)
+        with name_failures(folder):
+            os.fsync(handle)
     except OSError as problem:
         if problem.errno not in _NO_SUCH_CALL:
             raise

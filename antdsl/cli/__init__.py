@@ -83,9 +83,19 @@ def _version(value: bool) -> None:
         raise typer.Exit()
 
 
+def _trust_usd(value: bool) -> None:
+    if value:
+        from antdsl.reader import confinement
+
+        confinement.trust_usd()
+
+
 @app.callback()
 def _root(
     version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version and stop."),
+    trust_usd: bool = typer.Option(
+        False, "--trust-usd", callback=_trust_usd, help="Read USD files where this system has no sandbox for them."
+    ),
 ) -> None:
     """Crowds of animals from text: write behaviour in .ant files, simulate them on real ground."""
 

@@ -30,6 +30,7 @@ def doctor() -> None:
     for package, purpose in EXTRAS.items():
         _optional(package, purpose)
     _machine_code(problems)
+    _sandbox(problems)
     _files(problems)
     if problems:
         raise Stop(Exit.INPUT_OUTPUT, "\n" + "\n".join(f"to do: {problem}" for problem in problems))
@@ -62,9 +63,14 @@ def _system_libraries(problems: list[str]) -> None:
 def _package(package: str, problems: list[str]) -> None:
     from importlib import import_module
 
+    from antdsl.casting.rays import open3d
+
     shown = _NAMES.get(package, package)
     try:
-        import_module(package)
+        if package == "open3d":
+            open3d()
+        else:
+            import_module(package)
     except Exception as problem:  # a broken binary package can raise anything
         _tell(shown, False, f"{type(problem).__name__}: {problem}"[:160])
         problems.append(
@@ -107,6 +113,22 @@ def _machine_code(problems: list[str]) -> None:
     stored.prepare()
     for sentence in stored.messages:
         print_result(f"-       {'folder of code':<16} {sentence}")
+
+
+def _sandbox(problems: list[str]) -> None:
+    """Which layers confine the process that reads foreign formats."""
+    from antdsl.reader.client import ReaderFailure, active_layers
+
+    try:
+        active = active_layers()
+    except ReaderFailure as why:
+        _tell("reader", False, str(why))
+        problems.append("allow this user to start processes and to write below the folder for temporary files")
+        return
+    landlock = f"Landlock {active['landlock']}" if active["landlock"] else "no Landlock"
+    layers = ["rlimits" if active["rlimits"] else "no rlimits", landlock, "seccomp" if active["seccomp"] else "no seccomp"]
+    weak = "" if active["seccomp"] else "; USD files need `antdsl --trust-usd …`"
+    print_result(f"{'ok     ' if active['landlock'] and not weak else '-      '} {'reader':<16} {', '.join(layers)}{weak}")
 
 
 def _files(problems: list[str]) -> None:

@@ -17,7 +17,6 @@ _FIRST = {
     errno.ENOLCK: "name a folder on a disk that has file locks, then",
     errno.EROFS: "make the disk writable, then",
 }
-_OTHERWISE = "once that is mended,"
 
 
 @contextmanager
@@ -38,4 +37,9 @@ def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) 
         return Stop(Exit.INPUT_OUTPUT, words, f"once there is more, {again}")
     place = f": `{problem.filename}`" if problem.filename else ""
     words = f"error: {what}{': ' if what else ''}{(problem.strerror or str(problem)).lower()}{place}"
-    return Stop(Exit.INPUT_OUTPUT, words, f"{_FIRST.get(problem.errno or 0, _OTHERWISE)} {again}")
+    return Stop(Exit.INPUT_OUTPUT, words, f"{advice(problem)} {again}")
+
+
+def advice(problem: OSError) -> str:
+    """What to do before a command continues: the beginning of a sentence."""
+    return _FIRST.get(problem.errno or 0, "once that is mended,")

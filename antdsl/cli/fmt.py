@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.failures import AGAIN, advice
 from antdsl.cli.printing.messages import print_result, say
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ class _Work:
         except OSError as problem:
             self.left += 1
             reason = (problem.strerror or "unknown reason").lower()
-            self.report.error("cannot-write", f"cannot write `{path}`: {reason}", None, "check your right to change it")
+            self.report.error("cannot-write", f"cannot write `{path}`: {reason}", None, f"{advice(problem)} {AGAIN}")
 
     def standard_input(self) -> None:
         from antdsl import limits, syntax

@@ -37,6 +37,8 @@ def info(
 
 def describe(cache: Cache) -> list[str]:
     """The lines that tell about a cache."""
+    from antdsl.scene.geometry.import_notes import MeshImport, import_lines
+
     manifest, frames, hashes = cache.manifest, cache.frames(), cache.hashes()
     wanted = manifest.last - manifest.first + 1
     inside = [frame for frame in frames if manifest.first <= frame <= manifest.last]
@@ -58,7 +60,10 @@ def describe(cache: Cache) -> list[str]:
             lines.append(f"body         {species.name}: {manifest.bodies[species.definition].name}")
     lines += [f"field        {field.name}, cells of {field.cell:g} {manifest.units}" for field in manifest.fields]
     lines += [f"items        {items.name}: {' '.join(items.names)}" for items in manifest.items]
-    lines += [f"mesh         {mesh.name} ({mesh.kind}){_patches(mesh, manifest.units)}" for mesh in manifest.meshes]
+    for mesh in manifest.meshes:
+        lines.append(f"mesh         {mesh.name} ({mesh.kind}){_patches(mesh, manifest.units)}")
+        if mesh.imported is not None:
+            lines += [f"  {line}" for line in import_lines(MeshImport(**mesh.imported.model_dump()), manifest.units)]
     checkpoints = cache.checkpoints()
     lines.append(f"checkpoints  {' '.join(map(str, checkpoints)) if checkpoints else 'none'}")
     if inside and inside[-1] in hashes:

@@ -281,22 +281,27 @@ def _by_cluster(
         for frame in answered.task.document["frames"] if fps is None else ():
             say(str(still_path(folder, frame)))
     if fps is not None:
-        _film_of_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps)
+        _film_of_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps, wanted.width * wanted.height)
         stills.rmdir()
 
 
-def _film_of_stills(paths: list[Path], path: Path, fps: float) -> None:
-    """Put pictures into a film, and take them away."""
-    import numpy as np
-    from PIL import Image
-
+def _film_of_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> None:
+    """Put pictures of so many pixels into a film, and remove them."""
+    from antdsl.bounded import read_bounded
     from antdsl.cli.printing.reports import demand
+    from antdsl.outputs.kept_stills import STILL_BYTES
     from antdsl.outputs.pictures import film
+    from antdsl.reader.image_request import ImageError, read_image_file
 
     def images() -> Iterator[Any]:
         for each in paths:
-            with Image.open(each) as image:
-                yield np.asarray(image.convert("RGB"))
+            try:
+                image = read_image_file(read_bounded(each, STILL_BYTES), "PNG", ("RGB",), pixels)
+            except ImageError as why:
+                raise OSError(None, str(why), str(each)) from None
+            if image.samples is None:
+                raise OSError(None, "is not the picture that was drawn", str(each))
+            yield image.samples
 
     demand(film(images(), path, fps))
     for each in paths:

@@ -22,7 +22,7 @@ LEAST, ENLARGED = 7.0, 3.0  # pixels that agents are drawn long at least, though
 
 
 class NoAgent(Exception):
-    """Nobody is there for a camera to stand beside."""
+    """The agent that a camera follows is not in the frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +90,11 @@ class Drawer:
         if which in ("eye", "close"):
             close = which == "close"
             found = camera_at_eye_level(picture, agents[0] if agents else None, focal=35.0 if close else 26.0, close=close)
-            if found is None:
+            if found is not None:
+                return found
+            if agents or any(len(crowd.position) for crowd in picture.crowds):
                 raise NoAgent(_nobody(picture, agents))
-            return found
+            which = "fit"  # a frame without agents, as the end of a hunt: the other frames of a film still count
         if which == "top":
             return camera_on_top(picture, aspect=aspect)
         if which == "fit" or (which == "scene" and self.gallery.camera_fits):

@@ -23,7 +23,7 @@ from antdsl.outputs.gltf_stage import Stage
 from antdsl.outputs.numbered_files import NoExport
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.poses_export import FEWER, Worn, places, worn_crowds
+from antdsl.outputs.poses_export import FEWER, NONE, Worn, places, worn_crowds
 from antdsl.whole import write_whole
 
 _AGENTS, _BYTES = 1000, 1 << 28  # the most that one file is good for
@@ -36,8 +36,7 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
     """Write agents with their joints, meshes, items and the camera, animated over these frames, and give what of it glTF cannot
     hold, in sentences.
 
-    NoExport for more than glTF is good for and for agents without joints, CacheError for a frame that is damaged, OSError where
-    nothing can be written."""
+    NoExport for more than glTF is good for, CacheError for a frame that is damaged, OSError where nothing can be written."""
     frames = list(frames)
     crowd = _Crowd.gathered(gallery, frames)
     stage = Stage(gallery, frames)
@@ -85,8 +84,6 @@ class _Crowd:
             if agents > _AGENTS or size > _BYTES:
                 many = f"{agents:,} agents with joints" if agents > _AGENTS else f"more than {_BYTES >> 20} MiB of keys"
                 raise NoExport(f"glTF is for small crowds: these are {many}", f"{FEWER}, or write USD: `.usdc`")
-        if not found:
-            raise NoExport("no agent of the cache has joints", "give the crowd a `body` in the scene and run again")
         return made
 
     def _add(self, key: Worn, body: _Body, crowd: Crowd, number: int) -> None:
@@ -105,7 +102,8 @@ class _Crowd:
         return self.bodies[key].colour
 
     def notes(self) -> list[str]:
-        found = [
+        found = [] if self.bodies else [NONE]
+        found += [
             f"agents of `{species}` keep the colour of their first state: glTF has no colours over time"
             for species in sorted(self.turned)
         ]  # fmt: skip

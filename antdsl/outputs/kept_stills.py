@@ -21,7 +21,7 @@ from antdsl.outputs.drawing import Drawn
 from antdsl.whole import write_whole
 
 _WORD = "antdsl"  # of the text in a PNG file that holds the hash
-_BYTES = 512 * limits.MIB
+STILL_BYTES = 512 * limits.MIB
 
 Image = NDArray[np.uint8]
 
@@ -70,16 +70,16 @@ class Stills:
 
     def kept(self, frame: int) -> Image | None:
         """The picture (h, w, 3) of a frame, where it is there, whole, and drawn from the same as it would be now."""
-        from PIL import Image as PillowImage
+        from antdsl.reader.image_request import ImageError, read_image_file
 
         try:
-            with PillowImage.open(io.BytesIO(read_bounded(still_path(self.folder, frame), _BYTES)), formats=("PNG",)) as picture:
-                if picture.size != (self.wanted.width, self.wanted.height) or picture.mode != "RGB":
-                    return None
-                image = np.array(picture)
-                return image if picture.info.get(_WORD) == self._hash(frame) else None
-        except (OSError, ValueError, SyntaxError):  # what Pillow says of a file that is no PNG, or not all of one
+            data = read_bounded(still_path(self.folder, frame), STILL_BYTES)
+            picture = read_image_file(data, "PNG", ("RGB",), self.wanted.width * self.wanted.height)
+        except (OSError, ImageError):
             return None
+        if (picture.columns, picture.rows) != (self.wanted.width, self.wanted.height):
+            return None
+        return picture.samples if picture.texts.get(_WORD) == self._hash(frame) else None
 
     def _hash(self, frame: int) -> str:
         line = self._lines.get(frame)

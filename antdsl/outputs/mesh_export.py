@@ -14,7 +14,8 @@ from antdsl.outputs.mesh_files import Part, write_mesh
 from antdsl.outputs.numbered_files import NoExport, numbered
 from antdsl.outputs.pictures.light import decoded, encoded
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.poses_export import FEWER, Worn, worn_crowds
+from antdsl.outputs.poses_export import FEWER, NONE, Worn, worn_crowds
+from antdsl.outputs.usd.disk_failures import disk_failures
 from antdsl.outputs.usd.values import ROOT, Out, Samples, box, identifier, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
@@ -28,8 +29,8 @@ def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[s
     """Write the posed bodies of agents as one mesh a frame, in scene units, agent after agent by species and id: the n-th point
     is the same point of the same agent in each. Who is not there in all the frames is left out, and told of.
 
-    NoExport without bodies or for too many points, CacheError for a frame that is damaged, OSError where nothing can be
-    written."""
+    NoExport where none of the agents is there in all frames or for too many points, CacheError for a frame that is damaged,
+    OSError where nothing can be written."""
     frames = list(frames)
     there, notes = _throughout(gallery, frames)
     for frame in frames:
@@ -43,7 +44,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     frames = list(frames)
     there, notes = _throughout(gallery, frames)
     usd, geom = pxr("Usd"), pxr("UsdGeom")
-    with whole(path, path.suffix) as part:
+    with disk_failures(path), whole(path, path.suffix) as part:
         stage = usd.Stage.CreateNew(str(part))
         geom.SetStageMetersPerUnit(stage, UNIT_MM[gallery.manifest.units] / 1000)
         geom.SetStageUpAxis(stage, gallery.manifest.up.upper())
@@ -89,6 +90,8 @@ def _throughout(gallery: Gallery, frames: list[int]) -> tuple[dict[Worn, set[int
         there = here if not k else {name: ids & here.get(name, set()) for name, ids in there.items()}
         for name, ids in here.items():
             seen.setdefault(name, set()).update(ids)
+    if not seen:
+        return {}, [NONE]
     if not any(there.values()):
         raise NoExport("no agent with a body is there in all of these frames", "choose others with `--ids` or `--frames`")
     left = sum(len(ids - there.get(key, set())) for key, ids in seen.items())

@@ -45,11 +45,14 @@ class _Rows:
     arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
 
 
-def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
+NONE = "no agent is there in these frames"
+
+
+def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
     """Write the transforms of all joints and the values of all channels of each agent, as the crowd is posed when it is drawn.
 
-    NoExport where there are more than fit into memory or no agent has joints, CacheError for a frame that is damaged, OSError
-    where nothing can be written."""
+    NoExport where there are more than fit into memory, CacheError for a frame that is damaged, OSError where nothing can be
+    written."""
     frames = list(frames)
     found: dict[str, _Rows] = {}
     size = 0
@@ -62,8 +65,6 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
             if size > _MOST:
                 raise NoExport(f"poses of so many agents and frames take more than {_MOST >> 30} GiB", FEWER)
             _add(rows, crowd, worn)
-    if not found:
-        raise NoExport("no agent of the cache has joints", "give the crowd a `body` in the scene and run again")
     arrays: dict[str, NDArray[Any]] = {"frames": np.array(frames, np.int64)}
     about = {}
     for name, rows in found.items():
@@ -74,6 +75,7 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
         about[name] = {"joints": rig.names, "parents": rig.parents.tolist(), "channels": [each.name for each in rig.channels]}
     arrays["about"] = np.frombuffer(json.dumps(about).encode("ascii"), np.uint8)
     write_whole(path, to_bytes(arrays))
+    return [] if found else [NONE]
 
 
 Worn = tuple[str, tuple[str, ...]]  # a species, and the layers that agents of it wear beside their body's own

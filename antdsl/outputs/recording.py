@@ -38,6 +38,7 @@ class Recording:
     world: World
     inputs: Mapping[str, str]
     resumed_from: int | None = None
+    kept: dict[int, Line] = field(default_factory=dict)  # the lines of the frames up to there
     damaged: list[int] = field(default_factory=list)  # checkpoints of an earlier run that are of no use
     notes: list[str] = field(default_factory=list)  # what of an earlier run was damaged, and is made again
     static: dict[str, NDArray[Any]] = field(default_factory=dict)  # what stands in the cache for the whole run
@@ -105,6 +106,7 @@ def _go_on(recording: Recording, kept: Whole, options: Options) -> None:
         if why is None:
             recording.resumed_from = recording.frame = frame
             recording.hash = lines[frame].hash
+            recording.kept = {number: line for number, line in lines.items() if number <= frame}
             break
         found.append(why)
         recording.surface_error = 0.0
@@ -190,7 +192,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     made_with = partial(provenance, name, shot.frames, shot.setting.seed, recording.inputs)
     with CacheWriter(recording.folder, manifest, made_with, recording.written) as writer:
         static = {**recording.static, **kept.arrays}
-        writer.begin(world, static, maker, recording.resumed_from, recording.damaged, recording.surface_error)
+        writer.begin(world, static, maker, recording.kept, recording.damaged, recording.surface_error)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
                 if recording.stop:

@@ -74,6 +74,9 @@ class _Refused(Exception):
     """Reading cannot go on; the complaint is in the report already."""
 
 
+# Characters that look like a blank or like nothing; YAML takes them for letters. Joiners belong to the spelling of words.
+_ODD_BLANK = re.compile("[\u00a0\u00ad\u1680\u180e\u2000-\u200b\u200e\u200f\u202f\u205f-\u2064\u3000]")
+_QUOTED = re.compile(r"""'[^'\n]*'|"(?:\\.|[^"\\\n])*"|(?:^|(?<=\s))#[^\n]*""", re.MULTILINE)
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 
 
@@ -97,7 +100,8 @@ def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Repor
     bad = _FORBIDDEN.search(text)
     if bad:
         message = f"the character U+{ord(bad[0]):04X} cannot stand in {what}, it would not show"
-        report.error("control-character", message, Span(source, bad.start(), bad.end()), "delete it")
+        help = "start a new line there" if bad[0] in "\x85\u2028\u2029\x0b\x0c" else "delete it"
+        report.error("control-character", message, Span(source, bad.start(), bad.end()), help)
     return source, report
 
 
@@ -158,6 +162,20 @@ class _Reader:
     def too_deep(self, span: Span) -> _Refused:
         return self.refuse("too-large", f"values lie more than {limits.YAML_DEPTH} deep in each other", span)
 
+    def odd_blank(self, match: re.Match[str]) -> None:
+        """Report the first character that looks like a blank and is none."""
+        import unicodedata
+
+        character = match[0]
+        is_blank = unicodedata.category(character) == "Zs"
+        message = f"{unicodedata.name(character).lower()} (U+{ord(character):04X})"
+        count = len(_ODD_BLANK.findall(self.source.text))
+        help = "type a blank in its place" if is_blank else "delete it"
+        help += f"; the file has {count} such characters" if count > 1 else ""
+        help += "; a name that has one stands in quotes"
+        place = Span(self.source, match.start(), match.end())
+        self.report.error("odd-blank", f"{message} in place of a blank" if is_blank else f"{message} does not show", place, help)
+
     def syntax(self, problem: Any) -> _Refused:
         mark = getattr(problem, "problem_mark", None) or getattr(problem, "context_mark", None)
         start = self.offset(mark) if mark is not None else 0
@@ -166,6 +184,11 @@ class _Reader:
         labels: list[Label] = []
         if "nesting depth" in words:  # newer readers of YAML look further ahead than the events they have given
             return self.too_deep(Span(self.source, start, min(start + 1, len(self.source.text))))
+        if not text.isascii():
+            odd = _ODD_BLANK.search(_QUOTED.sub(lambda quoted: "." * len(quoted[0]), text))
+            if odd is not None:
+                self.odd_blank(odd)
+                return _Refused()
         better = self.better(problem, start)
         if better is not None:
             self.report.add(better)
@@ -229,6 +252,10 @@ class _Reader:
                     raise self.refuse("too-large", f"the scene has more than {limits.YAML_NODES:,} values", self.span(event))
             if isinstance(event, yaml.ScalarEvent):
                 done = ScalarNode(event.value, bool(event.style), self.span(event))
+                odd = None if event.style or event.value.isascii() else _ODD_BLANK.search(event.value)
+                if odd is not None:
+                    self.odd_blank(_ODD_BLANK.search(self.source.text, done.span.start) or odd)
+                    raise _Refused
             elif isinstance(event, yaml.CollectionStartEvent):
                 stack.append(_Open(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
                 if len(stack) > limits.YAML_DEPTH:

@@ -52,7 +52,7 @@ def _unknown(report: Report, scene: Scene, path: tuple[Key, ...], what: str, kno
 def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
     """Look whether a file is there, or the files of a sequence."""
     try:
-        files = scene.roots.sequence(text).values() if "#" in text else (text,)
+        files = scene.roots.sequence(text).values() if scene.roots.is_sequence(text) else (text,)
         size = max(scene.roots.exists(file) for file in files)
     except PathRefused as refused:
         report.error(refused.code, str(refused), scene.span(*path), refused.help)
@@ -176,7 +176,9 @@ def _only_items(scene: Scene, report: Report, name: str, thing: WorldThing, valu
 
 def _stays(scene: Scene, report: Report, name: str) -> None:
     value = scene.model.world[name]
-    if isinstance(value, MeshThing | UsdThing) and (value.keys or (isinstance(value, MeshThing) and "#" in value.mesh)):
+    if isinstance(value, MeshThing | UsdThing) and (
+        value.keys or (isinstance(value, MeshThing) and scene.roots.is_sequence(value.mesh))
+    ):
         path: tuple[Key, ...] = ("world", name, "keys" if value.keys else "mesh")
         report.error("wrong-value", f"the solid `{name}` cannot move", scene.span(*path), "give it one place for all frames")
 

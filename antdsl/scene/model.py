@@ -53,7 +53,8 @@ Look = Annotated[str, BeforeValidator(one_of(*LOOKS))]  # of things in pictures
 
 class MeshThing(Part):
     """A mesh file (`####` in its name: one a frame), turned and moved into the scene: scaled, its `up` made the scene's, rotated
-    about x, then y, then z, then put `at`. `group`: of an .obj file only the faces of that group or object."""
+    about x, then y, then z, then put `at`. `group`: of an .obj file only the faces of that group or object, of glTF only what
+    lies at and below that node. `weld`: vertices nearer to each other than this are one place."""
 
     mesh: FilePath
     group: Word | None = None
@@ -64,7 +65,18 @@ class MeshThing(Part):
     rotate: tuple[Angle, Angle, Angle] | None = None
     scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
+    weld: PositiveLength | None = None
     look: Look | None = None
+
+    @property
+    def own_units(self) -> str | None:
+        """The unit of a format that has one by its specification."""
+        return "m" if self.mesh.lower().endswith((".gltf", ".glb")) else None
+
+    @property
+    def own_up(self) -> str | None:
+        """The file's up axis, where the scene or its format says one."""
+        return self.up or ("y" if self.own_units else None)
 
 
 class HeightThing(Part):
@@ -107,6 +119,7 @@ class UsdThing(Part):
     rotate: tuple[Angle, Angle, Angle] | None = None
     scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
+    weld: PositiveLength | None = None
     keys: Keys = {}
     look: Look | None = None
     each: UsdEach = UsdEach()

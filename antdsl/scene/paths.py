@@ -15,7 +15,7 @@ from pathlib import Path
 from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
 
 _DEVICES = frozenset(["con", "prn", "aux", "nul", *(f"com{i}" for i in range(10)), *(f"lpt{i}" for i in range(10))])
-_PART = re.compile(r"[A-Za-z0-9_.,+@() \u00a1-\uffff\-]+")
+_PART = re.compile(r"[A-Za-z0-9_.,+@()#;=&! \u00a1-\uffff\-]+")
 _GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
 _PATH_CHARACTERS = 500
 Sought = dict[Path, Path | None]
@@ -90,6 +90,16 @@ class Roots:
         finally:
             os.close(handle)
 
+    def is_sequence(self, text: str) -> bool:
+        """Whether `#` in a path stand for numbers of frames: where no file has exactly this name."""
+        if "#" not in text:
+            return False
+        try:
+            self.exists(text)
+        except PathRefused as refused:
+            return refused.code == "no-such-file"
+        return False
+
     def sequence(self, text: str) -> dict[int, str]:
         """The files that a path such as `walls.####.ply` means, by frame: `#` stand for the frame's number, padded with zeros to
         as many digits. PathRefused when there is none, or the path is refused."""
@@ -105,7 +115,7 @@ class Roots:
             if fits and digits == f"{int(digits):0{len(named[2]) + (digits[0] == '-')}d}":
                 found[int(digits)] = f"{named[1]}{digits}{named[3]}"
         if not found:
-            raise PathRefused("no-such-file", f"there is no file `{text}` with a number for `{named[2]}`", None)
+            raise PathRefused("no-such-file", f"there is no file `{text}`, and none with a number for `{named[2]}`", None)
         return dict(sorted(found.items()))
 
 

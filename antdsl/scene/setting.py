@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.staging.moves import Moves
 
 Point = tuple[float, float, float]
@@ -253,7 +254,8 @@ class Setting:
     ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
     the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
     keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up;
-    `legs`: what those that have gaits stand on. `unseen`: things that are not drawn, which no foot stands on."""
+    `legs`: what those that have gaits stand on. `unseen`: things that are not drawn, which no foot stands on.
+    `imports`: by mesh, the report on its file."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -282,6 +284,7 @@ class Setting:
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
     legs: Mapping[str, LegsData] = field(default_factory=dict)
     unseen: frozenset[str] = frozenset()
+    imports: Mapping[str, MeshImport] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:

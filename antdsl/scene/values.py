@@ -20,6 +20,9 @@ from antdsl.scene.quantities import BadQuantity, Quantity, parse_number, parse_q
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _WORD_CHARACTERS = 1000
 LENGTH, ANGLE, TIME, SPEED = Dim(length=1), Dim(angle=1), Dim(time=1), Dim(length=1, time=-1)
+# The largest magnitude of each, in base units; what lies beyond overflows where it is squared, or has no digits left.
+LARGEST = {LENGTH: limits.SCENE_LENGTH, ANGLE: limits.SCENE_ANGLE, TIME: limits.SCENE_TIME, SPEED: limits.SCENE_SPEED}
+BASE_UNITS = {LENGTH: "mm", ANGLE: "rad", TIME: "s", SPEED: "mm/s"}
 
 
 def refuse(message: str, help: str = "") -> PydanticCustomError:
@@ -58,10 +61,18 @@ def whole(low: int, high: int) -> Callable[[Any], int]:
 def _quantity(value: Any) -> Quantity:
     text = _text(value, "a number")
     try:
-        return parse_quantity(text)
+        found = parse_quantity(text)
     except BadQuantity as why:
         usual = "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
         raise refuse(f"{_shown(text)} {why}", why.help or usual) from None
+    return _within(found, limits.SCENE_NUMBER)
+
+
+def _within(found: Quantity, largest: float, unit: str = "") -> Quantity:
+    """The same, unless it is larger than a scene may have."""
+    if abs(found.number) > largest:
+        raise refuse(f"{_shown(found.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}")
+    return found
 
 
 def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
@@ -70,10 +81,10 @@ def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
     def read(value: Any) -> Quantity:
         found = _quantity(value)
         if found.bare and dim == ANGLE:
-            return parse_quantity(f"{found.text} deg")
+            found = parse_quantity(f"{found.text} deg")
         if found.dim != dim and not found.bare:
             raise refuse(f"`{found.text}` is not {dimension_words(dim)}", f"write `{with_unit(50, dim)}`")
-        return found
+        return _within(found, LARGEST[dim], f" {BASE_UNITS[dim]}")
 
     return read
 
@@ -86,6 +97,8 @@ def positive(dim: Dim) -> Callable[[Any], Quantity]:
         found = inner(value)
         if found.number <= 0:
             raise refuse(f"`{found.text}` is not above zero")
+        if found.number < limits.SCENE_LEAST:
+            raise refuse(f"`{found.text}` is too small", f"write at least {limits.SCENE_LEAST:g} {BASE_UNITS[dim]}")
         return found
 
     return read

@@ -10,9 +10,10 @@ import pytest
 
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.driving import Driven
-from antdsl.bodies.agents.packed import digest, packed, unpacked
+from antdsl.bodies.agents.packed import digest, packed
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.agents.spoken import spoken
+from antdsl.bodies.agents.unpacked import unpacked
 from antdsl.bodies.agents.varied_bodies import Draws
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report

@@ -16,10 +16,11 @@ from cases.hostile import meshes, numbers, runs, scenes, text, usd, volumes
 from cases.hostile.rows import PROJECT, Row
 from reliability import ROWS, TESTS
 
+from antdsl import limits
 from antdsl.diagnostics import Diagnostic
 from antdsl.pipeline import check_path, open_scene, simulate
+from antdsl.reader import client
 from antdsl.runtime import FaultStop
-from antdsl.scene.geometry.usd import sandbox
 
 SECONDS = 10.0  # of CPU that one row may take, a busy machine or not
 TABLES = {table.__name__.rpartition(".")[2]: table.ROWS for table in (text, scenes, meshes, usd, volumes, numbers, runs)}
@@ -86,25 +87,11 @@ def test_what_takes_usd_too_long_is_stopped(row: Row, tmp_path: Path) -> None:
 
 
 def test_what_takes_usd_too_long_is_stopped_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same with a second of CPU, which starting the other process takes a part of."""
-    monkeypatch.setattr(sandbox, "CPU", 1)
-    monkeypatch.setattr(sandbox, "_other", sandbox._Other())
+    """The same with less CPU time, of which starting the reader takes a part."""
+    monkeypatch.setattr(limits, "READER_SECONDS", 1)
+    monkeypatch.setattr(client, "_reader", client.Reader())
     row = next(each for each in usd.SLOW if "2^23" in each.name)
     test_the_verdict_on_a_file(row, tmp_path)
-    sandbox._other.end()
-
-
-def test_the_other_process_is_begun_again_and_ends_with_this_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = sandbox._Other()
-    monkeypatch.setattr(sandbox, "_other", made)
-    bad, good = (next(each for each in usd.ROWS if each.name == name) for name in ("A7 50,000 dictionaries", "A5 CRLF"))
-    test_the_verdict_on_a_file(bad, tmp_path / "bad")
-    assert made.process is None
-    test_the_verdict_on_a_file(good, tmp_path / "good")
-    process = made.process
-    assert process is not None and process.poll() is None
-    made.end()
-    assert process.poll() is not None
 
 
 def test_every_bad_input_of_the_list_has_tests() -> None:

@@ -13,6 +13,8 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,12 +196,16 @@ def read_slowly(reader: int) -> None:
 
 
 def end_preview(process: subprocess.Popen[bytes], port: int) -> None:
-    def is_listening() -> bool:
-        with socket.socket() as client:
-            return client.connect_ex(("127.0.0.1", port)) == 0
+    """Press Ctrl-C once the server answers."""
 
-    wait_for(is_listening, process)
-    time.sleep(1)  # the port is open a little before the server handles Ctrl-C
+    def has_answer() -> bool:
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=60) as answer:
+                return bool(answer.read())
+        except OSError as problem:
+            return isinstance(problem, urllib.error.HTTPError)
+
+    wait_for(has_answer, process)
     process.send_signal(signal.SIGINT)
 
 

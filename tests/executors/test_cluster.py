@@ -82,6 +82,22 @@ def lost_and_done_again(project: Path, stage: Stage, count: int, frames: int) ->
     assert all(row["processor"] and row["antdsl"].startswith("0.") for row in found)
 
 
+def test_a_cluster_of_this_machine_listens_on_the_loopback_interface_only() -> None:
+    """Its scheduler, workers and nannies, and the HTTP servers that Dask starts in them."""
+    psutil = pytest.importorskip("psutil")
+    from antdsl.executors.cluster import local_cluster
+
+    def listening() -> set[tuple[str, int]]:
+        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        connections = [each for process in processes for each in process.net_connections("inet")]
+        return {tuple(each.laddr) for each in connections if each.status == psutil.CONN_LISTEN}
+
+    before = listening()
+    with local_cluster(1, 1):
+        found = listening() - before
+    assert len(found) >= 4 and {address for address, _ in found} == {"127.0.0.1"}
+
+
 def lethal(document: Mapping[str, object], worker: Worker) -> dict[str, object]:
     """Takes its worker with it."""
     os._exit(1)

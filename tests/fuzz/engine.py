@@ -5,6 +5,7 @@ messages from a pipe, watches the CPU time of the worker, and attributes an abor
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import mmap
 import os
@@ -18,7 +19,8 @@ import sys
 import tempfile
 import traceback
 from base64 import b64decode, b64encode
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from hashlib import blake2b
@@ -36,7 +38,8 @@ if TYPE_CHECKING:
 
 BATCH_SECONDS = 60.0  # CPU seconds of one worker
 HANG_SECONDS = 30.0  # CPU seconds of one input after which its worker is killed
-STALL_SECONDS = 120.0  # seconds without any CPU time or message: a worker that waits for something
+IDLE = 3  # workers in a row that end before their first input, after which a run ends
+STALL_SECONDS = 300.0  # seconds without any CPU time or message: a worker that waits for something
 ADDRESS_BYTES = 3 * GIB  # above the address space at the start
 POOL = 4000  # inputs
 REPEAT = 8  # one input in so many is fed twice and must give the same report
@@ -74,6 +77,7 @@ class Campaign:
     saves: Path | None = None
     corpus: Path | None = None
     say: Callable[[str], None] = lambda text: None
+    hang_seconds: float = HANG_SECONDS
 
     def __post_init__(self) -> None:
         self.result = Result(self.target.name)
@@ -85,24 +89,37 @@ class Campaign:
 
     def run(self, cpu_minutes: float | None = None, executions: int | None = None) -> Result:
         """Feed inputs until so many CPU minutes of workers, or executions, are spent."""
-        batch = 0
+        batch = idle = 0
         while (cpu_minutes is None or self.result.cpu_seconds < 60 * cpu_minutes) and (
             executions is None or self.result.executions < executions
         ):
             left = None if executions is None else executions - self.result.executions
             seconds = BATCH_SECONDS if cpu_minutes is None else min(BATCH_SECONDS, 60 * cpu_minutes - self.result.cpu_seconds)
-            done = self._batch(batch, seconds, left)
+            first = self.pool if batch == 0 and executions is None else ()
+            idle = 0 if self._batch(batch, seconds, left, first) else idle + 1
             batch += 1
-            if not done and self.result.executions == 0 and batch > 3:
-                raise RuntimeError(f"the worker of `{self.target.name}` ends before its first input")
+            if idle >= IDLE:
+                break
+        return self._finish(batch)
+
+    def feed(self, inputs: Sequence[bytes]) -> Result:
+        """Feed these inputs and nothing else; after a crash a new worker goes on with the next one."""
+        batch = idle = 0
+        while self.result.executions < len(inputs) and idle < IDLE:
+            left = inputs[self.result.executions :]
+            idle = 0 if self._batch(batch, 1e9, len(left), left) else idle + 1
+            batch += 1
+        return self._finish(batch)
+
+    def _finish(self, batches: int) -> Result:
         self.result.call_sites, self.result.report_forms = len(self.sites), len(self.forms)
-        self.result.pool, self.result.workers = len(self.pool), batch
+        self.result.pool, self.result.workers = len(self.pool), batches
         return self.result
 
     # --- the parent -------------------------------------------------------------------------------------------------------
 
-    def _batch(self, number: int, seconds: float, executions: int | None) -> bool:
-        """One worker; whether it got as far as an input."""
+    def _batch(self, number: int, seconds: float, executions: int | None, first: Sequence[bytes]) -> bool:
+        """One worker, which feeds the inputs `first` before mutated ones; whether it got as far as an input."""
         folder = Path(os.path.realpath(tempfile.mkdtemp(prefix=f"antdsl-fuzz-{self.target.name}-")))
         current = mmap.mmap(-1, self.target.cap + 16)
         reader, writer = os.pipe()
@@ -111,7 +128,7 @@ class Campaign:
         child = os.fork()
         if child == 0:
             os.close(reader)
-            _Worker(self, folder, current, writer).main(number, seconds, executions)
+            _Worker(self, folder, current, writer).main(number, seconds, executions, first)
         os.close(writer)
         killed = self._listen(reader, child, current)
         os.close(reader)
@@ -150,9 +167,9 @@ class Campaign:
                 last, last_cpu = monotonic(), cpu
             if number != input_number:
                 input_number, input_cpu = number, cpu
-            if cpu - input_cpu > HANG_SECONDS or monotonic() - last > STALL_SECONDS:
+            if cpu - input_cpu > self.hang_seconds or monotonic() - last > STALL_SECONDS:
                 os.kill(child, signal.SIGKILL)
-                return "too much CPU time" if cpu - input_cpu > HANG_SECONDS else "no progress"
+                return "too much CPU time" if cpu - input_cpu > self.hang_seconds else "no progress"
 
     def _take(self, message: dict[str, Any]) -> None:
         result = self.result
@@ -204,22 +221,23 @@ class _Worker:
         self.peak = self.above = self.slowest = 0.0
         self.unsent = self.number = 0
 
-    def main(self, batch: int, seconds: float, executions: int | None) -> None:
+    def main(self, batch: int, seconds: float, executions: int | None, first: Sequence[bytes]) -> None:
         code = 70
+        faulthandler.disable()
         try:
-            os.chdir(self.folder)
+            use_folder(self.folder)
             with open(os.devnull, "r+b") as null:
                 for stream in (0, 1, 2):
                     os.dup2(null.fileno(), stream)
             limit_memory(ADDRESS_BYTES)
-            self._run(batch, seconds, executions)
+            self._run(batch, seconds, executions, first)
             code = 0
         except BaseException:
             self._send({"kind": "engine", "signature": "engine", "detail": traceback.format_exc()[-4000:], "input": ""})
         finally:
             os._exit(code)
 
-    def _run(self, batch: int, seconds: float, executions: int | None) -> None:
+    def _run(self, batch: int, seconds: float, executions: int | None, first: Sequence[bytes]) -> None:
         rng = random.Random(f"{self.campaign.seed} {self.target.name} {batch}")
         pool, paths = self.campaign.pool, Paths(self.campaign.sites)
         feed = self.target.open(self.folder)
@@ -227,10 +245,10 @@ class _Worker:
             feed(pool[0])  # what is imported for the first input is no business of that input
         oracle = Oracle(feed, self.folder, self.target.allowed)
         began, count = process_time(), 0
-        waiting = list(pool) if batch == 0 else []
+        waiting = deque(first)
         while process_time() - began < seconds and (executions is None or count < executions):
-            data = waiting.pop(0) if waiting else mutate(rng, self.target.mutators, pool, self.target.cap)
-            traced = bool(waiting) or (batch == 0 and count < len(pool)) or rng.random() < TRACED
+            data = waiting.popleft() if waiting else mutate(rng, self.target.mutators, pool, self.target.cap)
+            traced = count < len(first) or rng.random() < TRACED
             self._one(oracle, paths if traced else None, data, again=count % REPEAT == 0)
             count += 1
         self._flush()
@@ -299,14 +317,22 @@ class _Worker:
 
 def replay(target: Target, data: bytes) -> Outcome:
     """Feed one input in this process, in a folder of its own."""
-    place = os.getcwd()
+    place, temporary = os.getcwd(), tempfile.tempdir
     with tempfile.TemporaryDirectory() as name:
         folder = Path(os.path.realpath(name))
-        os.chdir(folder)
+        use_folder(folder)
         try:
             return Oracle(target.open(folder), folder, target.allowed).run(data)
         finally:
             os.chdir(place)
+            tempfile.tempdir = temporary
+
+
+def use_folder(folder: Path) -> None:
+    """Make a folder the working directory, with the folder for temporary files in it."""
+    os.chdir(folder)
+    (folder / "temporary").mkdir()
+    tempfile.tempdir = str(folder / "temporary")
 
 
 def skeletons(report: str) -> list[int]:

@@ -127,7 +127,9 @@ class Guard:
             file = args[0].co_filename
             if not file.startswith("<") and not self._is_below(file, self.readable):
                 self.noted.append(f"exec {file}")
-        elif ((event in _PROGRAMS or event in _NETWORK) and event not in self.allowed) or (event in _DELETIONS and isinstance(args[0], str | bytes) and not self._is_below(os.fsdecode(args[0]), self.writable)):
+        elif ((event in _PROGRAMS or event in _NETWORK) and event not in self.allowed) or (
+            event in _DELETIONS and isinstance(args[0], str | bytes) and not self._is_below(os.fsdecode(args[0]), self.writable)
+        ):
             self.noted.append(f"{event} {str(args)[:120]}")
 
     def _opened(self, path: object, flags: object) -> None:

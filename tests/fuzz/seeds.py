@@ -8,7 +8,7 @@ import json
 import random
 import struct
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import gltf_bodies
@@ -45,7 +45,7 @@ def _words(*lists: Iterable[str]) -> tuple[Mutator, ...]:
 def programs() -> list[bytes]:
     made = [Author(random.Random(seed)).program().text.encode() for seed in range(12)]
     made += [Sensing(seed).text.encode() for seed in range(12)]
-    return made + _files("examples/*/*.ant", "tests/programs/*.ant", "tests/cases/**/*.ant", cap=6000) + [rows.PROGRAM]
+    return made + _files("examples/*/*.ant", "tests/programs/*.ant", "tests/cases/**/*.ant", cap=2500) + [rows.PROGRAM]
 
 
 def program_words() -> tuple[Mutator, ...]:
@@ -284,7 +284,8 @@ def body_files() -> list[bytes]:
     clip |= {"rotation_order": "xyz", "angles": "degrees", "loop": True, "stride": 2, "marks": {"up": 0.1}, "feet": True}
     whole = {
         "antdsl_body": 1, "name": "soldier", "front": "+x", "up": "+z", "units": "cm", "rig": rig, "layers": [layer],
-        "shapes": [{"file": "sword.obj", "name": "sword", "units": "mm", "material": "steel"}], "groups": [group], "clips": [clip],
+        "shapes": [{"file": "sword.obj", "name": "sword", "units": "mm", "material": "steel"}], "clips": [clip],
+        "groups": [group],
         "materials": {"steel": [0.5, 0.5, 0.6]}, "metadata": {"a": {"type": "int", "value": 2}},
     }  # fmt: skip
     outside = {"antdsl_body": 1, "from": "arm.glb", "clips": [{"clip": "bend", "name": "salute", "loop": False}], "length": 4}
@@ -346,7 +347,3 @@ def image_files() -> list[bytes]:
             write(stream, **arrays)  # type: ignore[arg-type]
             made.append(stream.getvalue())
     return made
-
-
-def all_words(sequences: Sequence[Sequence[str]]) -> list[str]:
-    return [word for each in sequences for word in each]

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fuzz import feeds, seeds
-from fuzz.mutation import BINARY, TEXT, Mutator
+from fuzz import feeds, feeds_cache, feeds_servers, seeds
+from fuzz.mutation import BINARY, TEXT, Mutator, insert_words
 from fuzz.oracle import Feed
 
 KIB = 1024
@@ -40,6 +40,8 @@ class Target:
 
 READER = ("subprocess.Popen", "os.posix_spawn", "os.fork")
 
+MESSAGES = (insert_words([word.encode() for word in feeds_servers.json_words()]),) * 4
+
 TARGETS: dict[str, Target] = {
     row.name: row
     for row in (
@@ -49,11 +51,21 @@ TARGETS: dict[str, Target] = {
         Target("ply", seeds.ply_files, (*TEXT, *BINARY, *seeds.mesh_words()), feeds.feed_mesh("ply")),
         Target("stl", seeds.stl_files, (*TEXT, *BINARY, *seeds.mesh_words()), feeds.feed_mesh("stl")),
         Target("gltf", seeds.gltf_files, (*TEXT, *BINARY, *seeds.gltf_words()), feeds.feed_gltf),
-        Target("usd", seeds.usd_files, (*TEXT, *BINARY, *seeds.usd_words()), feeds.feed_ground(feeds.usd_name, "{usd: FILE}"), allowed=READER),
+        Target(
+            "usd", seeds.usd_files, (*TEXT, *BINARY, *seeds.usd_words()), feeds.feed_ground(feeds.usd_name, "{usd: FILE}"),
+            allowed=READER,
+        ),
         Target("body", seeds.body_files, (*TEXT, *seeds.body_words()), feeds.feed_body),
         Target(
             "image", seeds.image_files, BINARY,
             feeds.feed_ground(feeds.image_name, "{height: FILE, extent: [100 mm, 100 mm], scale: 10 mm}"),
         ),
+        Target("cache", feeds_cache.cache_inputs, (*TEXT, *BINARY, *BINARY), feeds_cache.feed_cache),
+        Target(
+            "websocket", feeds_servers.websocket_inputs, (*TEXT, *BINARY, *MESSAGES), feeds_servers.feed_websocket,
+            allowed=("socket.connect",),
+        ),
+        Target("preview", feeds_servers.page_inputs, (*TEXT, *MESSAGES), feeds_servers.feed_page, cap=16 * KIB),
+        Target("lsp", feeds_servers.lsp_inputs, (*TEXT, *MESSAGES), feeds_servers.feed_lsp),
     )
 }  # fmt: skip

@@ -20,9 +20,9 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders", "bootstrap",
-    "syntax", "program",
-    "highlighting", "graphs", "machine_code", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
+    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders",
+    "bootstrap", "syntax", "program",
+    "highlighting", "graphs", "machine_code", "numerics", "reader", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
@@ -36,7 +36,7 @@ FORBIDDEN_ATTRIBUTES = frozenset(
     [("np", "load"), ("numpy", "load"), ("yaml", "load"), ("yaml", "unsafe_load"), ("yaml", "full_load"), ("os", "system")]
 )
 FORBIDDEN_NAMES = frozenset(["utils", "util", "helpers", "common", "base", "manager", "misc"])
-HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "PIL", "imageio_ffmpeg", "graphlay"])
+HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "mapbox_earcut", "PIL", "imageio_ffmpeg", "graphlay"])
 OPEN3D_DOOR = PACKAGE / "casting" / "rays.py"
 
 
@@ -129,7 +129,12 @@ OWN_FILES = {
     "numerics/cores.py": "what the system tells about processor time",
     "cli/printing/messages.py": "the null device",
     "scene/paths.py": "folders, part by part",
-    "scene/geometry/usd/trial.py": "the null device",
+    "reader/child.py": "the null device, pipes that it was given",
+    "reader/client.py": "the child's pipes",
+    "reader/sandbox.py": "folders that are granted to Landlock",
+    "reader/private_folder.py": "its own locks",
+    "scene/geometry/usd/package.py": "members of a package in memory",
+    "scene/geometry/usd/closure.py": "its own copies, to write them",
     "syntax/grammar.py": "the grammar",
     "syntax/tables.py": "the grammar and its tables",
     "whole.py": "its own files, to write them",
@@ -162,7 +167,9 @@ OWN_WRITING = {
     "executors/parcel.py": "files of a project, in a folder of the worker's own",
     "highlighting/textmate.py": "the highlighting that ships",
     "lsp/server.py": "standard output",
-    "scene/geometry/usd/trial.py": "the null device",
+    "reader/child.py": "its answers",
+    "reader/private_folder.py": "the lock of its folder",
+    "scene/geometry/usd/closure.py": "its own copies, to write them",
     "sweep/figures.py": "a file that antdsl/whole.py has opened",
     "syntax/grammar.py": "the grammar that ships",
 }
@@ -174,7 +181,7 @@ def test_files_are_put_in_their_place_by_one_module() -> None:
     nobody would bring it onto the disk."""
     moving = ("os.replace", "os.rename", "os.fsync", "tempfile.mkstemp", "tempfile.mkdtemp", "tempfile.NamedTemporaryFile")
     for path in FILES:
-        if path.name == "whole.py":
+        if path.relative_to(PACKAGE).as_posix() in ("whole.py", "reader/private_folder.py"):  # the latter makes a folder
             continue
         for node in nodes(path):
             if isinstance(node, ast.Call) and (ast.unparse(node.func) in moving or ast.unparse(node.func).endswith(".rename")):
@@ -210,6 +217,30 @@ def test_heavy_packages_are_imported_late_below_the_pictures() -> None:
                 names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
                 for name in names:
                     assert name.split(".")[0] not in HEAVY, f"{path}:{node.lineno} imports {name} at once"
+
+
+# What reads files by a C or C++ library, and runs in the reader's process only: nothing else imports it.
+READ_BY_LIBRARIES = ("antdsl.scene.geometry.usd.child", "antdsl.bodies.agents.usd_body", "antdsl.bodies.agents.usd_shapes",
+                     "antdsl.reader.images", "antdsl.reader.child")  # fmt: skip
+WRITES_USD = ("antdsl.outputs.", "antdsl.scene.geometry.usd.errors", "antdsl.scene.geometry.usd")
+COMPOSES_USD = frozenset(["FindOrOpen", "OpenMasked", "OpenAsAnonymous", "AddReference", "AddPayload", "subLayerPaths"])
+
+
+def test_foreign_formats_are_read_in_the_process_of_the_reader_only() -> None:
+    for path in FILES:
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        if module.startswith(READ_BY_LIBRARIES):
+            continue
+        for name, line in imports(path):
+            assert not name.startswith(READ_BY_LIBRARIES), f"{path}:{line} imports {name}"
+            assert not name.startswith("pxr"), f"{path}:{line} imports {name}"
+        for node in nodes(path):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "pxr":
+                assert module.startswith(WRITES_USD), f"{path}:{node.lineno} uses USD"
+            if isinstance(node, ast.Attribute):
+                assert node.attr not in COMPOSES_USD, f"{path}:{node.lineno} opens a layer"
+                opens = ast.unparse(node) in ("Image.open", "PillowImage.open", "PIL.Image.open", "usd.Stage.Open")
+                assert not opens, f"{path}:{node.lineno} decodes an image or opens a stage"
 
 
 def test_the_plan_and_what_is_below_never_see_numpy() -> None:

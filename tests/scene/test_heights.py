@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 from antdsl import limits
 from antdsl.cli import app
 from antdsl.pipeline import Shot, open_scene
+from antdsl.reader.images import read_image
+from antdsl.reader.protocol import Message
 from antdsl.runtime import Options, bind, step
 from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
 from antdsl.scene.geometry.mesh_text import MeshError
@@ -131,11 +133,14 @@ def test_what_is_no_height_is_told_at_its_place(name: str, data: bytes, more: st
 
 
 def test_a_large_image_is_refused_by_its_header(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "MESH_FACES", 60)
     data = image(SAMPLES, "PNG")
-    monkeypatch.setattr(Image.Image, "load", lambda *_: pytest.fail("unpacked"))
+    monkeypatch.setattr(limits, "MESH_FACES", 60)
     with pytest.raises(MeshError, match="more than 60 faces"):
         read_heights(data, "h.png")
+    monkeypatch.setattr(Image.Image, "load", lambda *_: pytest.fail("decoded"))
+    said = {"format": "PNG", "modes": ["I;16"], "pixels": SAMPLES.size - 1}
+    document, arrays = read_image(Message(said, {"data": np.frombuffer(data, np.uint8)}))
+    assert (document["rows"], document["columns"]) == SAMPLES.shape and not arrays
 
 
 def test_only_surfaces_are_made_of_heights(tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from antdsl.diagnostics import Report
-from antdsl.scene import Roots, Scene, load, load_text
+from antdsl.scene import Roots, Scene, load_text
+from antdsl.scene.load import load
 from antdsl.scene.model import MeshThing
 
 CASES = Path(__file__).parents[1] / "cases" / "scene"

@@ -9,7 +9,8 @@ import pytest
 from antdsl.cli import _run as run_in_process
 from antdsl.diagnostics import Report
 from antdsl.pipeline import open_scene
-from antdsl.scene import Scene, load
+from antdsl.scene import Scene
+from antdsl.scene.load import load
 from antdsl.scene.model import MeshThing
 
 PROGRAM = """ant 1

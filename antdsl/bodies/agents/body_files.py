@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from antdsl import limits
 from antdsl.bodies.agents.checked_values import Values
 from antdsl.bodies.agents.definition import Definition
@@ -21,7 +19,7 @@ from antdsl.bodies.agents.gltf_body import read_gltf
 from antdsl.bodies.agents.json_text import Node
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.diagnostics import Report
-from antdsl.scene.geometry.usd import UsdError, usd_exception, words_of
+from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Span
 
@@ -145,19 +143,13 @@ class BodyFiles:
 
     def _usd(self, full: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
         """As `read_usd`; of a file that a person named by a link, the file that it leads to."""
-        from antdsl.bodies.agents.usd_body import read_usd
+        from antdsl.bodies.agents.usd_definition import read_usd
 
         roots, text = self.roots, full
         if full in self.named:
             found = self.named[full].resolve()
             roots, text = Roots(found.parent, self.roots.granted), found.name
-        try:
-            with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
-                return read_usd(roots, text, prim, name, rate)
-        except usd_exception() as why:
-            raise BodyError(f"cannot be read as a body: {words_of(why)}", "export it anew", "bad-usd") from None
-        except UnicodeDecodeError:  # a name of the file that USD hands on as it is
-            raise BodyError("has bytes that are no UTF-8 text", "export it anew", "bad-usd") from None
+        return read_usd(roots, text, prim, name, rate)
 
     def included(self, condensed: str, absolute: str) -> str:
         """The path of a shape library that is named twice: by a condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) below

@@ -5,7 +5,7 @@ a joint is that of its node. Khronos Group, glTF 2.0 Specification, 2021, sectio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -15,29 +15,31 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.gltf_clips import read_clips
-from antdsl.bodies.agents.gltf_file import Gltf
 from antdsl.bodies.agents.gltf_shapes import GltfBody, read_shape, rigid, unused
 from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
+from antdsl.scene.geometry.gltf_file import Gltf, GltfError, node_parents, nodes_below, scene_roots
 
 Floats = NDArray[np.float64]
 LAYER = "body"
 _EXPORT = "export it anew, as glTF 2.0"
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
 def read_gltf(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float) -> tuple[Definition, list[str]]:
     """The definition in a file's bytes, and sentences about what of it is not read. Animations are sampled about `rate` times a
     second, so that each ends on a sample. `beside(path, cap)` reads a file beside it. BodyError says why there is none."""
     with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
-        return _read(data, name, beside, rate)
+        try:
+            return _read(data, name, beside, rate)
+        except GltfError as why:
+            raise BodyError(str(why), why.help, why.code or "bad-body") from None
 
 
 def _read(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float) -> tuple[Definition, list[str]]:
     body = GltfBody(Gltf(data, beside))
-    parents = _parents(body.file)
+    parents = node_parents(body.file)
     kept = _kept(body.file, parents)
     body.joint = _unique_names(body.file, kept)
     rig = _rig(body, kept, parents)
@@ -54,42 +56,12 @@ def _read(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: flo
 # ---- rig
 
 
-def _parents(file: Gltf) -> list[int]:
-    """The parent of each node, -1 for a root; BodyError where they are no tree."""
-    nodes = file.top("nodes")
-    if len(nodes) > 16 * limits.JOINTS:
-        raise BodyError(f"has {len(nodes):,} nodes, more than are read", code="too-large")
-    parents = [-1] * len(nodes)
-    for number, node in enumerate(nodes):
-        for child in file.listed(node, "children"):
-            child = file.number_of(child, "node", len(nodes))
-            if parents[child] >= 0 or child == number:
-                raise BodyError(f"has a node {child} with two parents", _EXPORT, "bad-rig")
-            parents[child] = number
-    state = [0] * len(nodes)  # 1: being followed, 2: known to lead to a root
-    for start in range(len(nodes)):
-        way: list[int] = []
-        at = start
-        while at >= 0 and state[at] == 0:
-            state[at] = 1
-            way.append(at)
-            at = parents[at]
-        if at >= 0 and state[at] == 1:
-            raise BodyError(f"has nodes that hang below each other in a circle, {at} among them", _EXPORT, "bad-rig")
-        for each in way:
-            state[each] = 2
-    return parents
-
-
 def _kept(file: Gltf, parents: list[int]) -> list[int]:
     """The nodes that become joints, parents before children, as the file's scene has them."""
     nodes = file.top("nodes")
-    scenes = file.top("scenes")
-    scene = file.index(file.tree, "scene", len(scenes)) or 0
-    roots = [file.number_of(root, "node", len(nodes)) for root in file.listed(scenes[scene], "nodes")] if scenes else []
-    roots = roots or [number for number, parent in enumerate(parents) if parent < 0]
+    roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
     wanted: set[int] = set()
-    for number in _below(file, roots):
+    for number in nodes_below(file, roots):
         if "mesh" in nodes[number] and "skin" not in nodes[number]:
             wanted.add(number)
     for skin in file.top("skins"):
@@ -113,21 +85,7 @@ def _kept(file: Gltf, parents: list[int]) -> list[int]:
         raise BodyError(f"has {len(wanted):,} joints, more than {limits.JOINTS:,}", code="too-large")
     tops = [number for number in wanted if parents[number] < 0]
     order = sorted(tops, key=lambda number: (number not in roots, roots.index(number) if number in roots else number))
-    return [number for number in _below(file, order) if number in wanted]
-
-
-def _below(file: Gltf, roots: Iterable[int]) -> list[int]:
-    """The nodes and all below them, parents first, children in the order of the file."""
-    nodes, found = file.top("nodes"), []
-    seen: set[int] = set()
-    waiting = list(reversed(list(roots)))
-    while waiting:
-        found.append(waiting.pop())
-        waiting += reversed(file.listed(nodes[found[-1]], "children"))
-        if found[-1] in seen:
-            raise BodyError("has a scene that names a node twice", _EXPORT)
-        seen.add(found[-1])
-    return found
+    return [number for number in nodes_below(file, order) if number in wanted]
 
 
 def _unique_names(file: Gltf, kept: list[int]) -> dict[int, str]:
@@ -174,9 +132,8 @@ def _layer(body: GltfBody) -> Layer:
     nodes, meshes, skins = file.top("nodes"), file.top("meshes"), file.top("skins")
     known: dict[tuple[int, ...], str] = {}
     static, deforming = [], []
-    scenes = file.top("scenes")
-    roots = file.listed(scenes[file.index(file.tree, "scene", len(scenes)) or 0], "nodes") if scenes else []
-    shown = _below(file, roots) if roots else list(range(len(nodes)))
+    roots = scene_roots(file)
+    shown = nodes_below(file, roots) if roots else list(range(len(nodes)))
     for number in shown:
         node = nodes[number]
         mesh, skin = file.index(node, "mesh", len(meshes)), file.index(node, "skin", len(skins))

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.gltf_file import Gltf
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.transforms import between_rotations, one_sign, parts_of, unit_quaternion
+from antdsl.scene.geometry.gltf_file import Gltf
 
 Floats = NDArray[np.float64]
 _EXPORT = "export it anew, as glTF 2.0"

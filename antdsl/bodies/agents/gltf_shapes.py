@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.gltf_file import Gltf
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Channel
 from antdsl.bodies.agents.shape import Blend, Capture, Shape
+from antdsl.scene.geometry.gltf_file import FAN, STRIP, TRIANGLES, Gltf, primitive_triangles
 
 Floats = NDArray[np.float64]
 _EXPORT = "export it anew, as glTF 2.0"
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
 @dataclass(slots=True)
@@ -96,8 +95,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
 
 def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: bool) -> None:
     file = body.file
-    mode = primitive.get("mode", _TRIANGLES)
-    if mode not in (_TRIANGLES, _STRIP, _FAN):
+    if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
         body.left_out["points and lines of meshes are not read"] = None
         return
     if "KHR_draco_mesh_compression" in file.object(primitive, "extensions"):
@@ -110,16 +108,14 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
     shared = repr((sorted(map(str, given.items())), file.listed(primitive, "targets")))
     points = file.accessor(given["POSITION"], 3).astype(np.float64)
     if shared in pieces.known:
-        corners = file.accessor(primitive["indices"], 1)[:, 0] if "indices" in primitive else np.arange(len(points))
-        _faces(body, pieces, primitive, _triangles(corners.astype(np.int64), mode), pieces.known[shared], len(points))
+        _faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points)), pieces.known[shared])
         return
     body.points += len(points) * (1 + len(file.listed(primitive, "targets")))
     if body.points > limits.BODY_POINTS:
         raise BodyError(f"has more than {limits.BODY_POINTS:,} points, morph targets among them", code="too-large")
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
         raise BodyError("has a point that is not finite", _EXPORT)
-    corners = file.accessor(primitive["indices"], 1)[:, 0] if "indices" in primitive else np.arange(len(points))
-    if not _faces(body, pieces, primitive, _triangles(corners.astype(np.int64), mode), len(pieces.points), len(points)):
+    if not _faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points)), len(pieces.points)):
         return
     pieces.known[shared] = len(pieces.points)
 
@@ -151,12 +147,8 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
         _follow(pieces, of_points, len(points))
 
 
-def _faces(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], faces: NDArray[np.int64], of: int, count: int) -> bool:
-    """Notes the triangles of a primitive, whose `count` points are those of the piece `of`; False where there are none."""
-    if len(faces) > limits.MESH_FACES:
-        raise BodyError(f"has more than {limits.MESH_FACES:,} triangles", code="too-large")
-    if len(faces) and (faces.min() < 0 or faces.max() >= count):
-        raise BodyError("has a triangle that names a point which is not there", _EXPORT)
+def _faces(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], faces: NDArray[np.int64], of: int) -> bool:
+    """Notes the triangles of a primitive, whose points are those of the piece `of`; False where there are none."""
     if len(faces):
         pieces.faces.append(faces)
         pieces.of.append(of)
@@ -171,20 +163,6 @@ def _target(file: Gltf, target: dict[str, Any], key: str, count: int) -> Floats 
     if len(found) != count or not np.isfinite(found).all():
         raise BodyError(f"has a morph target of {len(found):,} values for {count:,} points, or one that is not finite", _EXPORT)
     return found.astype(np.float64)
-
-
-def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
-    """Triangles (n, 3) of a list, a strip or a fan of corners; those without an area are left out of strips."""
-    if mode == _TRIANGLES:
-        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
-    if len(corners) < 3:
-        return np.empty((0, 3), np.int64)
-    if mode == _FAN:
-        return np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
-    found = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
-    found[1::2] = found[1::2][:, [1, 0, 2]]
-    apart = (found[:, 0] != found[:, 1]) & (found[:, 1] != found[:, 2]) & (found[:, 0] != found[:, 2])
-    return np.asarray(found[apart])
 
 
 def _follow(pieces: _Pieces, of_points: Callable[[str, int], Floats | None], count: int) -> None:

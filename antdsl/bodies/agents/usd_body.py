@@ -2,14 +2,13 @@
 shapes to blend with, animations clips.
 
 A skeleton's own place in the stage is a joint of the skeleton's name above its joints; a mesh that follows no joint has a joint
-of its own, where it stands. Units and axes are the stage's. The extra `[usd]` is imported when the first such file is read."""
+of its own, where it stands. Units and axes are the stage's. This runs in the reader's process; `usd_definition` requests it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +19,19 @@ from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.gltf_clips import even_times
 from antdsl.bodies.agents.gltf_shapes import rigid, unused
 from antdsl.bodies.agents.layer import Binding, Layer
+from antdsl.bodies.agents.packed import packed
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.transforms import followed_by, one_sign, unit_quaternion
 from antdsl.bodies.agents.usd_shapes import Skin, UsdBody, read_usd_shape
+from antdsl.reader.refusal import Refusal
 from antdsl.scene.geometry.matrices import has_inverse, inverse
-from antdsl.scene.geometry.usd import UsdStage, open_stage, pxr
-from antdsl.scene.paths import Roots
+from antdsl.scene.geometry.usd.child.guard import Answer, guarded
+from antdsl.scene.geometry.usd.child.stage import OpenStage, open_stage
+from antdsl.scene.geometry.usd.errors import pxr
+
+if TYPE_CHECKING:
+    from antdsl.reader.protocol import Message
 
 Floats = NDArray[np.float64]
 LAYER = "body"
@@ -42,10 +47,20 @@ class _Skeleton:
     names: list[str]
 
 
-def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
-    """The definition at and below a prim of a file, and sentences about what of it is not read. `rate`: samples a second of its
-    animations, 0 for those of the stage. UsdError or BodyError says why there is none."""
-    stage = open_stage(roots, text, prim, up="y", frames=range(1), fps=Fraction(24))
+@guarded
+def read_body(request: Message) -> Answer:
+    """The arrays that `packed` makes of the definition, and sentences `left_out` about what of the file is not read."""
+    said = request.document
+    try:
+        found, left_out = _definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
+    except BodyError as why:
+        raise Refusal(why.code, str(why), why.help, "prim", "body") from why
+    return {"left_out": left_out}, packed(found)
+
+
+def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
+    """The definition at and below a prim, and sentences about what is not read. `rate`: samples a second of its animations, 0 for
+    those of the stage. BodyError says why there is none."""
     body = UsdBody(stage)
     bindings = list(_bindings(stage))
     skeletons = [_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
@@ -92,7 +107,7 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
 # ---- joints
 
 
-def _bindings(stage: UsdStage) -> Iterator[tuple[Any, Any, list[Any]]]:
+def _bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
     """Each skeleton with what UsdSkel knows of it and of the meshes that follow it, in the order of the file."""
     skel, usd = pxr("UsdSkel"), pxr("Usd")
     cache, seen = skel.Cache(), set()
@@ -139,7 +154,7 @@ def column_matrix(matrix: Any) -> Floats:
     return np.ascontiguousarray(np.array(matrix, np.float64).reshape(4, 4).T)
 
 
-def _place(stage: UsdStage, prim: Any) -> Floats:
+def _place(stage: OpenStage, prim: Any) -> Floats:
     """The matrix of a prim in the stage, at rest."""
     cache = pxr("UsdGeom").XformCache(stage.first)
     return column_matrix(cache.GetLocalToWorldTransform(prim))

@@ -1,16 +1,21 @@
-"""Tables that `antdsl check` prints about programs: `--params` and `--cost`."""
+"""Tables that `antdsl check` prints about programs and scenes: `--params`, `--cost` and `--imports`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from antdsl import limits
 from antdsl.diagnostics.places import safe
 from antdsl.program.cost import Part, costs
 from antdsl.program.kinds import Kind
 from antdsl.program.model import Const, Param, Program, Species
 from antdsl.program.tables.units import measure
 from antdsl.source import Span
+
+if TYPE_CHECKING:
+    from antdsl.pipeline import Choices, Shot
 
 Programs = Sequence[tuple[Path, Program]]
 
@@ -105,3 +110,53 @@ def _memory(program: Program) -> dict[str, str]:
         of_all = sum(size[role] for role in _KEPT)
         found[name] = f", {of_all} bytes an agent ({', '.join(kept)}), {size['temp']} more in a step"
     return found
+
+
+# --- imports ---------------------------------------------------------------------------------------------------------
+
+
+def import_table(files: Sequence[Path], choices: Choices) -> Iterator[str]:
+    """What was read of each mesh of the scenes among some files, and what was changed."""
+    from antdsl.pipeline import mesh_imports
+    from antdsl.scene.geometry.import_notes import import_lines
+
+    count = 0
+    for file in files:
+        if file.suffix == ".ant":
+            continue
+        imports, units = mesh_imports(file, choices)
+        for name, found in imports.items():
+            first, *rest = import_lines(found, units)
+            yield f"{file}: {name}: {first}"
+            yield from (f"  {line}" for line in rest)
+            count += 1
+    if not count:
+        yield "no scene without errors here has a mesh"
+
+
+# --- work of a scene -------------------------------------------------------------------------------------------------
+
+
+def work_table(file: Path, shot: Shot) -> Iterator[str]:
+    """What the world of a scene and its crowd have to allocate: counts and bytes, estimated before anything is made."""
+    from antdsl.plan.register_bytes import memory
+    from antdsl.runtime.binding.world_work import world_work
+    from antdsl.scene.matching import const_base
+
+    sizes = {name: sum(memory(species).values()) for name, species in shot.plan.species.items()}
+    fields = {
+        name: (declared.surfaces, const_base(declared.cell, shot.scene))
+        for name, declared in shot.program.fields.items()
+        if isinstance(declared.cell, Const)
+    }
+    works = world_work(shot.setting, fields, sizes)
+    yield f"{file}: about {_size(sum(work.bytes for work in works))} for the world and its crowd"
+    rows = [(work.thing, f"{work.number:,} {work.parts}", _size(work.bytes)) for work in works]
+    yield from _aligned([("thing", "work", "memory"), *rows])
+
+
+def _size(bytes: int) -> str:
+    for unit, words in ((limits.GIB, "GiB"), (limits.MIB, "MiB"), (limits.KIB, "KiB")):
+        if bytes >= unit:
+            return f"{bytes / unit:,.1f} {words}"
+    return f"{bytes} bytes"

@@ -7,7 +7,7 @@ import sys
 from antdsl.cli.exits import Exit, Stop
 from antdsl.diagnostics import Report
 
-_UNREAD = frozenset(("cannot-read", "no-such-file", "not-a-file", "file-too-large"))
+_FILES = frozenset(("cannot-read", "cannot-write", "no-such-file", "not-a-file", "file-too-large"))
 
 
 def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
@@ -32,8 +32,8 @@ def demand(report: Report) -> None:
 
 
 def verdict(report: Report) -> Exit:
-    """The exit code for a report: nothing to read is input and output, everything else is something found in a file."""
+    """The exit code for a report: a file that cannot be read or written is input and output, all else is found in a file."""
     errors = [d for d in report.diagnostics if d.severity == "error"]
-    if errors and all(d.span is None and d.code in _UNREAD for d in errors):
+    if errors and all(d.span is None and d.code in _FILES for d in errors):
         return Exit.INPUT_OUTPUT
     return Exit.FINDINGS if errors else Exit.FINE

@@ -27,8 +27,8 @@ from antdsl.outputs.cache.cache_reader import (
     open_cache,
 )
 from antdsl.outputs.cache.frames import FrameMaker
-from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of, read_lines
-from antdsl.outputs.cache.lock import LOCK, FolderLock
+from antdsl.outputs.cache.hashes import HASHES, Line, hash_of_static, line_of, read_lines
+from antdsl.outputs.cache.lock import LOCK, FolderLock, Locked
 from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, Provenance, write_manifest
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.links import is_link
@@ -98,7 +98,9 @@ def _parts(folder: Path) -> list[Path]:
 
 def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:
     """Remove the frames and checkpoints (above a frame, if given, and those checkpoints that are `damaged`) of an earlier run,
-    and its hashes of them; nothing else."""
+    and its hashes of them; nothing else. The hashes go first: a file without one counts for nothing, should this be cut short."""
+    kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
+    write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()))
     for number in numbered(folder, frame_path)[0]:
         if above is None or number > above:
             frame_path(folder, number).unlink(missing_ok=True)
@@ -107,8 +109,6 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
             checkpoint_path(folder, number).unlink(missing_ok=True)
     for part in _parts(folder):
         part.unlink(missing_ok=True)
-    kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
-    write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()))
 
 
 class OtherHashes(Exception):
@@ -214,14 +214,18 @@ class CacheWriter:
         world: World,
         static: Arrays,
         maker: FrameMaker,
-        kept_up_to: int | None,
+        kept: Mapping[int, Line],
         damaged: Container[int] = (),
         worst: float | None = 0.0,
     ) -> None:
-        """Write what stands for the whole run. Frames above `kept_up_to` (all if None) of an earlier run are removed first, and
-        those checkpoints that are `damaged`. `worst`: the greatest surface error of the frames that are kept, None where it is
-        not known."""
-        clear(self.folder, kept_up_to, damaged)
+        """Write what stands for the whole run. Frames of an earlier run are removed first, and those checkpoints that are
+        `damaged`, but for frames and checkpoints up to the last of which the lines are `kept`. `worst`: the greatest surface
+        error of these, None where it is not known. Locked where another run has written since those lines were read."""
+        last = max(kept, default=None)
+        lines = {} if last is None else read_lines(self.folder / HASHES)
+        if kept != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
+            raise Locked(f"another run has written to `{self.folder}` since this one read it")
+        clear(self.folder, last, damaged)
         file = npz_file(static)
         write_whole(self.folder / STATIC, file.parts)
         world.carved = {}

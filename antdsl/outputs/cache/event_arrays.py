@@ -19,6 +19,10 @@ from antdsl.runtime import World, emitted_since
 from antdsl.runtime.moving.capsules import Crowd, Near, find
 
 Arrays = dict[str, NDArray[Any]]
+_CONTACT: Mapping[str, tuple[type[np.generic], tuple[int, ...]]] = {  # fields: type, and shape after the rows
+    "species": (np.int16, ()), "id": (np.int64, ()), "P": (np.float32, (3,)), "N": (np.float32, (3,)),
+    "other_species": (np.int16, ()), "other": (np.int64, ()), "depth": (np.float32, ()),
+}  # fmt: skip
 
 
 def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
@@ -33,16 +37,14 @@ def _emits(world: World, scale: float) -> Arrays:
 
 
 def _contacts(world: World, scale: float) -> Arrays:
+    if len(world) < 2:
+        return {name: np.zeros((0, *wide), kind) for name, (kind, wide) in _CONTACT.items()}
     crowd = Crowd(world)
-    none = np.zeros(0, np.intp)
-    if len(crowd) < 2:
-        kept, i, j, places, way, gap = none, none, none, np.zeros((3, 0)), np.zeros((3, 0)), np.zeros(0)
-    else:
-        near = find(crowd)
-        kept = np.flatnonzero(near.gap < 0)
-        i, j, places = near.rows[near.i[kept]], near.rows[near.j[kept]], _meeting(near, kept)
-        way, gap = near.way[:, kept], near.gap[kept]
-    ids = crowd.of(lambda p: p.ids) if len(crowd) else np.zeros(0, np.int64)
+    near = find(crowd)
+    kept = np.flatnonzero(near.gap < 0)
+    i, j, places = near.rows[near.i[kept]], near.rows[near.j[kept]], _meeting(near, kept)
+    way, gap = near.way[:, kept], near.gap[kept]
+    ids = crowd.of(lambda p: p.ids)
     names = sorted(world.populations)
     species = np.repeat([names.index(p.name) for p in crowd.species], np.diff(crowd.first)).astype(np.int16)
     order = np.lexsort((ids[j], species[j], ids[i], species[i]))

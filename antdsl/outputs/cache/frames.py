@@ -23,6 +23,7 @@ from antdsl.outputs.cache.manifest import (
     ClipEntry,
     FeelersEntry,
     FieldEntry,
+    ImportEntry,
     ItemsEntry,
     Look,
     MachineEntry,
@@ -240,7 +241,15 @@ def _mesh(
     off, look = setting.deviations.get(name), looks.get(name)
     deviation = None if off is None else off / setting.unit_mm
     moves = name in setting.moves.meshes
-    return MeshEntry(name=name, kind=kind, moves=moves, deviation=deviation, look=look if isinstance(look, str) else None)
+    report = setting.imports.get(name)
+    return MeshEntry(
+        name=name,
+        kind=kind,
+        moves=moves,
+        deviation=deviation,
+        look=look if isinstance(look, str) else None,
+        imported=None if report is None else ImportEntry(**asdict(report)),
+    )
 
 
 def _looks(given: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[Look | None, ...]:

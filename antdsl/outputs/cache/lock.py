@@ -10,6 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
+from antdsl.whole import name_failures
+
 LOCK = "lock"
 _PATIENCE = 30.0  # seconds for the writer of a run that was killed to finish what it had been given
 _AGAIN = 0.01
@@ -35,9 +37,10 @@ class FolderLock:
         handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
             self._wait(handle)
-            os.ftruncate(handle, 0)
-            os.lseek(handle, 0, os.SEEK_SET)
-            os.write(handle, f"{os.getpid()} {_host()}\n".encode())
+            with name_failures(self.path):
+                os.ftruncate(handle, 0)
+                os.lseek(handle, 0, os.SEEK_SET)
+                os.write(handle, f"{os.getpid()} {_host()}\n".encode())
         except BaseException:
             _leave(handle)
             os.close(handle)

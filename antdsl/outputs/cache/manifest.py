@@ -89,15 +89,38 @@ class SpeciesEntry(Part):
     machines: tuple[MachineEntry, ...]
 
 
+Count = Annotated[int, Field(ge=0)]
+
+
+class ImportEntry(Part):
+    """What was read of a mesh's file, as `antdsl.scene.geometry.import_notes.MeshImport` has it."""
+
+    file: Word
+    form: Word
+    vertices: Count
+    triangles: Count
+    polygons: Count = 0
+    concave: Count = 0
+    crossing: Count = 0
+    dropped: Count = 0
+    welded: Count = 0
+    border_edges: Count = 0
+    skipped: tuple[Word, ...] = ()
+    low: Triple
+    high: Triple
+
+
 class MeshEntry(Part):
-    """`moves`: each frame has its vertices. `deviation`: of a surface of heights, how far (scene units) its triangles lie from
-    the bilinear surface through its samples, at most. `look`: what pictures draw it as; None goes by its name."""
+    """`imported`: what was read of its file. `moves`: each frame has its vertices. `deviation`: of a surface of heights, how far
+    (scene units) its triangles lie from the bilinear surface through its samples, at most. `look`: what pictures draw it as;
+    None goes by its name."""
 
     name: Word
     kind: Literal["surface", "obstacle", "solid"]
     moves: bool = False
     look: Look | None = None
     deviation: float | None = None
+    imported: ImportEntry | None = None
 
 
 class FieldEntry(Part):

@@ -53,8 +53,11 @@ class ValueFiles:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None) -> None:
-        """Put all files in their places, or, where anything failed, none of them."""
+        """Put all files in their places, or, where anything failed, none of them. The stage of an earlier export goes first: it
+        would show these values as its own, should its successor not come."""
         self._layer = self._out.clip = None
+        if self._starts and kind is None:
+            self._path.unlink(missing_ok=True)
         self._parts.__exit__(kind, problem, trace)
 
     def finish(self) -> None:

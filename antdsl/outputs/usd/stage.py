@@ -13,6 +13,7 @@ import numpy as np
 from antdsl import __version__
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.usd.clips import ValueFiles
+from antdsl.outputs.usd.disk_failures import disk_failures
 from antdsl.outputs.usd.instancers import InstancerWriter
 from antdsl.outputs.usd.moments import Moments
 from antdsl.outputs.usd.skeletons import SkeletonWriter
@@ -96,7 +97,7 @@ def times(frame: int, options: XformOptions) -> list[float]:
 def _export(
     gallery: Gallery, frames: list[int], path: Path, options: XformOptions, kind: Callable[[int], Callable[..., Writer]]
 ) -> list[str]:
-    with whole(path, path.suffix) as part:
+    with disk_failures(path), whole(path, path.suffix) as part:
         try:
             stage = pxr("Usd").Stage.CreateNew(str(part))
         except pxr("Tf").ErrorException as problem:

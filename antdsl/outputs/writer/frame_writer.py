@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +13,7 @@ from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
 from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.cache.zip_parts import Stored
-from antdsl.whole import open_to_append, sync_file, sync_folder, sync_opened, write_parts, write_whole
+from antdsl.whole import AppendedFile, sync_file, sync_folder, write_whole
 
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
@@ -26,7 +25,7 @@ class Scribe:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._lines = open_to_append(folder / HASHES)
+        self._lines = AppendedFile(folder / HASHES)
         self._unsynced: list[Path] = []
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
@@ -41,7 +40,7 @@ class Scribe:
 
     def _line(self, frame: int, line: Line) -> None:
         self._last = {frame: line}
-        write_parts(self._lines, [line.text(frame)])
+        self._lines.write([line.text(frame)])
 
     def checkpoint(self, frame: int, arrays: Arrays) -> Found:
         """Write a checkpoint, durably, after everything before it, its hash included: one without is from before there were
@@ -62,12 +61,12 @@ class Scribe:
             sync_file(path)
         self._unsynced.clear()
         sync_folder(self.folder / "frames")
-        sync_opened(self._lines)
+        self._lines.sync()
         return _spent("sync", began)
 
     def close(self) -> None:
         """Nothing more is written."""
-        os.close(self._lines)
+        self._lines.close()
 
 
 def _spent(what: str, since: float) -> Found:

@@ -52,6 +52,7 @@ class Crowd:
     def __init__(self, world: World, start: bool = False) -> None:
         self.world, self._start = world, start
         self.species = [population for population in world.populations.values() if len(population)]
+        self.species = self.species or list(world.populations.values())[:1]  # no agents: arrays of no rows
         self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
         self._capsules = [capsule_of(world, population.name) for population in self.species]
         self.key = self.of(lambda p: p.ids + k * _SPECIES if (k := self.species.index(p)) else p.ids)

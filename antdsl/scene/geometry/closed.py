@@ -112,12 +112,17 @@ def check_sides(staging: Staging, name: str, mesh: MeshData) -> None:
         staging.report.warning("inside-out", words, staging.scene.span("world", name), help)
 
 
-def check_closed(staging: Staging, name: str, key: str, solid: SolidData) -> None:
-    """Complain of a solid that has no inside; `key` names where it comes from, `mesh` or `prim`."""
+@once_a_mesh
+def border_edges(mesh: MeshData) -> int:
+    """How many edges of a mesh belong to one triangle alone."""
+    corners = mesh.vertices[mesh.faces]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    _, _, _, count = _edges(grained((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
+    return int((count == 1).sum())
+
+
+def open_solid_edges(solid: SolidData) -> int:
+    """How many edges keep a solid from having an inside: an odd number of triangles share each."""
     corners = solid.mesh.vertices[solid.mesh.faces]
     loose, _ = open_edges(grained((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
-    if loose:
-        edges = "1 edge borders" if loose == 1 else f"{loose:,} edges border"
-        words = f"the mesh of the solid `{name}` is not closed: {edges} on nothing"
-        place = staging.scene.span("world", name, key)
-        staging.report.error("bad-mesh", words, place, "close its holes, so that it has an inside")
+    return loose

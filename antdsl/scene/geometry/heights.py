@@ -16,6 +16,7 @@ from antdsl.scene.geometry.mesh_text import MeshError
 Floats = NDArray[np.float64]
 
 IMAGES = {"png": "PNG", "tif": "TIFF", "tiff": "TIFF"}
+_MODES = ("F", "I;16", "I;16L", "I;16B", "I;16N")  # Pillow's: floats, and 16-bit grey in all byte orders
 _GREY = 65535.0  # the sample of a 16-bit image that is 1
 
 
@@ -39,27 +40,19 @@ def read_heights(data: bytes, name: str, array: str | None = None, layer: int | 
 
 
 def _image(data: bytes, form: str) -> Floats:
-    from PIL import Image
+    from antdsl.reader.image_request import ImageError, read_image_file
 
     try:
-        with Image.open(io.BytesIO(data), formats=(form,)) as image:
-            columns, rows = image.size
-            _within(rows, columns)
-            if getattr(image, "n_frames", 1) != 1:
-                raise MeshError("has several pages", "save one of them")
-            if image.mode != "F" and not image.mode.startswith("I;16"):
-                raise MeshError(
-                    f"has no samples of 16 bits in one channel (its mode is {image.mode})", "save it as grey with 16 bits"
-                )
-            found = np.asarray(image).astype(np.float64)
-            grey = image.mode != "F"
-    except MeshError:
-        raise
-    except Exception as problem:  # a reader of other people's making meets a file of other people's making
-        raise MeshError(f"cannot be read as {form} ({type(problem).__name__})") from problem
-    if found.shape != (rows, columns):
-        raise MeshError("has no samples in rows and columns")
-    return found / _GREY if grey else found
+        image = read_image_file(data, form, _MODES, 2 * limits.MESH_FACES)
+    except ImageError as why:
+        raise MeshError(str(why), *([why.help] if why.help else [])) from None
+    _within(image.rows, image.columns)
+    if image.pages != 1:
+        raise MeshError("has several pages", "save one of them")
+    if image.samples is None:
+        raise MeshError(f"has no samples of 16 bits in one channel (its mode is {image.mode})", "save it as grey with 16 bits")
+    found = image.samples.astype(np.float64)
+    return found if image.mode == "F" else found / _GREY
 
 
 def _array(data: bytes, array: str | None, layer: int | None) -> Floats:

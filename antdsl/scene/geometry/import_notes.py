@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 
@@ -16,8 +17,8 @@ class Skipped:
 
 @dataclass(slots=True)
 class ImportNotes:
-    """Notes on one mesh file, in the order of its reading. `cut` polygons had more than three corners, `concave` of them needed more
-    than a fan; `crossing` cut or cover themselves, the first of them is the face `crossing_face`."""
+    """Notes on one mesh file. `cut` polygons had more than three corners, `concave` of them needed more than a fan about the
+    first corner; `crossing` cut or cover themselves, the first of them is the face `crossing_face`."""
 
     form: str = ""
     vertices: int = 0
@@ -44,3 +45,53 @@ class ImportNotes:
             (f"{each.count:,} × " if each.count > 1 else "") + each.what + ("" if each.line is None else f" (line {each.line:,})")
             for each in self.skipped.values()
         ]
+
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class MeshImport:
+    """The report on one mesh of a scene: what its file has, what was changed, and where it lies, in scene units.
+
+    `polygons` had more than three corners, `concave` and `crossing` of them as in `ImportNotes`; `dropped` triangles had no area
+    or were doubled; `welded` vertices were moved onto others; `border_edges` have one triangle alone."""
+
+    file: str
+    form: str
+    vertices: int
+    triangles: int
+    polygons: int
+    concave: int
+    crossing: int
+    dropped: int
+    welded: int
+    border_edges: int
+    skipped: tuple[str, ...]
+    low: Triple
+    high: Triple
+
+
+def import_lines(found: MeshImport, units: str) -> Iterator[str]:
+    """The report as lines of text."""
+    yield f"{found.file}, {found.form}: {_count(found.vertices, 'vertex', 'vertices')}, {_count(found.triangles, 'triangle')}"
+    size = " × ".join(f"{high - low:.6g}" for low, high in zip(found.low, found.high, strict=True))
+    low, high = (", ".join(f"{x:.6g}" for x in corner) for corner in (found.low, found.high))
+    yield f"{size} {units}, from [{low}] to [{high}]"
+    changes = [
+        f"{_count(found.polygons, 'polygon')} triangulated"
+        + (f", {found.concave:,} of them concave" if found.concave else "")
+        + (f", {found.crossing:,} crossing themselves" if found.crossing else "")
+        if found.polygons
+        else "",
+        f"{_count(found.welded, 'vertex', 'vertices')} welded" if found.welded else "",
+        f"{_count(found.dropped, 'degenerate or doubled triangle')} dropped" if found.dropped else "",
+        f"open, {_count(found.border_edges, 'border edge')}" if found.border_edges else "closed, no border edges",
+    ]
+    yield "; ".join(each for each in changes if each)
+    if found.skipped:
+        yield f"not read: {', '.join(found.skipped)}"
+
+
+def _count(number: int, one: str, many: str | None = None) -> str:
+    return f"{number:,} {one if number == 1 else many or one + 's'}"

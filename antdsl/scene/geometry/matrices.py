@@ -20,6 +20,20 @@ def still(*shape: int) -> Floats:
     return made
 
 
+def of_parts(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
+    """The way (3, 4) that scales, then rotates by a quaternion x y z w of any length, then shifts."""
+    x, y, z, w = rotation / max(float(np.sqrt((rotation * rotation).sum())), 1e-30)
+    made = still()
+    made[:, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    made[:, :3] *= scale
+    made[:, 3] = translation
+    return made
+
+
 def after(outer: Floats, inner: Floats) -> Floats:
     """The inner way first, then the outer."""
     made = product(outer[..., :3], inner)
@@ -35,9 +49,15 @@ def product(a: Floats, b: Floats) -> Floats:
 
 def determinant(way: Floats) -> float:
     """Of the turn and scale of a way (3, 4): by what volumes grow, below 0 where it mirrors."""
-    a, b, c = way[:, :3]
+    return float(determinants(way))
+
+
+def determinants(ways: Floats) -> Floats:
+    """The same of ways (…, 3, 4)."""
+    a, b, c = (ways[..., row, :3] for row in range(3))
     across = np.cross(b, c)
-    return float((a[0] * across[0] + a[1] * across[1]) + a[2] * across[2])
+    found: Floats = (a[..., 0] * across[..., 0] + a[..., 1] * across[..., 1]) + a[..., 2] * across[..., 2]
+    return found
 
 
 def scale(way: Floats) -> float:
@@ -58,17 +78,24 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
         return float(found[0]), float(found[1])
 
 
-def inverse(way: Floats) -> Floats:
-    """The way back of one way (3, 4) that has a size."""
-    a, b, c = way[:, :3]
-    turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1) / determinant(way)
-    return np.concatenate([turn, -product(turn, way[:, 3:])], axis=1)
+def inverse(ways: Floats) -> Floats:
+    """The ways back of ways (…, 3, 4) that have a size."""
+    a, b, c = (ways[..., row, :3] for row in range(3))
+    turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1) / determinants(ways)[..., None, None]
+    return np.concatenate([turn, -product(turn, ways[..., 3:])], axis=-1)
 
 
 def has_inverse(way: Floats) -> bool:
     """Whether there is a way back: the way flattens nothing."""
-    square = float((way[:, :3] * way[:, :3]).sum())
-    return bool(np.isfinite(way).all() and abs(determinant(way)) > 1e-12 * square * np.sqrt(square))
+    return bool(have_inverses(way))
+
+
+def have_inverses(ways: Floats) -> NDArray[np.bool_]:
+    """The same of ways (…, 3, 4)."""
+    turn = ways[..., :3].reshape(*ways.shape[:-2], 9)
+    square = (turn * turn).sum(axis=-1)
+    is_large = np.abs(determinants(ways)) > 1e-12 * square * np.sqrt(square)
+    return np.asarray(np.isfinite(ways).all(axis=(-2, -1)) & is_large)
 
 
 def applied(way: Floats, points: Floats) -> Floats:
@@ -76,3 +103,15 @@ def applied(way: Floats, points: Floats) -> Floats:
     x, y, z = (points[:, axis, None] for axis in range(3))
     found: Floats = ((way[..., 0] * x + way[..., 1] * y) + way[..., 2] * z) + way[..., 3]
     return found
+
+
+def different(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
+    """An order by x, y, z of points (n, 3); which of them in that order differ from the one before; and for each point the number
+    of the different one it is. Zero and minus zero are one."""
+    order = np.lexsort(points.T[::-1])
+    ranked = points[order]
+    new = np.ones(len(points), np.bool_)
+    new[1:] = (ranked[1:] != ranked[:-1]).any(axis=1)
+    which = np.empty(len(points), np.int64)
+    which[order] = np.cumsum(new) - 1
+    return order, new, which

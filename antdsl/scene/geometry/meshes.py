@@ -4,15 +4,16 @@ would let pass (indices out of range, values that are not finite, faces without 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.matrices import cosine_and_sine
+from antdsl.scene.geometry.gltf_mesh import Beside, read_gltf_mesh
 from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.matrices import cosine_and_sine, different
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.obj_file import read_obj
 from antdsl.scene.geometry.ply import HeaderError
@@ -20,6 +21,7 @@ from antdsl.scene.geometry.ply_body import read_ply
 from antdsl.scene.geometry.polygon_mesh import PolygonMesh
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.stl_file import read_stl
+from antdsl.scene.paths import PathRefused
 from antdsl.scene.setting import MeshData
 from antdsl.scene.staging.cached import once_a_mesh
 
@@ -41,12 +43,14 @@ class RawMesh:
     own_vertices: NDArray[np.int64]
     own_faces: NDArray[np.int64]
     counts: tuple[int, int]
+    notes: ImportNotes = field(default_factory=ImportNotes)
 
 
-def read_mesh(data: bytes, name: str, group: str | None = None) -> RawMesh:
-    """The triangles of an .obj, .ply or .stl file's bytes, of an .obj those of one `group` where it is given; MeshError says why
-    there are none."""
-    return _read(data, name, group) if len(data) <= _KEPT_BYTES else sound(*mesh_arrays(data, name, group))
+def read_mesh(data: bytes, name: str, group: str | None = None, beside: Beside | None = None) -> RawMesh:
+    """The triangles of a file's bytes; MeshError says why there are none. `group`: of an .obj file those of one group or object,
+    of glTF those at and below a node. `beside(path, cap)` reads a file next to this one."""
+    kept = len(data) <= _KEPT_BYTES and not name.lower().endswith(".gltf")  # whose buffers may be in other files
+    return _read(data, name, group) if kept else _sound_file(data, name, group, beside)
 
 
 _KEPT_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene of a folder
@@ -55,24 +59,34 @@ _KEPT_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene 
 @lru_cache(maxsize=16)
 def _read(data: bytes, name: str, group: str | None) -> RawMesh:
     """Small meshes that several scenes share are read once. Nobody may change their arrays."""
-    mesh = sound(*mesh_arrays(data, name, group))
+    mesh = _sound_file(data, name, group, None)
     for array in (mesh.vertices, mesh.faces, mesh.own_vertices, mesh.own_faces):
         array.setflags(write=False)
     return mesh
 
 
-def mesh_arrays(data: bytes, name: str, group: str | None = None, notes: ImportNotes | None = None) -> tuple[Floats, Faces]:
-    """As `read_mesh`, all triangles that the file has; nothing is checked but what reading needs. `notes` takes what was left out."""
+def _sound_file(data: bytes, name: str, group: str | None, beside: Beside | None) -> RawMesh:
+    notes = ImportNotes()
+    return sound(*mesh_arrays(data, name, group, beside, notes), notes)
+
+
+def mesh_arrays(
+    data: bytes, name: str, group: str | None = None, beside: Beside | None = None, notes: ImportNotes | None = None
+) -> tuple[Floats, Faces]:
+    """As `read_mesh`, all triangles that the file has; only what reading needs is checked. `notes` takes what was left out."""
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
-    reader = READERS.get(kind)
-    if reader is None:
-        raise MeshError(f"is not one of {', '.join('.' + k for k in READERS)}")
-    if group is not None and kind != "obj":
-        raise MeshError("has no groups, as only .obj files do", "leave `group` out")
+    if kind not in KINDS:
+        raise MeshError(f"is not one of {', '.join('.' + k for k in KINDS)}")
+    if group is not None and kind in READERS:
+        raise MeshError("has no groups, as only .obj and glTF files do", "leave `group` out")
     try:
-        return _cut(read_obj(data, notes, group) if kind == "obj" else reader(data, notes), notes)
-    except (MeshError, MemoryError):
+        if kind in READERS:
+            return _cut(READERS[kind](data, notes), notes)
+        if kind == "obj":
+            return _cut(read_obj(data, notes, group), notes)
+        return _cut(read_gltf_mesh(data, notes, group, beside or _nothing_beside), notes)
+    except (MeshError, PathRefused, MemoryError):
         raise
     except HeaderError as why:
         raise MeshError(str(why)) from None
@@ -91,11 +105,11 @@ def _cut(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
     if np.maximum(mesh.counts - 2, 0).sum() > limits.MESH_FACES:
         raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
     points = mesh.points
-    bad = ~(np.isfinite(points).all(axis=1) & (np.abs(points) < 1e30).all(axis=1))
+    bad = (~np.isfinite(points) | (np.abs(points) >= 1e30)).any(axis=1)
     if bad.any():
-        wrong = np.flatnonzero(bad[mesh.indices])
-        if len(wrong):
-            raise MeshError(f"has a vertex (number {mesh.indices[wrong[0]]}) that is not a finite point")
+        used = mesh.indices[bad[mesh.indices]]
+        if len(used):
+            raise MeshError(f"has a vertex (number {used[0]}) that is not a finite point")
     found = triangulate(points, mesh.counts, mesh.indices)
     small = mesh.counts < 3
     notes.skip("faces of fewer than three corners", int(small.sum()))
@@ -105,7 +119,7 @@ def _cut(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
     return points, mesh.indices[found.corners]
 
 
-def sound(vertices: Floats, faces: Faces) -> RawMesh:
+def sound(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> RawMesh:
     """The checks that hold for every format."""
     if len(vertices) == 0 or len(faces) == 0:
         raise MeshError("has no faces")
@@ -144,6 +158,7 @@ def sound(vertices: Floats, faces: Faces) -> RawMesh:
         np.flatnonzero(used),
         np.flatnonzero(keep),
         (len(vertices), len(faces)),
+        notes or ImportNotes("", len(vertices), len(faces)),
     )
 
 
@@ -156,7 +171,13 @@ def _first_of_each(rows: Faces, bound: int) -> NDArray[np.int64]:
     return np.asarray(first, np.int64)
 
 
-READERS: dict[str, Callable[[bytes, ImportNotes], PolygonMesh]] = {"ply": read_ply, "obj": read_obj, "stl": read_stl}
+READERS: dict[str, Callable[[bytes, ImportNotes], PolygonMesh]] = {"ply": read_ply, "stl": read_stl}
+GLTF = ("gltf", "glb")
+KINDS = (*READERS, "obj", *GLTF)
+
+
+def _nothing_beside(path: str, cap: int) -> bytes:
+    raise MeshError("has a buffer in another file", "export it as .glb, which has its buffers inside")
 
 
 def turned_up(points: Floats, own: str, wanted: str) -> Floats:
@@ -199,3 +220,23 @@ def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
         raise MeshError("lies more than a thousand kilometres out", "move it with `at`, or check its `units`")
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))
+
+
+def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
+    """Vertices (n, 3) of which those nearer to each other than `tolerance`, or joined by others between them, lie where the
+    first of them does; and how many were moved. Their numbers stay as they are."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    order, new, which = different(vertices)
+    points = vertices[order[new]]
+    pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
+    if not len(pairs):
+        return vertices, 0
+    graph = coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(len(points), len(points)))
+    number = connected_components(graph, directed=False)[1][which]
+    first = np.full(int(number.max()) + 1, len(vertices))
+    np.minimum.at(first, number, np.arange(len(vertices)))  # the first in the file, whatever the library's numbers
+    made = vertices[first[number]]
+    return made, int((made != vertices).any(axis=1).sum())

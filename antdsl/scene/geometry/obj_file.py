@@ -9,17 +9,24 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.mesh_text import VERTICES, Block, Floats, MeshError, Whole, blocks, check_count, check_text, plain_text, shown
+from antdsl.scene.geometry.mesh_text import (
+    VERTICES,
+    Block,
+    Floats,
+    MeshError,
+    Whole,
+    blocks,
+    check_count,
+    check_text,
+    plain_text,
+    shown,
+)
 from antdsl.scene.geometry.polygon_mesh import PolygonMesh
 
 # Keywords without geometry: names, looks, numbers that belong to vertices.
-_SILENT = frozenset(
-    b"vn vt g o s mg usemtl mtllib usemap maplib shadow_obj trace_obj lod bevel c_interp d_interp".split()
-)
+_SILENT = frozenset(b"vn vt g o s mg usemtl mtllib usemap maplib shadow_obj trace_obj lod bevel c_interp d_interp".split())
 _ELEMENTS = {b"l": "lines", b"p": "points", b"curv": "curves", b"curv2": "curves", b"surf": "surfaces"}
-_FREE_FORM = frozenset(
-    b"vp cstype deg bmat step parm trim hole scrv sp end con stech ctech bzp bsp cdc cdp res".split()
-)
+_FREE_FORM = frozenset(b"vp cstype deg bmat step parm trim hole scrv sp end con stech ctech bzp bsp cdc cdp res".split())
 
 
 def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> PolygonMesh:
@@ -93,7 +100,9 @@ class _Reader:
         wrong = np.flatnonzero(~whole | (index == 0))
         if len(wrong):
             word = block.words[at[wrong[0]]]
-            raise MeshError(f"has a corner `{shown(word)}` that is no vertex number in line {block.number_of(int(at[wrong[0]])):,}")
+            raise MeshError(
+                f"has a corner `{shown(word)}` that is no vertex number in line {block.number_of(int(at[wrong[0]])):,}"
+            )
         back = np.repeat(before, count)
         absent = np.flatnonzero(index < -back)
         if len(absent):

@@ -55,14 +55,15 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
             notes.skip(f"element `{shown(element.name.encode())}` ({element.count:,})")
     found = read_elements(data, header, wanted, notes)
     columns = found[id(vertex)]
-    points = np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN warns as it is converted; what is not finite is refused later
+        points = np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1).astype(np.float64)
     counts, indices = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    for element in (face, strips):
-        if element is None or not element.count:
+    for shape in (face, strips):
+        if shape is None or not shape.count:
             continue
-        column = found[id(element)][lists[id(element)]]
+        column = found[id(shape)][lists[id(shape)]]
         assert column.counts is not None
-        if element is face:
+        if shape is face:
             counts.append(column.counts)
             indices.append(column.values)
         else:
@@ -97,10 +98,8 @@ def read_columns(data: bytes, header: Header, element: Element, names: Sequence[
     return np.stack([found[name].values for name in names], axis=1).astype(np.float64).reshape(-1, len(names))
 
 
-def read_elements(
-    data: bytes, header: Header, wanted: Mapping[int, Collection[str]], notes: ImportNotes
-) -> dict[int, Columns]:
-    """The columns that are wanted, by the id of an element of the header and the property's name. What is not wanted is skipped."""
+def read_elements(data: bytes, header: Header, wanted: Mapping[int, Collection[str]], notes: ImportNotes) -> dict[int, Columns]:
+    """The columns that are wanted, by the id of an element of the header and the property's name. Others are skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
         if len(set(names)) != len(names):
@@ -201,7 +200,7 @@ class _Binary:
     def note_rest(self, notes: ImportNotes) -> None:
         """Note what stands after the last element."""
         rest = len(self._data) - self._at
-        if rest > 2:  # a line end that an editor added
+        if self._data[self._at :].strip(b"\0 \n\r\t\x1a"):  # no padding
             notes.skip(f"{rest:,} bytes after the last element")
 
     def columns(self, element: Element, wanted: Collection[str]) -> Columns:
@@ -250,7 +249,9 @@ class _Binary:
             raise HeaderError(f"{_SHORT}: it ends in its {shown(element.name.encode())} {row}")
         count = np.frombuffer(self._data, self._order + kind, 1, at)[0]
         if not (count >= 0 and np.isfinite(count)):
-            raise HeaderError(f"has a list of {count:,} values in its {shown(element.name.encode())} {row}, more than the file has")
+            raise HeaderError(
+                f"has a list of {count:,} values in its {shown(element.name.encode())} {row}, more than the file has"
+            )
         return int(count)
 
     def _uneven(self, element: Element, wanted: Collection[str]) -> Columns:
@@ -282,9 +283,9 @@ class _Binary:
         found = {}
         for p in element.properties:
             if p.name in wanted:
-                count = np.array(counts[p.name], np.int64) if p.count else np.ones(element.count, np.int64)
-                values = self._gathered(np.array(starts[p.name], np.int64), count, p.kind)
-                found[p.name] = Column(values.astype(np.int64), count) if p.count else Column(values)
+                many = np.array(counts[p.name], np.int64) if p.count else np.ones(element.count, np.int64)
+                values = self._gathered(np.array(starts[p.name], np.int64), many, p.kind)
+                found[p.name] = Column(values.astype(np.int64), many) if p.count else Column(values)
         return found
 
     def _gathered(self, start: Whole, count: Whole, kind: str) -> NDArray[Any]:

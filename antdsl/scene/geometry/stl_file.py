@@ -8,7 +8,8 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.mesh_text import Floats, MeshError, blocks, check_count, check_text, plain_text, shown
+from antdsl.scene.geometry.matrices import different
+from antdsl.scene.geometry.mesh_text import Floats, MeshError, Whole, blocks, check_count, check_text, plain_text, shown
 from antdsl.scene.geometry.polygon_mesh import PolygonMesh
 
 _HEAD, _FACE = 84, 50  # bytes before the first face, and of each
@@ -21,8 +22,8 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
     wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if len(wrong):
         raise MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
-    points, inverse = np.unique(corners, axis=0, return_inverse=True)
-    return PolygonMesh.of_triangles(points, inverse.reshape(-1, 3).astype(np.int64))
+    order, new, which = different(corners)
+    return PolygonMesh.of_triangles(corners[order[new]], which.reshape(-1, 3))
 
 
 def _is_text(data: bytes) -> bool:
@@ -47,9 +48,10 @@ def _binary(data: bytes, notes: ImportNotes) -> Floats:
         raise MeshError(f"{_MISSING}: it says it has {count:,} faces, and {room:,} fit in its {len(data):,} bytes")
     check_count(count, limits.MESH_FACES, "faces")
     tail = data[len(data) - rest :]
-    if rest >= _FACE and rest % _FACE == 0 and tail.strip(b"\0 \n\r\t\x1a"):
+    is_padding = not tail.strip(b"\0 \n\r\t\x1a")
+    if rest >= _FACE and rest % _FACE == 0 and not is_padding:
         raise MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE:,}")
-    if rest:
+    if not is_padding:
         notes.skip(f"{rest:,} bytes after the last face")
     rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEAD)
     return rows["corners"].reshape(-1, 3).astype(np.float64)
@@ -57,7 +59,8 @@ def _binary(data: bytes, notes: ImportNotes) -> Floats:
 
 _FACET, _VERTEX, _END, _LOOP, _SOLID, _OTHER = range(6)
 _KINDS = {
-    b"facet": _FACET, b"vertex": _VERTEX, b"endfacet": _END, b"outer": _LOOP, b"endloop": _LOOP, b"solid": _SOLID, b"endsolid": _SOLID,
+    b"facet": _FACET, b"vertex": _VERTEX, b"endfacet": _END, b"outer": _LOOP, b"endloop": _LOOP, b"solid": _SOLID,
+    b"endsolid": _SOLID,
 }  # fmt: skip
 
 
@@ -75,7 +78,9 @@ def _text(data: bytes, notes: ImportNotes) -> Floats:
             raise MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
         corners.append(block.floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
         if (kind == _OTHER).any():
-            _check_others(block.number, kind, [shown(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes)
+            _check_others(
+                block.number, kind, [shown(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes
+            )
         used = (kind != _LOOP) & (kind != _SOLID) & (kind != _OTHER)
         kinds.append(kind[used])
         numbers.append(block.number[used])
@@ -85,7 +90,7 @@ def _text(data: bytes, notes: ImportNotes) -> Floats:
     return np.concatenate(corners)
 
 
-def _check_others(number: np.ndarray, kind: np.ndarray, words: list[str], notes: ImportNotes) -> None:  # type: ignore[type-arg]
+def _check_others(number: Whole, kind: Whole, words: list[str], notes: ImportNotes) -> None:
     """MeshError for a line within a facet that is not known; others are noted."""
     others = np.flatnonzero(kind == _OTHER)
     opened = np.cumsum((kind == _FACET).astype(np.int64) - (kind == _END))
@@ -95,7 +100,7 @@ def _check_others(number: np.ndarray, kind: np.ndarray, words: list[str], notes:
         notes.skip(f"a line that is not understood: `{text}`", 1, int(number[place]))
 
 
-def _check_facets(kinds: np.ndarray, numbers: np.ndarray, last: int) -> None:  # type: ignore[type-arg]
+def _check_facets(kinds: Whole, numbers: Whole, last: int) -> None:
     """MeshError where lines are not facet, three corners, end of the facet, again and again."""
     wanted = np.resize(np.array([_FACET, _VERTEX, _VERTEX, _VERTEX, _END]), len(kinds))
     wrong = np.flatnonzero(kinds != wanted)

@@ -263,7 +263,7 @@ def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int)
     values = values * thing.strength
     if width == 3:
         up = staging.scene.model.up
-        mirrored, own_up = (mesh.scale < 0, mesh.up or up) if isinstance(mesh, model.MeshThing) else (False, "y")
+        mirrored, own_up = (mesh.scale < 0, mesh.own_up or up) if isinstance(mesh, model.MeshThing) else (False, "y")
         values = values * (-1.0 if mirrored else 1.0)
         values = shortened(rotated(turned_up(values, own_up, up), first_turn(staging, mesh)))
     return stage_of.Painted(surface, values if width == 3 else values[:, 0], of_faces)

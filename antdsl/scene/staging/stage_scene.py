@@ -6,7 +6,8 @@ allocated."""
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import posixpath
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,7 +21,7 @@ from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
 from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.document import Key
-from antdsl.scene.geometry.closed import check_closed, check_sides
+from antdsl.scene.geometry.closed import check_sides
 from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, sound, within_reach
@@ -40,6 +41,7 @@ from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.cached import once_a_mesh
 from antdsl.scene.staging.item_placement import check_crowds, items_of
+from antdsl.scene.staging.mesh_imports import close_solid, mesh_imports, report_losses, weld_thing
 from antdsl.scene.staging.moves import MeshMoves, Moves
 from antdsl.scene.staging.stage_crowd import length, place, point, walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flows
@@ -62,7 +64,8 @@ class Staging:
     raw: dict[str, RawMesh] = field(default_factory=dict)  # surfaces and obstacles as their files have them
     moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
     deviations: dict[str, float] = field(default_factory=dict)  # mm, of surfaces of heights: triangles from bilinear patches
-    layers: dict[str, Any] = field(default_factory=dict)  # USD files that were judged, by name
+    closures: dict[str, Any] = field(default_factory=dict)  # USD files that were collected, by name
+    welds: dict[str, int] = field(default_factory=dict)  # vertices that were moved onto others, by mesh
 
     def read(self, text: str, cap: int, *path: Key) -> bytes | None:
         """A file's bytes, or None and a complaint at the path that names it."""
@@ -73,6 +76,19 @@ class Staging:
             return None
         self.hashes[text] = hashlib.blake2b(data, digest_size=16).hexdigest()
         return data
+
+    def beside(self, text: str) -> Callable[[str, int], bytes]:
+        """Reads files that a file of the scene names relative to its own folder. PathRefused where they lie elsewhere."""
+        root, colon, path = text.rpartition(":")
+        folder = posixpath.dirname(path)
+
+        def read(name: str, cap: int) -> bytes:
+            whole = root + colon + (posixpath.normpath(posixpath.join(folder, name)) if name[:1] != "/" else name)
+            data = self.scene.roots.read(whole, cap)
+            self.hashes[whole] = hashlib.blake2b(data, digest_size=16).hexdigest()
+            return data
+
+        return read
 
     def points(self, text: str, least: int, *path: Key) -> NDArray[np.float64] | None:
         """At least so many points of a JSON file, in the file's own units, or None and a complaint."""
@@ -172,6 +188,7 @@ def stage(
         camera=camera,
         detail=_detail(scene, camera),
         deviations=staging.deviations,
+        imports=mesh_imports(staging, {**surfaces, **obstacles, **{name: solid.mesh for name, solid in solids.items()}}),
     )
     return made, staging.report, staging.hashes
 
@@ -213,8 +230,8 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
         found = _heights(staging, name, value)
     else:
         key, shown = "mesh", value.mesh
-        factor, own_up = UNIT_MM[value.units or scene.model.units] * value.scale, value.up or up
-        found = moving_mesh(staging, name, value) if "#" in value.mesh else _still_mesh(staging, name, value)
+        factor, own_up = UNIT_MM[value.units or value.own_units or scene.model.units] * value.scale, value.own_up or up
+        found = moving_mesh(staging, name, value) if scene.roots.is_sequence(value.mesh) else _still_mesh(staging, name, value)
     if found is None:
         return None
     raw, inner = found
@@ -238,10 +255,8 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
         report.error("bad-mesh", f"the mesh `{shown}` {why}", span, why.help)
         return None
     staging.raw[name] = raw
-    if raw.dropped:
-        faces = "face" if raw.dropped == 1 else "faces"
-        words = f"{raw.dropped:,} {faces} of `{shown}` without area or given twice left out"
-        report.warning("degenerate-faces", words, span, "merge doubled points and faces in the program that made the mesh")
+    mesh = weld_thing(staging, name, value, mesh)
+    report_losses(staging, shown, raw, span)
     if np.abs(mesh.vertices).max() > _FAR:
         report.warning(
             "far-away",
@@ -257,7 +272,11 @@ def _still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
     if data is None:
         return None
     try:
-        return read_mesh(data, value.mesh, value.group), None
+        return read_mesh(data, value.mesh, value.group, staging.beside(value.mesh)), None
+    except PathRefused as refused:
+        words = f"the mesh `{value.mesh}` names a buffer: {refused}"
+        staging.report.error(refused.code, words, staging.scene.span("world", name, "mesh"), refused.help)
+        return None
     except MeshError as why:
         key = "mesh" if value.group is None else "group"
         staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.span("world", name, key), why.help)
@@ -298,7 +317,7 @@ def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
         )
         found[name] = stage_of.SolidData(mesh, edge)
         if staging.report.ok:
-            check_closed(staging, name, "mesh" if isinstance(value, MeshThing) else "prim", found[name])
+            found[name] = close_solid(staging, name, value, found[name])
     return found
 
 

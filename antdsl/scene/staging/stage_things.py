@@ -13,6 +13,7 @@ from antdsl import limits
 from antdsl.scene import setting as stage_of
 from antdsl.scene.crowd_model import UsdPlaces
 from antdsl.scene.document import Key
+from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import applied, has_inverse
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import RawMesh, mesh_arrays, rotated, sound, turned_up
@@ -29,6 +30,7 @@ from antdsl.scene.model import (
     UsdThing,
     millimetres,
 )
+from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.moves import MeshMoves
 
@@ -125,9 +127,10 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         if data is None:
             return None
         try:
-            vertices, faces = mesh_arrays(data, file, value.group)
+            notes = ImportNotes()
+            vertices, faces = mesh_arrays(data, file, value.group, staging.beside(file), notes)
             if raw is None or places is None or first is None:
-                raw, first = sound(vertices, faces), faces
+                raw, first = sound(vertices, faces, notes), faces
                 size = len(files) * len(raw.vertices) * 48
                 if size > limits.MOVES_BYTES:
                     words = f"{len(files):,} frames of `{value.mesh}` would take {size / limits.GIB:.1f} GiB"
@@ -143,6 +146,9 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
                 raise MeshError("has a vertex that is not a finite point")
         except MeshError as why:
             staging.report.error("bad-mesh", f"the mesh `{file}` {why}", span, why.help)
+            return None
+        except PathRefused as refused:
+            staging.report.error(refused.code, f"the mesh `{file}` names a buffer: {refused}", span, refused.help)
             return None
         read = {file: places[k]}
     assert raw is not None and places is not None
@@ -230,7 +236,11 @@ def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> F
         found = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
         factor, own_up = value.scale, model.up
     else:
-        files = sequence(staging, value.curve, "world", name, "curve") if "#" in value.curve else [value.curve]
+        files = (
+            sequence(staging, value.curve, "world", name, "curve")
+            if staging.scene.roots.is_sequence(value.curve)
+            else [value.curve]
+        )
         if files is None:
             return None
         read = {file: staging.points(file, 2, "world", name, "curve") for file in dict.fromkeys(files)}
@@ -330,7 +340,7 @@ def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> 
 
 def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, ...], read: Callable[[UsdStage], T]) -> T | None:
     """What a reader finds at a prim, or None and a complaint at its place in the scene."""
-    from antdsl.scene.geometry.usd import UsdError, open_stage, usd_exception, words_of
+    from antdsl.scene.geometry.usd import UsdError, open_stage
 
     model = staging.scene.model
     try:
@@ -342,20 +352,12 @@ def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, 
             frames=frames_of(staging),
             fps=model.fps,
             purpose=purpose,
-            layers=staging.layers,
+            closures=staging.closures,
         )
         staging.hashes |= stage.hashes
-        with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
-            return read(stage)
+        return read(stage)
     except UsdError as why:
         staging.report.error(why.code, str(why), staging.scene.span(*path, why.key), why.help)
-    except usd_exception() as why:
-        staging.report.error(
-            "bad-usd", f"`{prim}` of `{text}` cannot be read: {words_of(why)}", staging.scene.span(*path, "prim")
-        )
-    except UnicodeDecodeError:  # a name or a word of the file that USD hands on as it is
-        words = f"`{prim}` of `{text}` cannot be read: it has bytes that are no UTF-8 text"
-        staging.report.error("bad-usd", words, staging.scene.span(*path, "prim"), "export it anew")
     except MeshError as why:
         words = f"the mesh `{prim}` of `{text}` {why}"
         staging.report.error(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import struct
 import zipfile
+import zlib
 
 from cases.hostile.rows import SCENE, Row
 
@@ -69,6 +71,48 @@ def deep(levels: int) -> str:
     return HEAD + 'def Xform "a"\n{\n' * levels + MESH + "}\n" * levels
 
 
+def nested(levels: int, count: int) -> str:
+    """Point instancers of so many instances in each other: count to the power of levels."""
+    indices, places = ", ".join(["0"] * count), ", ".join(f"({number}, 0, 0)" for number in range(count))
+    parts = [
+        f'def PointInstancer "i{level}"\n{{\nrel prototypes = [</set/{f"i{level + 1}" if level < levels - 1 else "ground"}>]\n'
+        f"int[] protoIndices = [{indices}]\npoint3f[] positions = [{places}]\n}}\n"
+        for level in range(levels)
+    ]
+    return within("".join(parts))
+
+
+def unpacked(text: str) -> bytes:
+    """Bytes that were compressed to be written here."""
+    return zlib.decompress(base64.b85decode(text))
+
+
+# Crates whose tables were changed: USD's own code calls abort(), and asks for 3.7 GB.
+ABORTS = unpacked(
+    "c-pO0OK;Oa5T0GzjYA+bZ35-lQgLZ{6_pb`;E)CyL0h-6Q4vDIBpYgx*p|ITMdFYn{09ykxFIBd0yj8t;J^_i1QKs(5d{jQgtfa)T*{G=#yj8l"
+    "&5n2NomFS159r0w9LNyZm<0dD8hljv=$FMjPB7od9C4gvF7S9W^G@ce2$yD_VZMcV$3M8O%zKz`i_{b%u^6cZd>x4M5XldDh^@_UTVHm4+?VbB"
+    "t5(|{9$z1?<!~z=JKi209y<}8uQR&A$R5LQ5am{F@z|4q7z%%JTMvS*N<W7qTo?!wmhO%m7yvj6b53^N^q@v4aXpo|x@A(BwrvWIYu0kJX0_}R"
+    "3(BNo%vGt%IPe@&GAkx=VWwicHK11=GGWvRj6(rb+q7uG@~B~zScb~V*wpq@yw$K^mCce5Y|o^oZ3VPLTxv3MoOrWLVI@4M7$tIs@nk+{&#fg!"
+    "VF}Os@1AsyQrED&szFH?+@5sH?47fAmFxqJ6*+hQ0pJoW4h~n&orf!iYZ@2Ls!6W`HQY;tss^3)plr`wtde1%_GMzRJZjcR(Wp69wxG~<^KozM"
+    "+jsd-UDwkJ%18pj2;qj<*tje&rxsEeeMoiOX`Ls`{>M;4nTbIb;&4HR!vi46uqUDT%%BpF!{LNd4fsv6A77JUcmS@;km?Tb%>dtHczb{!Gc44f"
+    "%Fz9Wc|!)|R}$(w<Devz9u$Y+p86P*>TJp_8M=hcOy95E>x7|x=sg5ENGN?wyWa!167@&Hxi|<Te8u^2>Cb%uNf}Mcu)XF5SnSV0L;4{J-=vNu"
+    "sRMsWeoo@Wq_B__KP9D)>Gx^;E-k!GZg{ip)y@_1<qqLRiq}d-4)p3bl>F*hRi6Ub@D*d>C&pOZ-jZcs)>K_bV(jIvXHDGuytyK+G&8M?pjD<+"
+    "4Nx<_+(f?-`kjhgJ%QavtNoxLz|HQ~ROHXqC0~+6NfgD-)}Dh~O=M>`*8COw5#CGM<f;5bvE6+lZ{RHNsiHPrm^j%^$n!o9d-Fsge|j`Bf1K;D"
+    "*XVgIOgX|Y9-U(~tBpmb!ws%m92eDmE~<a$`V_~10JY`eeE"
+)
+ASKS_FOR_MEMORY = unpacked(
+    "c-pO0&u`O66n-<d8;3w>+5`#<v{YQm&sO0?4>+WOM$p!6Y*d7haFYqONNmfVq9Sp~arb}Vz=6wZg~Xr04GtX8isP<?K;k#Fhyn#t!q^=rE^y>Y"
+    "pZ(tVy?HZZ&l`1i=8#?*%YzJojZ5%btoir5e<$YD<A}$8S<L+e!)At1OEL)D-^$R<kcx0=h77|thOS?5+Zp;8cEAY94!6q+ktxJTIp9k{oQFt$"
+    "$U|&ne#ZuKKl=l@{vT>}?B0o={f!)M`{O4%Z-@I%MCa>_ZZNXP@H0fYbz46EFd&A*zueISXS*`U!%;2_g$XOSMh^`EoPz}?w`h7$CzQCJN?hGC"
+    "Da_b51;;h(`FXQeaft;LQZ*K8RAn4^4k?>elejQjwcR?<s}7ko>I5dB2&!#bv}k$Mu*xh$Wo2w?`zhYKTeK=>*$-^bq^4~Jv_o8KGID}=^GsnS"
+    "Jg6FFa+dLAF>fzyB*tI`FZy#&Imf7LSYFMbqz7(JxfM3&yj>#)Kx0MDU$_gn49oko)$<qNis72ZoLMvJRiK7@iBQ#`^Bz>}g}EBZ0<|v_i{(+X"
+    "PD)1Isj&rxwuis>wZDCj|I~Fot)Pq~AdC=hip|Zd@@i@+h0*I&*FWv^gxUWXPAIc6$Uz(~$}lnnk_>wjiqGs<;&B*BD7Ap!BK!U|8L~t0rwpmy"
+    "Aif^Nw^_V1h##<6X#6Kb?{kKx49Kq}G<L;7Nhp0N4%xoOIFlM|$PF2Kgsn_JsNC*`;X&v>0(nR%15CTq2R9Op`@y+545NI-g>dPQd;v)rP0O&o"
+    "76e!x%s^B6ED0Z_t`(^ZzfZnP;^m~Uloa14r8ntUY5X!Ryhv_(zT@exHSx(G!s8ULm5Lnb^=~No)pM#o4Y270#=;kjvADA>%f76sx{k!ylimNf"
+    "aQ~y$nzYu+v@?QMnN~GGt@vsSeM9J5DsuY-b_cEZgMt9JdfP*hKUSA~NfISd6uaAd4lXv4o!waLYwUA)HEC0)3zMZz_ldlLbG)ZY+DvisR41Xp"
+    "`#9{)lf}ZBvB>xdu0PwL7ql?tD8G1g9;-QRJTe^q;=0A-l3K_|^-o-%=J9uN%;n("
+)
+
 ROWS = [
     usd("M7 a mesh", GOOD, frames=2),
     usd("A5 CRLF", GOOD.replace("\n", "\r\n")),
@@ -121,7 +165,12 @@ ROWS = [
     ),
     usd("M8 a package", package("set.usda", GOOD.encode()), file="set.usdz"),
     usd("M8 a package of levels", package("set.usda", deep(40_000).encode()), "bad-usd", "brings down", "/a", "set.usdz"),
-    usd("M8 a package with a name that leaves", package("../../set.usda", GOOD.encode()), file="set.usdz"),
+    usd("M8 a package with a name that leaves", package("../../set.usda", GOOD.encode()), "bad-usd", "leaves", file="set.usdz"),
+    usd("M3 a crate that aborts", ABORTS, "bad-usd", "brings down", file="set.usdc"),
+    usd("M3 a crate that aborts in a package", package("set.usdc", ABORTS), "bad-usd", "brings down", file="set.usdz"),
+    usd("M3 a crate that asks for 3.7 GB", ASKS_FOR_MEMORY, "bad-usd", "cannot be read", file="set.usdc"),
+    usd("A23 10^6 instances", nested(3, 100), "too-large", "1,010,100 instances", "/set"),
+    usd("A23 10^8 instances", nested(8, 10), "too-large", "instances", "/set"),
     usd("M11 a picture", b"\x89PNG\r\n\x1a\n" + bytes(90), "bad-usd", "cannot be read as USD", file="set.usd"),
     usd(
         "M3 a crate whose table lies",

@@ -1,4 +1,5 @@
-"""Why something of a USD file cannot be used, and the one place that imports usd-core."""
+"""Why something of a USD file cannot be used, and the one place that imports usd-core: in the reader's process to read, in any to
+write."""
 
 from __future__ import annotations
 
@@ -6,13 +7,14 @@ import re
 from functools import cache
 from typing import Any
 
+from antdsl.reader.refusal import Refusal
 
-class UsdError(Exception):
-    """`code` is a diagnostic's code, the text its message, `help` what to do instead, `key` the key of the scene it is about."""
+
+class UsdError(Refusal):
+    """A refusal that is about a key of the scene: `prim`, `usd` or `kind`."""
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "prim") -> None:
-        super().__init__(message)
-        self.code, self.help, self.key = code, help, key
+        super().__init__(code, message, help, key)
 
 
 def words_of(problem: Exception) -> str:
@@ -24,15 +26,6 @@ def words_of(problem: Exception) -> str:
     return line if len(line) <= 200 else line[:197] + "…"
 
 
-def usd_exception() -> type[Exception]:
-    """The type of USD's own exceptions; one that is never raised where USD is not installed."""
-    try:
-        found: type[Exception] = pxr("Tf").ErrorException
-    except UsdError:
-        return UsdError
-    return found
-
-
 @cache
 def pxr(module: str) -> Any:
     """A module of usd-core, such as `UsdGeom`; UsdError when it is not installed."""
@@ -41,7 +34,10 @@ def pxr(module: str) -> Any:
     try:
         return import_module(f"pxr.{module}")
     except ImportError as problem:
-        missing = "USD files need the package usd-core"
-        if getattr(problem, "name", "") not in ("pxr", f"pxr.{module}"):
-            missing += f", which cannot be loaded ({problem})"
-        raise UsdError("missing-extra", missing, 'install it: pip install "antdsl[usd]"', "usd") from None
+        why = "" if getattr(problem, "name", "") in ("pxr", f"pxr.{module}") else f", which cannot be loaded ({problem})"
+        raise missing_extra(why) from None
+
+
+def missing_extra(why: str = "") -> UsdError:
+    """The error where usd-core is not installed; `why` it cannot be loaded where it is."""
+    return UsdError("missing-extra", f"USD files need the package usd-core{why}", 'install it: pip install "antdsl[usd]"', "usd")

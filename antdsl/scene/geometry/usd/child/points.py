@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,31 +10,28 @@ import numpy as np
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene.geometry.matrices import applied, scale
+from antdsl.scene.geometry.usd.child.shapes import BAKE, check_bytes
+from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
-from antdsl.scene.geometry.usd.shapes import BAKE, check_bytes
-from antdsl.scene.geometry.usd.stage import Floats, UsdStage
 
 _USER = "userProperties"  # the namespace into which Blender, Maya and others export what users gave an object
 _KINDS_TOLD = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UsdPoints:
-    """`places` (frames, n, 3) in mm, one frame where all stand still. `radius` (n,) in mm, nan where the file says nothing.
-    `values`: primvars and user properties with one number a point, by name, in the file's units, nan where a point has none;
-    `texts`: user properties that are words, "" where there is none. `ahead` (n, 3): where each one's own +x leads at the first
-    frame, nan for points, which face no way. `unit`: the file's unit of length in mm."""
+class PointArrays:
+    """As `UsdPoints` of `answers`."""
 
     names: tuple[str, ...]
     places: Floats
     radius: Floats
-    values: Mapping[str, Floats]
-    texts: Mapping[str, tuple[str, ...]]
+    values: dict[str, Floats]
+    texts: dict[str, tuple[str, ...]]
     ahead: Floats
     unit: float
 
 
-def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
+def point_arrays(stage: OpenStage, kind: str | None = None) -> PointArrays:
     """The points of all Points prims at or below the prim; where there are none, its children that have a place, one each. With a
     `kind` all prims below it instead, however deep, whose `userProperties:kind` is that word."""
     geom = pxr("UsdGeom")
@@ -61,7 +57,7 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
     again = {name for name in names if names.count(name) > 1} if len(names) <= 1000 else set()
     keys = sorted({key for part in parts for key in part.values})
     words = sorted({key for part in parts for key in part.texts})
-    return UsdPoints(
+    return PointArrays(
         names=tuple(f"{name}_{number}" if name in again else name for number, name in enumerate(names)),
         places=places,
         radius=np.concatenate([part.radius for part in parts]),
@@ -78,7 +74,7 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
     )
 
 
-def _cloud(stage: UsdStage, prim: Any) -> UsdPoints:
+def _cloud(stage: OpenStage, prim: Any) -> PointArrays:
     points = pxr("UsdGeom").Points(prim)
     attribute, path = points.GetPointsAttr(), prim.GetPath()
     moving = len(stage.times) > 1 and attribute.ValueMightBeTimeVarying()
@@ -97,7 +93,7 @@ def _cloud(stage: UsdStage, prim: Any) -> UsdPoints:
     width = np.broadcast_to(widths, count) if len(widths) in (1, count) and count else np.full(count, np.nan)
     names = tuple(_names(prim, count))
     values = _numbers(stage, prim, count)
-    return UsdPoints(names, places, width / 2 * one, values, {}, np.full((count, 3), np.nan), scale(stage.to_scene))
+    return PointArrays(names, places, width / 2 * one, values, {}, np.full((count, 3), np.nan), scale(stage.to_scene))
 
 
 def _names(prim: Any, count: int) -> list[str]:
@@ -109,7 +105,7 @@ def _names(prim: Any, count: int) -> list[str]:
     return [prim.GetName()] if count == 1 else [f"{prim.GetName()}_{number}" for number in range(count)]
 
 
-def _numbers(stage: UsdStage, prim: Any, count: int) -> dict[str, Floats]:
+def _numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
     found = {}
     for primvar in pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues():
         given = primvar.ComputeFlattened(stage.first)
@@ -119,7 +115,7 @@ def _numbers(stage: UsdStage, prim: Any, count: int) -> dict[str, Floats]:
     return found
 
 
-def _children(stage: UsdStage) -> list[Any]:
+def _children(stage: OpenStage) -> list[Any]:
     return [
         p
         for p in stage.prim.GetFilteredChildren(pxr("Usd").TraverseInstanceProxies())
@@ -127,7 +123,7 @@ def _children(stage: UsdStage) -> list[Any]:
     ]
 
 
-def _of_kind(stage: UsdStage, kind: str) -> list[Any]:
+def _of_kind(stage: OpenStage, kind: str) -> list[Any]:
     """The prims below that say they are of a kind; UsdError with the kinds that there are where none is of it."""
     found: list[Any] = []
     others: set[str] = set()
@@ -150,10 +146,11 @@ def _of_kind(stage: UsdStage, kind: str) -> list[Any]:
     raise UsdError("no-such-prim", f'nothing below `{where}` has `{_USER}:kind = "{kind}"`', help, "kind")
 
 
-def _empty(stage: UsdStage, prim: Any) -> UsdPoints:
+def _empty(stage: OpenStage, prim: Any) -> PointArrays:
     """A prim that is nothing but a place: an Xform, a locator, an empty of Blender."""
     ways = stage.matrices(prim, stage.travels(prim))
-    values, texts = _numbers(stage, prim, 1), {}
+    values = _numbers(stage, prim, 1)
+    texts: dict[str, tuple[str, ...]] = {}
     for attribute in prim.GetAuthoredPropertiesInNamespace(_USER):
         name = str(attribute.GetName()).removeprefix(f"{_USER}:")
         value = attribute.Get(stage.first) if ":" not in name and hasattr(attribute, "HasValue") else None
@@ -163,6 +160,6 @@ def _empty(stage: UsdStage, prim: Any) -> UsdPoints:
             values[name] = np.full(1, float(value))
         elif isinstance(value, str) and len(value) <= limits.NAME_CHARACTERS:
             texts[name] = (value,)
-    return UsdPoints(
+    return PointArrays(
         (prim.GetName(),), ways[:, None, :, 3], np.full(1, np.nan), values, texts, ways[:1, :, 0], scale(stage.to_scene)
     )

@@ -7,7 +7,7 @@ import binascii
 import json
 import struct
 from base64 import b64decode
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 from urllib.parse import unquote
 
@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.problems import BodyError
+from antdsl.scene.geometry.polygons import strip_triangles
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_EXPORT = "export it anew, as glTF 2.0"
+_EXPORT = "export it again, as glTF 2.0"
+_NODES = 65_536
+TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives
 # What a reader must know to understand a file at all. Others change how it looks, and are passed over.
 _COMPRESSED = {
     "KHR_draco_mesh_compression": "Draco",
@@ -36,8 +38,17 @@ _HARMLESS = (
 )
 
 
+class GltfError(Exception):
+    """Why a file cannot be used, in words that fit after its name. `code`: a diagnostic's, where it is not the reader's usual
+    one; `help`: what to do instead."""
+
+    def __init__(self, message: str, help: str | None = None, code: str = "") -> None:
+        super().__init__(message)
+        self.help, self.code = help, code
+
+
 class Gltf:
-    """The file's JSON with checked access: every index and kind that is asked for is looked at, BodyError says what is wrong."""
+    """The file's JSON with checked access: every index and kind that is asked for is looked at, GltfError says what is wrong."""
 
     def __init__(self, data: bytes, beside: Callable[[str, int], bytes]) -> None:
         """`beside(path, cap)` reads a file that lies beside this one, of at most `cap` bytes."""
@@ -51,12 +62,12 @@ class Gltf:
         self._tops: dict[str, list[dict[str, Any]]] = {}
         version = str(self.object(self.tree, "asset").get("version", ""))
         if not version.startswith("2."):
-            raise BodyError(f"is glTF {version[:10] or 'without a version'}, and 2.0 is read", _EXPORT)
+            raise GltfError(f"is glTF {version[:10] or 'without a version'}, and 2.0 is read", _EXPORT)
         for name in map(str, self.listed(self.tree, "extensionsRequired")):
             if name in _COMPRESSED:
-                raise BodyError(f"is compressed with {_COMPRESSED[name]}, which is not read", "export it without compression")
+                raise GltfError(f"is compressed with {_COMPRESSED[name]}, which is not read", "export it without compression")
             if not name.startswith(_HARMLESS):
-                raise BodyError(f"needs the extension `{name[:60]}`, which is not read", "export it without")
+                raise GltfError(f"needs the extension `{name[:60]}`, which is not read", "export it without")
 
     # ---- JSON
 
@@ -64,21 +75,21 @@ class Gltf:
         """An object, empty where there is none."""
         found = holder.get(key, {})
         if not isinstance(found, dict):
-            raise BodyError(f"has a `{key}` that is no object", _EXPORT)
+            raise GltfError(f"has a `{key}` that is no object", _EXPORT)
         return found
 
     def listed(self, holder: dict[str, Any], key: str) -> list[Any]:
         """A list, empty where there is none."""
         found = holder.get(key, [])
         if not isinstance(found, list):
-            raise BodyError(f"has `{key}` that are no list", _EXPORT)
+            raise GltfError(f"has `{key}` that are no list", _EXPORT)
         return found
 
     def objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
         """A list of objects, empty where there is none."""
         found = self.listed(holder, key)
         if not all(isinstance(each, dict) for each in found):
-            raise BodyError(f"has `{key}` that are no objects", _EXPORT)
+            raise GltfError(f"has `{key}` that are no objects", _EXPORT)
         return found
 
     def index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
@@ -88,7 +99,7 @@ class Gltf:
     def number_of(self, value: Any, what: str, count: int) -> int:
         """A number of one of `count` things."""
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
-            raise BodyError(f"names `{what}` {str(value)[:20]}, of which there are {count:,}", _EXPORT)
+            raise GltfError(f"names `{what}` {str(value)[:20]}, of which there are {count:,}", _EXPORT)
         return value
 
     def top(self, key: str) -> list[dict[str, Any]]:
@@ -102,7 +113,7 @@ class Gltf:
         found = holder.get(key, otherwise)
         right = isinstance(found, list | tuple) and len(found) == len(otherwise)
         if not right or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e30 for x in found):
-            raise BodyError(f"has a `{key}` that is not {len(otherwise)} numbers", _EXPORT)
+            raise GltfError(f"has a `{key}` that is not {len(otherwise)} numbers", _EXPORT)
         return np.array(found, np.float64)
 
     def name(self, holder: dict[str, Any], otherwise: str) -> str:
@@ -122,20 +133,20 @@ class Gltf:
             self._kept[number] = self._read(accessors[number], number)
         found = self._kept[number]
         if width is not None and found.shape[1] != width:
-            raise BodyError(f"has an accessor {number} of {found.shape[1]} numbers where {width} are wanted", _EXPORT)
+            raise GltfError(f"has an accessor {number} of {found.shape[1]} numbers where {width} are wanted", _EXPORT)
         return found
 
     def _read(self, accessor: dict[str, Any], number: int) -> NDArray[Any]:
         kind, width = _COMPONENTS.get(_plain(accessor.get("componentType"))), _WIDTHS.get(str(accessor.get("type")))
         count = accessor.get("count")
         if kind is None or width is None or isinstance(count, bool) or not isinstance(count, int) or count < 0:
-            raise BodyError(f"has an accessor {number} of a kind that is not known", _EXPORT)
+            raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT)
         size = np.dtype(kind).itemsize * width
         self._decoded += count * max(size, 8 * width)
         if self._decoded > 4 * limits.BODY_BYTES:
-            raise BodyError(f"has an accessor {number} of {count:,} values, more than are read", code="too-large")
+            raise GltfError(f"has an accessor {number} of {count:,} values, more than are read", code="too-large")
         if width == 16 and np.dtype(kind).itemsize < 4:
-            raise BodyError(f"has an accessor {number} of a kind that is not known", _EXPORT)
+            raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT)
         if "bufferView" in accessor:
             raw = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, kind, width)
         else:
@@ -153,10 +164,10 @@ class Gltf:
         indices, values, count = self.object(sparse, "indices"), self.object(sparse, "values"), sparse.get("count")
         index_kind = _COMPONENTS.get(_plain(indices.get("componentType")))
         if index_kind is None or isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= len(raw):
-            raise BodyError("has a sparse accessor that is not understood", _EXPORT)
+            raise GltfError("has a sparse accessor that is not understood", _EXPORT)
         rows = self._rows(indices.get("bufferView"), indices.get("byteOffset", 0), count, index_kind, 1)[:, 0].astype(np.int64)
         if len(rows) and (rows.min() < 0 or rows.max() >= len(raw)):
-            raise BodyError("has a sparse accessor that names values which are not there", _EXPORT)
+            raise GltfError("has a sparse accessor that names values which are not there", _EXPORT)
         made = raw.copy()
         made[rows] = self._rows(values.get("bufferView"), values.get("byteOffset", 0), count, kind, width)
         return made
@@ -169,13 +180,13 @@ class Gltf:
         size = np.dtype(kind).itemsize * width
         for value in (start, offset, length, stride):
             if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**40:
-                raise BodyError("has a buffer view that is not understood", _EXPORT)
+                raise GltfError("has a buffer view that is not understood", _EXPORT)
         stride = stride or size
         if stride < size or (count and start + stride * (count - 1) + size > length):
-            raise BodyError(f"has a buffer view of {length:,} bytes, too few for what is in it", "a part of it is missing")
+            raise GltfError(f"has a buffer view of {length:,} bytes, too few for what is in it", "a part of it is missing")
         data = self._buffer(found.get("buffer"))
         if offset + length > len(data):
-            raise BodyError(f"has a buffer of {len(data):,} bytes, too few for what is in it", "a part of it is missing")
+            raise GltfError(f"has a buffer of {len(data):,} bytes, too few for what is in it", "a part of it is missing")
         if not count:
             return np.empty((0, width), kind)
         raw = np.ndarray((count, width), kind, data, offset + start, (stride, np.dtype(kind).itemsize))
@@ -188,7 +199,7 @@ class Gltf:
             data = self._fetched(buffers[number], number)
             self._left -= len(data)
             if self._left < 0:
-                raise BodyError(f"has buffers of more than {limits.BODY_BYTES:,} bytes", code="too-large")
+                raise GltfError(f"has buffers of more than {limits.BODY_BYTES:,} bytes", code="too-large")
             self._buffers[number] = data
         return self._buffers[number]
 
@@ -197,15 +208,15 @@ class Gltf:
         if uri is None and number == 0 and self._binary is not None:
             return self._binary
         if not isinstance(uri, str):
-            raise BodyError(f"has a buffer {number} that lies nowhere", "a part of it is missing")
+            raise GltfError(f"has a buffer {number} that lies nowhere", "a part of it is missing")
         if uri[:5].lower() == "data:":
             head, comma, body = uri.partition(",")
             if not comma or not head.lower().endswith(";base64"):
-                raise BodyError(f"has a buffer {number} that is not written as base64", _EXPORT)
+                raise GltfError(f"has a buffer {number} that is not written as base64", _EXPORT)
             try:
                 return b64decode(body, validate=True)
             except (binascii.Error, ValueError):
-                raise BodyError(f"has a buffer {number} that is not written as base64", _EXPORT) from None
+                raise GltfError(f"has a buffer {number} that is not written as base64", _EXPORT) from None
         return self._beside(unquote(uri), self._left)
 
 
@@ -218,39 +229,110 @@ def _parts(data: bytes) -> tuple[bytes, bytes | None]:
     if data[:4] != b"glTF":
         return data, None
     if len(data) < 20:
-        raise BodyError("ends before it has begun", "a part of it is missing")
+        raise GltfError("ends before it has begun", "a part of it is missing")
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise BodyError(f"is a binary glTF {version}, and 2 is read", _EXPORT)
+        raise GltfError(f"is a binary glTF {version}, and 2 is read", _EXPORT)
     if length > len(data):
-        raise BodyError(f"says it has {length:,} bytes, and has {len(data):,}", "a part of it is missing")
+        raise GltfError(f"says it has {length:,} bytes, and has {len(data):,}", "a part of it is missing")
     chunks: list[tuple[int, bytes]] = []
     at = 12
     while at + 8 <= length and len(chunks) < 64:
         size, kind = struct.unpack_from("<II", data, at)
         if at + 8 + size > length:
-            raise BodyError("has a chunk that goes on beyond its end", "a part of it is missing")
+            raise GltfError("has a chunk that goes on beyond its end", "a part of it is missing")
         chunks.append((kind, data[at + 8 : at + 8 + size]))
         at += 8 + size
     if not chunks or chunks[0][0] != 0x4E4F534A:
-        raise BodyError("has no JSON", _EXPORT)
+        raise GltfError("has no JSON", _EXPORT)
     binary = next((body for kind, body in chunks[1:] if kind == 0x004E4942), None)
     return chunks[0][1], binary
 
 
 def _parsed(text: bytes) -> dict[str, Any]:
     if len(text) > limits.BODY_TEXT_BYTES:
-        raise BodyError(
+        raise GltfError(
             f"has more than {limits.BODY_TEXT_BYTES:,} bytes of JSON", "write its buffers to a .bin file", "too-large"
         )
     try:
         found = json.loads(text.decode("utf-8-sig"), parse_constant=_no_number)
     except (ValueError, RecursionError):
-        raise BodyError("is not glTF: its JSON cannot be read", _EXPORT) from None
+        raise GltfError("is not glTF: its JSON cannot be read", _EXPORT) from None
     if not isinstance(found, dict):
-        raise BodyError("is not glTF: its JSON is no object", _EXPORT)
+        raise GltfError("is not glTF: its JSON is no object", _EXPORT)
     return found
 
 
 def _no_number(word: str) -> float:
     raise ValueError(word)
+
+
+# ---- nodes
+
+
+def node_parents(file: Gltf) -> list[int]:
+    """The parent of each node, -1 for a root; GltfError where they are no tree."""
+    nodes = file.top("nodes")
+    if len(nodes) > _NODES:
+        raise GltfError(f"has {len(nodes):,} nodes, more than are read", code="too-large")
+    parents = [-1] * len(nodes)
+    for number, node in enumerate(nodes):
+        for child in file.listed(node, "children"):
+            child = file.number_of(child, "node", len(nodes))
+            if parents[child] >= 0 or child == number:
+                raise GltfError(f"has a node {child} with two parents", _EXPORT, "bad-rig")
+            parents[child] = number
+    state = [0] * len(nodes)  # 1: being followed, 2: known to lead to a root
+    for start in range(len(nodes)):
+        path: list[int] = []
+        at = start
+        while at >= 0 and state[at] == 0:
+            state[at] = 1
+            path.append(at)
+            at = parents[at]
+        if at >= 0 and state[at] == 1:
+            raise GltfError(f"has nodes that hang below each other in a circle, {at} among them", _EXPORT, "bad-rig")
+        for each in path:
+            state[each] = 2
+    return parents
+
+
+def scene_roots(file: Gltf) -> list[int]:
+    """The nodes that the file's scene begins with; none where it has no scene."""
+    nodes, scenes = file.top("nodes"), file.top("scenes")
+    scene = file.index(file.tree, "scene", len(scenes)) or 0
+    return [file.number_of(root, "node", len(nodes)) for root in file.listed(scenes[scene], "nodes")] if scenes else []
+
+
+def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
+    """The nodes and all below them, parents first, children in the order of the file."""
+    nodes, found = file.top("nodes"), []
+    seen: set[int] = set()
+    waiting = list(reversed(list(roots)))
+    while waiting:
+        found.append(waiting.pop())
+        waiting += reversed(file.listed(nodes[found[-1]], "children"))
+        if found[-1] in seen:
+            raise GltfError("has a scene that names a node twice", _EXPORT)
+        seen.add(found[-1])
+    return found
+
+
+# ---- triangles
+
+
+def primitive_triangles(file: Gltf, primitive: dict[str, Any], points: int) -> NDArray[np.int64]:
+    """Triangles (n, 3) of a primitive with so many points: of a list, a strip or a fan."""
+    corners = file.accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
+    mode = primitive.get("mode", TRIANGLES)
+    if mode == STRIP:
+        found = strip_triangles(corners)
+    elif mode == TRIANGLES or len(corners) < 3:
+        found = corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    else:
+        found = np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
+    if len(found) > limits.MESH_FACES:
+        raise GltfError(f"has more than {limits.MESH_FACES:,} triangles", code="too-large")
+    if len(found) and (found.min() < 0 or found.max() >= points):
+        raise GltfError("has a triangle that names a point which is not there", _EXPORT)
+    return found

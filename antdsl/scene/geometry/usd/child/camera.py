@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from antdsl.numerics import vector_rows
 from antdsl.scene.geometry.matrices import scale
+from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
-from antdsl.scene.geometry.usd.stage import Floats, UsdStage
 
-SENSOR = 36.0  # mm, the width that focal lengths are for
+_SENSOR = 36.0  # mm, the width that focal lengths are for
 _AHEAD = 1000.0  # mm: how far off it looks where it has no focus
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UsdCamera:
-    """Places in mm, one row a frame or a single one where nothing changes; `focal` in mm for a sensor 36 mm wide."""
-
-    at: Floats
-    look_at: Floats
-    up: Floats
-    focal: Floats
-
-
-def read_usd_camera(stage: UsdStage) -> UsdCamera:
-    """The camera that the prim is, or the only one below it."""
+def camera_arrays(stage: OpenStage) -> dict[str, Floats]:
+    """The camera that the prim is, or the only one below it: `at`, `look_at`, `up` (frames, 3) and `focal` (frames,)."""
     geom = pxr("UsdGeom")
     found = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.Camera)]
     if len(found) != 1:
@@ -45,5 +33,5 @@ def read_usd_camera(stage: UsdStage) -> UsdCamera:
     at, ahead, up = ways[:, :, 3], -vector_rows.unit(ways[:, :, 2]), vector_rows.unit(ways[:, :, 1])
     far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _AHEAD)[:, None]
     # both are in tenths of the stage's unit, so that their ratio is free of it
-    focal = lens[:, 0] / np.where(lens[:, 1] > 0, lens[:, 1], 20.955) * SENSOR
-    return UsdCamera(np.ascontiguousarray(at), at + ahead * far, up, focal)
+    focal = lens[:, 0] / np.where(lens[:, 1] > 0, lens[:, 1], 20.955) * _SENSOR
+    return {"at": at, "look_at": at + ahead * far, "up": up, "focal": focal}

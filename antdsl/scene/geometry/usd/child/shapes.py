@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.reader.sandbox import allow_memory
 from antdsl.scene.geometry.matrices import after
+from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage, column_matrix
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
-from antdsl.scene.geometry.usd.stage import Floats, UsdStage, column_matrix
 
 _NESTED = 8  # point instancers inside each other
 
@@ -25,16 +26,41 @@ class Placed:
     ways: Floats
 
 
-def placed_meshes(stage: UsdStage) -> Iterator[Placed]:
+@dataclass(slots=True)
+class Count:
+    """How many places point instancers set out below `path`, nested ones multiplied: counted before the places are made."""
+
+    path: str
+    instances: int = 0
+    meshes: int = 0
+
+    def instance(self, more: int) -> None:
+        """Add the instances of one instancer at all its own places; UsdError above the limit."""
+        self.instances += more
+        self._check(self.instances, "instances")
+
+    def mesh(self, more: int) -> None:
+        """Add the places of one mesh."""
+        self.meshes += more
+        self._check(self.meshes, "instances of meshes")
+
+    def _check(self, total: int, what: str) -> None:
+        if total > limits.USD_INSTANCES:
+            words = f"the point instancers below `{self.path}` come to {total:,} {what}, more than {limits.USD_INSTANCES:,}"
+            raise UsdError("too-large", words, "name a part of it, or scatter fewer")
+
+
+def placed_meshes(stage: OpenStage) -> Iterator[Placed]:
     """Every mesh at or below the stage's prim, in the order of the file."""
+    count = Count(str(stage.prim.GetPath()))
     for prim in stage.below(stage.prim):
         if prim.IsA(pxr("UsdGeom").Mesh):
             yield Placed(prim, stage.matrices(prim, stage.travels(prim))[None])
         elif prim.IsA(pxr("UsdGeom").PointInstancer):
-            yield from _instances(stage, prim, stage.matrices(prim, stage.travels(prim))[None], 1)
+            yield from _instances(stage, prim, stage.matrices(prim, stage.travels(prim))[None], count, 1)
 
 
-def other_shapes(stage: UsdStage) -> list[str]:
+def other_shapes(stage: OpenStage) -> list[str]:
     """Types of the shapes at or below the prim that are no meshes and not read."""
     geom = pxr("UsdGeom")
     read = (geom.Mesh, geom.PointInstancer, geom.Curves, geom.Points)
@@ -42,7 +68,7 @@ def other_shapes(stage: UsdStage) -> list[str]:
     return sorted(found)
 
 
-def _instances(stage: UsdStage, prim: Any, ways: Floats, depth: int) -> Iterator[Placed]:
+def _instances(stage: OpenStage, prim: Any, ways: Floats, count: Count, depth: int) -> Iterator[Placed]:
     """The meshes that a point instancer sets out; `ways` lead from the instancer's space to the scene."""
     if depth > _NESTED:
         raise UsdError("too-large", f"`{prim.GetPath()}` has point instancers more than {_NESTED} deep in each other")
@@ -54,6 +80,7 @@ def _instances(stage: UsdStage, prim: Any, ways: Floats, depth: int) -> Iterator
     roots = [prim.GetStage().GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]
     if index.min() < 0 or index.max() >= len(roots):
         raise UsdError("bad-usd", f"`{prim.GetPath()}` names a prototype that it does not have")
+    count.instance(len(index) * len(ways))
     own = _transforms(stage, instancer, len(index))
     for number, root in enumerate(roots):
         of_this = np.flatnonzero(chosen & (index == number))
@@ -62,23 +89,25 @@ def _instances(stage: UsdStage, prim: Any, ways: Floats, depth: int) -> Iterator
             for found, way in _prototype(stage, root):
                 whole = _together(inside, way[None])
                 if found.IsA(pxr("UsdGeom").Mesh):
+                    count.mesh(len(whole))
                     yield Placed(found, whole)
                 else:
-                    yield from _instances(stage, found, whole, depth + 1)
+                    yield from _instances(stage, found, whole, count, depth + 1)
 
 
 def _together(outer: Floats, inner: Floats) -> Floats:
     """Every outer way after every inner one: (a, f, 3, 4) and (b, g, 3, 4) to (a·b, max(f, g), 3, 4)."""
+    check_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
     made = after(outer[:, None], inner[None])
     return made.reshape(-1, *made.shape[2:])
 
 
-def _unmasked(stage: UsdStage, instancer: Any, count: int) -> NDArray[np.bool_]:
+def _unmasked(stage: OpenStage, instancer: Any, count: int) -> NDArray[np.bool_]:
     mask = list(instancer.ComputeMaskAtTime(stage.first))
     return np.array(mask, np.bool_) if len(mask) == count else np.ones(count, np.bool_)
 
 
-def _transforms(stage: UsdStage, instancer: Any, count: int) -> Floats:
+def _transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
     """Each instance's way into the instancer's space, the prototype's own way included: (instances, frames, 3, 4)."""
     usd, path = pxr("Usd"), instancer.GetPath()
     attributes = (instancer.GetPositionsAttr(), instancer.GetOrientationsAttr(), instancer.GetScalesAttr())
@@ -107,7 +136,7 @@ def _transforms(stage: UsdStage, instancer: Any, count: int) -> Floats:
 BAKE = "write it out with one set of faces for all frames, or name a part that keeps its faces"
 
 
-def _prototype(stage: UsdStage, root: Any) -> Iterator[tuple[Any, Floats]]:
+def _prototype(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
     """Meshes and instancers of a prototype with their way (frames, 3, 4) into its root's space, the root's own not included."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     # what stands below an `over` or a `class` to keep it from being drawn by itself is a prototype all the same
@@ -124,7 +153,7 @@ def _prototype(stage: UsdStage, root: Any) -> Iterator[tuple[Any, Floats]]:
             yield prim, _relative(stage, prim, root)
 
 
-def _relative(stage: UsdStage, prim: Any, root: Any) -> Floats:
+def _relative(stage: OpenStage, prim: Any, root: Any) -> Floats:
     geom = pxr("UsdGeom")
     moved, above = False, prim
     while above and above != root:
@@ -139,7 +168,8 @@ def _relative(stage: UsdStage, prim: Any, root: Any) -> Floats:
 
 
 def check_bytes(size: int, what: str) -> None:
-    """UsdError where what moves would take more memory than it may."""
+    """UsdError where what moves would take more memory than it may; else the process may take so much."""
     if size > limits.MOVES_BYTES:
         words = f"the frames of {what} would take {size / limits.GIB:.1f} GiB, more than {limits.MOVES_BYTES / limits.GIB:.0f}"
         raise UsdError("too-large", words, "simulate fewer frames at a time, or name a lighter part")
+    allow_memory(4 * size)

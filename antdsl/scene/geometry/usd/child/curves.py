@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.matrices import applied
+from antdsl.scene.geometry.usd.child.shapes import BAKE, check_bytes
+from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
-from antdsl.scene.geometry.usd.shapes import BAKE, check_bytes
-from antdsl.scene.geometry.usd.stage import Floats, UsdStage
 
 _PIECES = 16  # straight pieces that one cubic piece becomes
 # Weights of four points for 1, t, t², t³ (Foley, van Dam, Computer Graphics: Principles and Practice, 1990, 11.2).
@@ -24,7 +24,7 @@ _BASES = {
 }
 
 
-def read_usd_curve(stage: UsdStage) -> Floats:
+def curve_places(stage: OpenStage) -> Floats:
     """The points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame where it stands still.
 
     UsdError where there is none or more than one."""

@@ -1,0 +1,66 @@
+"""The program of the reader's process. Run by its path: `python -P -S child.py CONFIGURATION`.
+
+The configuration is a JSON object: `paths` for `sys.path`, `readable` folders, `modules` to import. The process confines itself,
+reports what holds and then answers requests from its standard input until that is closed. After one that runs out of memory it
+ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from contextlib import suppress
+from importlib import import_module
+from typing import Any
+
+
+def main() -> None:
+    """Answer until the pipe is closed."""
+    configuration = json.loads(sys.argv[1])
+    sys.path[:] = configuration["paths"]
+    requests, answers = os.fdopen(os.dup(0), "rb", buffering=1 << 16), os.fdopen(os.dup(1), "wb", buffering=1 << 16)
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):  # libraries write warnings of their own
+        os.dup2(nothing, stream)
+    os.close(nothing)
+    from antdsl.reader import sandbox
+
+    active = sandbox.confine(configuration["readable"])
+    from antdsl import limits
+    from antdsl.reader import protocol
+
+    protocol.write_message(answers, {"active": active}, {})
+    with suppress(ImportError):  # a request says what is missing
+        for module in configuration["modules"]:
+            import_module(module)
+    while True:
+        try:
+            request = protocol.read_message(requests, limits.READER_BYTES)
+        except protocol.ProtocolError:
+            return
+        sandbox.limit_request(int(request.document["seconds"]), int(request.document["memory"]))
+        document, arrays, is_last = _answer(request)
+        protocol.write_message(answers, document, arrays)
+        if is_last:
+            return
+
+
+def _answer(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]:
+    """The answer to a request, its arrays, and whether it is the last one."""
+    from antdsl.reader import READERS
+    from antdsl.reader.refusal import Refusal
+
+    try:
+        module, function = READERS[request.document["kind"]]
+        document, arrays = getattr(import_module(module), function)(request)
+    except Refusal as why:
+        return {"refusal": why.as_document()}, {}, False
+    except MemoryError:
+        return {"failure": "memory"}, {}, True
+    except Exception as problem:  # a library's own exception, whose text may be of any kind
+        return {"failure": "exception", "name": type(problem).__name__[:80]}, {}, False
+    return {"answer": document}, arrays, False
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,272 @@
+"""The one reader of this process: started on demand, reused for each request, replaced when it dies, hangs or takes too much.
+
+`ask` is safe from any thread; a process that was forked from this one starts a reader of its own."""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from antdsl import limits
+from antdsl.reader import PREPARED, READERS, confinement
+from antdsl.reader.private_folder import PrivateFolder
+from antdsl.reader.protocol import Arrays, EndOfMessages, Message, ProtocolError, read_message, write_message
+from antdsl.reader.refusal import Refusal
+
+_PROGRAM = Path(__file__).with_name("child.py")
+_REMEMBERED = 256  # failures that are not repeated
+# Codes that a refusal of the reader may have.
+CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig", "bad-usd", "bad-body", "missing-extra",
+                          "moving-topology", "no-such-prim", "too-large"])  # fmt: skip
+
+
+class ReaderFailure(Exception):
+    """The reader gave no answer: it died, took too long or too much memory, sent something else, or cannot be started. The text
+    says so in words that fit after the name of a file; `help` says what to do."""
+
+    def __init__(self, message: str, help: str | None = None) -> None:
+        super().__init__(message)
+        self.help = help
+
+
+class _Process:
+    """A running child, and what confines it."""
+
+    def __init__(self, folder: Path, modules: Sequence[str]) -> None:
+        readable = [*confinement.installation(), str(folder)]
+        configuration = json.dumps({"paths": confinement.paths(), "readable": readable, "modules": modules})
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-S", str(_PROGRAM), configuration],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            cwd=folder,
+            env=confinement.environment(),
+            start_new_session=True,
+        )
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.requests, self.answers = self.process.stdin, self.process.stdout
+        self.active: dict[str, int] | None = None
+
+    def greeted(self) -> dict[str, int]:
+        """Which layers confine it, as it said at its start."""
+        if self.active is None:
+            said = read_message(self.answers, 0).document.get("active")
+            names = ("rlimits", "landlock", "seccomp")
+            if not isinstance(said, dict) or not all(type(said.get(name)) is int for name in names):
+                raise ProtocolError("the reader did not report what confines it")
+            self.active = {name: said[name] for name in names}
+        return self.active
+
+    def end(self) -> int:
+        """Kill it; its exit status."""
+        self.process.kill()
+        for pipe in (self.requests, self.answers):
+            with suppress(OSError):
+                pipe.close()
+        return self.process.wait()
+
+    def forget(self) -> None:
+        """Close this process's ends of the pipes: the child belongs to the process that this one was forked from."""
+        nothing = os.open(os.devnull, os.O_RDWR)
+        for pipe in (self.requests, self.answers):
+            with suppress(OSError, ValueError):
+                os.dup2(nothing, pipe.fileno(), inheritable=False)  # what is left in a buffer goes nowhere
+        os.close(nothing)
+        self.process.returncode = 0  # nothing is waited for
+
+
+class Reader:
+    """A reader with its private folder; see `ask`."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running: _Process | None = None
+        self._folder: PrivateFolder | None = None
+        self._failures: OrderedDict[str, ReaderFailure] = OrderedDict()
+
+    def folder(self) -> Path:
+        """A new folder whose files the child may open; OSError."""
+        with self._lock:
+            if self._folder is None:
+                self._folder = PrivateFolder()
+            return self._folder.new()
+
+    def active(self) -> dict[str, int]:
+        """Which layers confine the child: `rlimits`, `landlock` (its ABI), `seccomp`; 0 for one that this system has not."""
+        with self._lock:
+            try:
+                return self._start().greeted()
+            except (OSError, ProtocolError) as problem:
+                self._end()
+                raise ReaderFailure("the process that reads foreign files cannot be started") from problem
+
+    def ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str) -> Message:
+        """As the function `ask`."""
+        with self._lock:
+            if digest and digest in self._failures:
+                raise self._failures[digest]
+            try:
+                return self._ask(kind, document, arrays, size, seconds)
+            except ReaderFailure as why:
+                if digest:
+                    self._failures[digest] = why
+                    if len(self._failures) > _REMEMBERED:
+                        self._failures.popitem(last=False)
+                raise
+            except Refusal:
+                raise
+            except BaseException:  # interrupted between a request and its answer
+                self._end()
+                raise
+
+    def _ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int) -> Message:
+        assert kind in READERS
+        seconds += limits.READER_SECONDS + size // limits.READER_BYTES_A_SECOND
+        memory = min(limits.READER_MEMORY + limits.READER_MEMORY_A_BYTE * size, limits.READER_MEMORY_MOST)
+        said = {**document, "kind": kind, "seconds": seconds, "memory": memory}
+        late = threading.Event()
+        try:
+            running = self._start()
+        except OSError as problem:
+            raise ReaderFailure("cannot be read: the process that reads it cannot be started") from problem
+
+        def stop() -> None:
+            late.set()
+            running.process.kill()
+
+        timer = threading.Timer(limits.READER_WALL_SECONDS + 4 * seconds, stop)
+        timer.daemon = True
+        timer.start()
+        try:
+            running.greeted()
+            write_message(running.requests, said, arrays)
+            answer = read_message(running.answers, limits.READER_BYTES)
+        except (EndOfMessages, BrokenPipeError):
+            raise _death(running, self._end(), late.is_set()) from None
+        except ProtocolError:
+            self._end()
+            raise ReaderFailure(
+                "cannot be read: the process that reads it gave an answer that makes no sense", _DAMAGED
+            ) from None
+        finally:
+            timer.cancel()
+        return self._judged(answer)
+
+    def _judged(self, answer: Message) -> Message:
+        said = answer.document
+        if isinstance(said.get("answer"), dict):
+            return Message(said["answer"], answer.arrays)
+        if "refusal" in said:
+            refusal = Refusal.of_document(said["refusal"], CODES)
+            if refusal is not None:
+                raise refusal
+        if said.get("failure") == "memory":
+            self._end()
+            raise ReaderFailure("cannot be read: it takes too much memory", "use a lighter file, or a part of it")
+        if said.get("failure") == "exception":
+            raise ReaderFailure("cannot be read: it is damaged", _DAMAGED)
+        self._end()
+        raise ReaderFailure(_SENSELESS, _DAMAGED)
+
+    def prepare(self, format: str) -> None:
+        """As the function `prepare`."""
+        with self._lock, suppress(OSError):  # a request says why it cannot be started
+            self._start(PREPARED[format])
+
+    def _start(self, modules: Sequence[str] = ()) -> _Process:
+        if self._running is not None and self._running.process.poll() is not None:
+            self._end()  # it died between two requests
+        if self._running is None:
+            if self._folder is None:
+                self._folder = PrivateFolder()
+            self._running = _Process(self._folder.path, modules)
+        return self._running
+
+    def _end(self) -> int:
+        running, self._running = self._running, None
+        return 0 if running is None else running.end()
+
+    def end(self) -> None:
+        """End the child and remove the private folder."""
+        with self._lock:
+            self._end()
+            if self._folder is not None:
+                self._folder.remove()
+            self._folder = None
+
+    def forget(self) -> None:
+        """In a process that was forked: leave the child to its owner."""
+        if self._running is not None:
+            self._running.forget()
+
+
+_DAMAGED = "export it again"
+_SENSELESS = "cannot be read: the process that reads it gave an answer that makes no sense"
+
+
+def _death(running: _Process, status: int, is_late: bool) -> ReaderFailure:
+    """Why a child ended without an answer."""
+    import signal
+
+    if is_late or status == -getattr(signal, "SIGXCPU", 0):
+        return ReaderFailure("cannot be read: it takes too long to be read", "use a lighter file, or a part of it")
+    if running.active is None:
+        return ReaderFailure("cannot be read: the process that reads it ends when it starts", "run `antdsl doctor`")
+    words = "it brings down the library that reads it, as files do that are damaged or nested without end"
+    return ReaderFailure(f"cannot be read: {words}", _DAMAGED)
+
+
+_reader = Reader()
+atexit.register(lambda: _reader.end())
+
+
+def ask(
+    kind: str, document: Mapping[str, Any], arrays: Arrays | None = None, *, size: int = 0, seconds: int = 0, digest: str = ""
+) -> Message:
+    """The answer to a request of READERS.
+
+    `size`: bytes of the files that it is about, which give it more time and memory. `seconds`: CPU time that it may take in
+    addition. `digest`: a hash of all that the answer depends on; a request that failed is not made again. Refusal where the child
+    says why it does not read something, ReaderFailure where it gives no answer. The answer is from a process that is not trusted.
+    """
+    return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest)
+
+
+def prepare(format: str) -> None:
+    """Start the reader for a key of PREPARED and return at once, so that it loads libraries while this process does something
+    else."""
+    _reader.prepare(format)
+
+
+def new_folder() -> Path:
+    """An empty folder that the reader may open, to be removed by the caller; the end of this process removes it too."""
+    return _reader.folder()
+
+
+def active_layers() -> dict[str, int]:
+    """What confines the reader on this system; ReaderFailure where it cannot be started."""
+    return _reader.active()
+
+
+_of_owners: list[Reader] = []  # never freed: a thread that is not in this process may hold their locks
+
+
+def _forked() -> None:
+    global _reader
+    _reader.forget()
+    _of_owners.append(_reader)
+    _reader = Reader()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)

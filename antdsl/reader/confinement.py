@@ -1,0 +1,84 @@
+"""What the reader's process gets from this one: its modules' folders, the folders that it may read, and its environment."""
+
+from __future__ import annotations
+
+import os
+import site
+import sys
+import sysconfig
+from pathlib import Path
+
+from antdsl.child_processes import INSTALLATION, isolate
+
+TRUST = "ANTDSL_TRUST_USD"  # an environment variable, so that the processes of pools and farms have it too
+# Folders of the system that libraries are loaded from.
+_SYSTEM = ("/lib", "/lib32", "/lib64", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache", "/nix/store",
+           "/gnu/store", "/dev/null", "/dev/urandom", "/sys/devices/system/cpu", "/proc/self", "/proc/cpuinfo")  # fmt: skip
+# Variables that a program needs to start at all; others could name code to load (`PXR_PLUGINPATH_NAME`, `PYTHONPATH`).
+_PASSED = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "SystemRoot", "LANG", "LC_ALL", "PYTHONHOME")
+_SET = {
+    "PYTHONSAFEPATH": "1",
+    "PYTHONDONTWRITEBYTECODE": "1",
+    "PYTHONUTF8": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "PXR_WORK_THREAD_LIMIT": "1",
+    "MALLOC_ARENA_MAX": "1",
+}
+
+
+def is_usd_trusted() -> bool:
+    """Whether the person trusts the USD files that are read, so that no sandbox is needed."""
+    return os.environ.get(TRUST) == "1"
+
+
+def trust_usd() -> None:
+    """Trust USD files from here on, in the processes that this one starts too."""
+    os.environ[TRUST] = "1"
+
+
+def environment() -> dict[str, str]:
+    """The environment of the child: what it needs, and nothing that names code or files of a project."""
+    isolate()
+    found = {name: value for name, value in os.environ.items() if name in _PASSED or name.startswith("NPY_")}
+    return found | _SET
+
+
+def paths() -> list[str]:
+    """Folders of modules for the child: those of this process without relative ones and the working directory, then that of
+    antdsl itself."""
+    try:
+        here = os.path.realpath(os.getcwd())
+    except OSError:
+        here = ""
+    found = [path for path in sys.path if os.path.isabs(path) and (os.path.realpath(path) != here or _is_installation(path))]
+    return found if INSTALLATION in found else [*found, INSTALLATION]
+
+
+def installation() -> list[str]:
+    """Folders and files that the child may read: Python, installed packages and the system's libraries."""
+    found = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_package()), *_SYSTEM}
+    if sys.prefix == "/usr" or sys.base_prefix == "/usr":
+        found -= {"/usr"}
+    found |= {path for path in paths() if _is_installation(path)}
+    found |= {path for name in ("stdlib", "platstdlib") if (path := sysconfig.get_path(name))}
+    return sorted(path for path in found if os.path.exists(path))
+
+
+def _package() -> Path:
+    """The folder of antdsl's own code."""
+    return Path(__file__).resolve().parents[1]
+
+
+def _is_installation(path: str) -> bool:
+    """Whether a folder of modules is Python's own, or packages are installed in it."""
+    whole = os.path.realpath(path)
+    roots = [sys.prefix, sys.base_prefix, *_site_packages()]
+    if any(whole == root or whole.startswith(root + os.sep) for root in map(os.path.realpath, roots) if root != os.sep):
+        return True
+    return os.path.isfile(path) or any(os.path.isdir(os.path.join(path, name)) for name in ("numpy", "pxr"))
+
+
+def _site_packages() -> list[str]:
+    user = site.getusersitepackages() if hasattr(site, "getusersitepackages") else ""
+    return [*site.getsitepackages(), *([user] if user else [])]

@@ -1,0 +1,68 @@
+"""The samples of an image file, requested from the reader and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.reader import client
+from antdsl.reader.protocol import Message, ProtocolError
+from antdsl.reader.refusal import Refusal
+
+# Modes of Pillow that can be requested: type of a sample, channels (0: one, without an axis of its own).
+MODES = {"F": ("f4", 0), "I;16": ("u2", 0), "I;16L": ("u2", 0), "I;16B": ("u2", 0), "I;16N": ("u2", 0), "RGB": ("u1", 3)}
+
+
+class ImageError(Exception):
+    """Why a file is no usable image, in words that fit after its name; `help` says what to do."""
+
+    def __init__(self, message: str, help: str | None = None) -> None:
+        super().__init__(message)
+        self.help = help
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageFile:
+    """What is in an image file. `samples` (rows, columns) or (rows, columns, channels), None where the image has several pages,
+    more pixels than requested or another mode. `texts` are those of a PNG file by name."""
+
+    mode: str
+    rows: int
+    columns: int
+    pages: int
+    texts: dict[str, str]
+    samples: NDArray[Any] | None
+
+
+def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: int) -> ImageFile:
+    """The image in a file's bytes. `format`: Pillow's name of it, such as `PNG`; `modes`: keys of MODES. ImageError says why
+    there is none."""
+    said = {"format": format, "modes": [mode for mode in modes if mode in MODES], "pixels": pixels}
+    digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
+    try:
+        answer = client.ask("image", said, {"data": np.frombuffer(data, np.uint8)}, size=len(data), digest=digest)
+        return _checked(answer, said["modes"], pixels)
+    except Refusal as why:
+        raise ImageError(f"cannot be read as {format} ({why})") from None
+    except client.ReaderFailure as why:
+        raise ImageError(str(why), why.help) from None
+    except ProtocolError as why:
+        raise ImageError(f"cannot be read as {format}: the reader's answer makes no sense ({why})") from None
+
+
+def _checked(answer: Message, modes: Any, pixels: int) -> ImageFile:
+    said = answer.document
+    mode, texts = said.get("mode"), said.get("texts")
+    rows, columns, pages = (int(answer.number(name)) for name in ("rows", "columns", "pages"))
+    if not isinstance(mode, str) or not isinstance(texts, dict) or not all(isinstance(text, str) for text in texts.values()):
+        raise ProtocolError("`mode` or `texts` is missing")
+    samples = None
+    if pages == 1 and mode in modes and rows * columns <= pixels:
+        dtype, channels = MODES[mode]
+        samples = answer.array("samples", dtype, rows, columns, *([channels] if channels else []))
+    return ImageFile(mode[:40], rows, columns, pages, texts, samples)

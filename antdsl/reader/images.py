@@ -1,0 +1,46 @@
+"""Images in the reader: Pillow decodes them there, and never in the process that asks."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.reader.refusal import Refusal
+
+if TYPE_CHECKING:
+    from antdsl.reader.protocol import Message
+
+_TEXTS = 64  # text entries of a PNG file that are passed on
+_CHARACTERS = 1000
+
+
+def read_image(request: Message) -> tuple[dict[str, Any], Mapping[str, NDArray[Any]]]:
+    """An image whose file is the array `data`: its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the array
+    `samples` (rows, columns) or (rows, columns, channels). `format` is Pillow's name of the format. Without samples where the
+    image has several pages, more than `pixels`, or a mode that is not one of `modes`."""
+    from PIL import Image
+
+    said = request.document
+    data = io.BytesIO(request.array("data", "|u1", None).tobytes())
+    arrays: dict[str, NDArray[Any]] = {}
+    try:
+        with Image.open(data, formats=(said["format"],)) as image:
+            columns, rows = image.size
+            pages = getattr(image, "n_frames", 1)
+            if pages == 1 and columns * rows <= int(said["pixels"]) and image.mode in said["modes"]:
+                arrays["samples"] = np.asarray(image)
+            document = {"mode": image.mode, "columns": columns, "rows": rows, "pages": pages}
+            return document | {"texts": _texts(image.info)}, arrays  # texts may come after the samples
+    except MemoryError:
+        raise
+    except Exception as problem:  # a library's reader meets a stranger's file
+        raise Refusal("bad-image", type(problem).__name__) from problem
+
+
+def _texts(info: Mapping[Any, Any]) -> dict[str, str]:
+    found = [(name, text) for name, text in info.items() if isinstance(name, str) and isinstance(text, str)]
+    return {name[:_CHARACTERS]: text[:_CHARACTERS] for name, text in found[:_TEXTS]}

@@ -1,0 +1,79 @@
+"""The private folder of a process: files that its reader may open. It is removed at the end. The next process removes that of a
+killed one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+_PREFIX = "antdsl-reader-"
+_LOCK = "lock"
+_FILES = "files"
+
+
+class PrivateFolder:
+    """A new folder below the system's folder for temporary files, which the user alone can open. Raises OSError."""
+
+    def __init__(self) -> None:
+        remove_stale()
+        self._whole = Path(tempfile.mkdtemp(prefix=_PREFIX))
+        self._process = os.getpid()
+        self._lock = _locked(self._whole / _LOCK, os.O_CREAT)
+        self.path = self._whole / _FILES
+        self.path.mkdir(mode=0o700)
+        self._count = 0
+
+    def new(self) -> Path:
+        """An empty folder in it."""
+        self._count += 1
+        made = self.path / str(self._count)
+        made.mkdir(mode=0o700)
+        return made
+
+    def remove(self) -> None:
+        """Remove it with all that is in it; nothing in a process that was forked from its owner."""
+        if self._process == os.getpid():
+            shutil.rmtree(self._whole, ignore_errors=True)
+            if self._lock is not None:
+                with suppress(OSError):
+                    os.close(self._lock)
+                self._lock = None
+
+
+def remove_stale() -> None:
+    """Remove the folders of processes of this user that are no more."""
+    with suppress(OSError):
+        for entry in os.scandir(tempfile.gettempdir()):
+            if entry.name.startswith(_PREFIX) and entry.is_dir(follow_symlinks=False):
+                with suppress(OSError):
+                    _remove_if_stale(Path(entry.path))
+
+
+def _remove_if_stale(folder: Path) -> None:
+    if hasattr(os, "getuid") and folder.lstat().st_uid != os.getuid():
+        return
+    lock = _locked(folder / _LOCK, 0)
+    if lock is not None:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(lock)
+
+
+def _locked(path: Path, flags: int) -> int | None:
+    """A handle that holds the lock of a folder until its process ends; None where another process holds it, or it is missing."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: an open file cannot be removed, which is a lock as well
+        return os.open(path, os.O_RDWR | flags, 0o600) if flags else None
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | flags, 0o600)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        return None
+    return handle

@@ -1,0 +1,167 @@
+"""Messages between the process and its reader: a JSON header of bounded size, then raw arrays.
+
+Layout: 4 bytes magic, 8 bytes length of the header (little endian), the header, the bytes of each array in order. The header is
+`{"document": …, "arrays": [[name, dtype, shape], …]}`. The types are a closed list, so nothing that arrives can name code."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import prod
+from typing import IO, Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+
+MAGIC = b"ant1"
+DTYPES = ("|u1", "<u2", "<i4", "<i8", "<f4", "<f8")
+_PREFIX = struct.Struct("<4sQ")
+_BLOCK = 64 * limits.MIB  # bytes that are allocated before more have arrived
+_ARRAYS = 4096
+_AXES = 8
+_LARGEST = 1.7e308
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+class ProtocolError(Exception):
+    """Bytes that are no message."""
+
+
+class EndOfMessages(ProtocolError):
+    """The other side closed the pipe before a message was complete."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Message:
+    """A JSON object and arrays by name."""
+
+    document: dict[str, Any]
+    arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    def array(self, name: str, dtype: str, *shape: int | None) -> NDArray[Any]:
+        """An array of exactly this type and shape, None being any length. ProtocolError for any other, or none."""
+        found = self.arrays.get(name)
+        if found is None or found.dtype != np.dtype(dtype) or found.ndim != len(shape):
+            raise ProtocolError(f"`{name}` is not an array of the requested type")
+        if any(want is not None and want != have for want, have in zip(shape, found.shape, strict=True)):
+            raise ProtocolError(f"`{name}` has not the requested shape")
+        return found
+
+    def indices(self, name: str, dtype: str, count: int, *shape: int | None, lowest: int = 0) -> NDArray[Any]:
+        """As `array`, with every number from `lowest` to below `count`."""
+        found = self.array(name, dtype, *shape)
+        if found.size and (found.min() < lowest or found.max() >= count):
+            raise ProtocolError(f"`{name}` has an index that is out of range")
+        return found
+
+    def number(self, name: str) -> float:
+        """A finite number of the document."""
+        found = self.document.get(name)
+        if isinstance(found, bool) or not isinstance(found, int | float) or not -_LARGEST < found < _LARGEST:
+            raise ProtocolError(f"`{name}` is not a finite number")
+        return float(found)
+
+    def texts(self, name: str, most: int = 1_000_000) -> list[str]:
+        """A list of texts of the document."""
+        found = self.document.get(name)
+        if not isinstance(found, list) or len(found) > most or not all(isinstance(each, str) for each in found):
+            raise ProtocolError(f"`{name}` is not a list of texts")
+        return found
+
+    def packed_texts(self, name: str, count: int | None = None) -> tuple[str, ...]:
+        """Texts that `pack_texts` turned into two arrays."""
+        lengths = self.array(f"{name}:lengths", "<i8", count)
+        blob = self.array(f"{name}:bytes", "|u1", None)
+        if len(lengths) and (lengths.min() < 0 or lengths.max() > len(blob)):
+            raise ProtocolError(f"`{name}` has a length that is out of range")
+        if int(lengths.sum()) != len(blob) or len(lengths) > limits.AGENTS:
+            raise ProtocolError(f"`{name}` has not as many bytes as its lengths say")
+        data, ends = blob.tobytes(), np.cumsum(lengths).tolist()
+        try:
+            return tuple(data[end - size : end].decode() for end, size in zip(ends, lengths.tolist(), strict=True))
+        except UnicodeDecodeError:
+            raise ProtocolError(f"`{name}` is not UTF-8") from None
+
+
+def pack_texts(name: str, texts: tuple[str, ...] | list[str]) -> dict[str, NDArray[Any]]:
+    """Many texts as two arrays of a message: all their bytes, and the length of each."""
+    encoded = [text.encode("utf-8", "replace") for text in texts]
+    return {
+        f"{name}:lengths": np.array([len(each) for each in encoded], np.int64),
+        f"{name}:bytes": np.frombuffer(b"".join(encoded), np.uint8),
+    }
+
+
+def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) -> None:
+    """Write a message; ValueError where the document is not JSON or too large, or an array is of another type."""
+    listed, parts = [], []
+    for name, array in arrays.items():
+        little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+        if little.dtype.str not in DTYPES:
+            raise ValueError(f"arrays of the type {little.dtype.str} are not sent")
+        listed.append([name, little.dtype.str, list(array.shape)])
+        parts.append(little)
+    header = json.dumps({"document": document, "arrays": listed}, allow_nan=False).encode("ascii")
+    if len(header) > limits.READER_HEADER_BYTES:
+        raise ValueError("the document of a message is too large")
+    file.write(_PREFIX.pack(MAGIC, len(header)) + header)
+    for part in parts:
+        if part.size:
+            file.write(part.reshape(-1).view(np.uint8).data)
+    file.flush()
+
+
+def read_message(file: IO[bytes], most: int) -> Message:
+    """The next message, whose arrays have at most `most` bytes together. ProtocolError for anything else."""
+    magic, length = _PREFIX.unpack(_read(file, _PREFIX.size).tobytes())
+    if magic != MAGIC or length > limits.READER_HEADER_BYTES:
+        raise ProtocolError("a message begins with other bytes")
+    try:
+        header = json.loads(_read(file, length).tobytes(), parse_constant=_refuse_constant)
+    except (ValueError, RecursionError):
+        raise ProtocolError("the header of a message is not JSON") from None
+    if not isinstance(header, dict) or not isinstance(header.get("document"), dict) or not isinstance(header.get("arrays"), list):
+        raise ProtocolError("the header of a message has not the keys of one")
+    plan = [_entry(entry) for entry in header["arrays"]]
+    if len(plan) > _ARRAYS or sum(size for *_, size in plan) > most or len({name for name, *_ in plan}) != len(plan):
+        raise ProtocolError("a message has more or larger arrays than are accepted")
+    arrays = {}
+    for name, dtype, shape, size in plan:
+        native = np.dtype(dtype).newbyteorder("=")
+        arrays[name] = _read(file, size).view(dtype).astype(native, copy=False).reshape(shape)
+    return Message(header["document"], arrays)
+
+
+def _entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
+    """Name, type, shape and size in bytes of an array that a header announces."""
+    if not isinstance(entry, list) or len(entry) != 3:
+        raise ProtocolError("an array is announced in another form")
+    name, dtype, shape = entry
+    if not isinstance(name, str) or dtype not in DTYPES or not isinstance(shape, list) or len(shape) > _AXES:
+        raise ProtocolError("an array is announced in another form")
+    if not all(isinstance(side, int) and not isinstance(side, bool) and 0 <= side < 1 << 40 for side in shape):
+        raise ProtocolError("an array is announced with sides that no array has")
+    return name, dtype, tuple(shape), prod(shape) * np.dtype(dtype).itemsize
+
+
+def _read(file: IO[bytes], size: int) -> NDArray[np.uint8]:
+    """Exactly so many bytes. Memory grows with what arrives, not with what was announced."""
+    found = np.empty(min(size, _BLOCK), np.uint8)
+    filled = 0
+    while filled < size:
+        if filled == len(found):
+            found = np.concatenate([found, np.empty(min(size - filled, len(found)), np.uint8)])
+        count = file.readinto(found[filled:].data)  # type: ignore[attr-defined]
+        if not count:
+            raise EndOfMessages("a message ends early")
+        filled += count
+    return found
+
+
+def _refuse_constant(word: str) -> NoReturn:
+    raise ValueError(word)

@@ -1,0 +1,217 @@
+"""Confines the process that calls `confine`, for good: limits of the system, Landlock and seccomp where Linux has them.
+
+It imports nothing but the standard library, so that all other code of the process is loaded after the doors are closed.
+
+- rlimits: CPU time, address space, open files, no core dump, no byte written to a file.
+- Landlock (ABI 1 and later): files can be opened only below the given folders, and only to read them. From ABI 4 on no TCP, from
+  ABI 6 on no signals and no abstract sockets beyond the sandbox.
+- seccomp (x86-64 and ARM64): no new process or program, no socket, no file opened to be written, no change of names, owners or
+  modes, no tracing, no signals to other processes, no `io_uring`, which would bypass the filter."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import struct
+import sys
+from collections.abc import Sequence
+
+MEMORY_MOST = 8 << 30  # bytes of address space that no request can exceed
+_FILES = 256
+_STACK = 8 << 20
+
+# ---- limits of the system
+
+
+def limit_resources() -> bool:
+    """Set the limits that hold for all requests; False where the system has none (Windows)."""
+    try:
+        import resource
+    except ImportError:
+        return False
+    _lower("RLIMIT_AS", MEMORY_MOST, hard=True)
+    _lower("RLIMIT_NOFILE", _FILES, hard=True)
+    _lower("RLIMIT_FSIZE", 0, hard=True)
+    _lower("RLIMIT_CORE", 0, hard=True)
+    _lower("RLIMIT_STACK", _STACK)
+    del resource
+    return True
+
+
+def limit_request(seconds: int, memory: int) -> None:
+    """Seconds of CPU and bytes of address space for the next request."""
+    try:
+        import resource
+    except ImportError:
+        return
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    _lower("RLIMIT_CPU", int(used.ru_utime + used.ru_stime) + 1 + seconds)
+    _lower("RLIMIT_AS", memory)
+
+
+def allow_memory(more: int) -> None:
+    """Bytes of address space more for this request: for work that was counted before. Nothing in a process without a limit."""
+    try:
+        import resource
+    except ImportError:
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    if soft != resource.RLIM_INFINITY:
+        most = soft + max(more, 0)
+        resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+
+
+def _lower(name: str, most: int, *, hard: bool = False) -> None:
+    import resource
+
+    which = getattr(resource, name, None)
+    if which is None:
+        return
+    _, upper = resource.getrlimit(which)
+    value = most if upper == resource.RLIM_INFINITY else min(most, upper)
+    try:
+        resource.setrlimit(which, (value, value if hard else upper))
+    except (ValueError, OSError):  # macOS refuses a limit of the address space
+        return
+
+
+# ---- Landlock
+
+_CREATE, _ADD, _RESTRICT = 444, 445, 446  # the same numbers on every processor
+_READ_FILE, _READ_DIR = 1 << 2, 1 << 3
+_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # bits that each ABI knows
+
+
+def restrict_files(folders: Sequence[str]) -> int:
+    """Open files only below these folders (or these files), and only to read them. The ABI in use, 0 where there is none."""
+    libc = _libc()
+    if libc is None or sys.platform != "linux":
+        return 0
+    abi = int(libc.syscall(_CREATE, None, 0, 1))
+    if abi < 1:
+        return 0
+    files = (1 << _FILE_RIGHTS[min(abi, 5)]) - 1
+    rules = struct.pack("<QQQ", files, 3 if abi >= 4 else 0, 3 if abi >= 6 else 0)[: 8 if abi < 4 else 16 if abi < 6 else 24]
+    ruleset = int(libc.syscall(_CREATE, rules, len(rules), 0))
+    if ruleset < 0:
+        return 0
+    try:
+        for folder in folders:
+            _allow(libc, ruleset, folder)
+        if libc.prctl(38, 1, 0, 0, 0) or libc.syscall(_RESTRICT, ruleset, 0):
+            return 0
+    finally:
+        os.close(ruleset)
+    return abi
+
+
+def _allow(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
+    try:
+        handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
+    except OSError:
+        return
+    try:
+        rights = _READ_FILE | (_READ_DIR if os.path.isdir(path) else 0)
+        libc.syscall(_ADD, ruleset, 1, struct.pack("<Qi", rights, handle), 0)
+    finally:
+        os.close(handle)
+
+
+# ---- seccomp
+
+# Numbers of the calls that are refused, by processor: x86-64, ARM64 (None: it has no such call).
+_REFUSED: dict[str, tuple[int | None, int | None]] = {
+    "fork": (57, None), "vfork": (58, None), "execve": (59, 221), "execveat": (322, 281),
+    "socket": (41, 198), "connect": (42, 203), "accept": (43, 202), "sendto": (44, 206), "sendmsg": (46, 211),
+    "bind": (49, 200), "listen": (50, 201), "socketpair": (53, 199), "accept4": (288, 242), "sendmmsg": (307, 269),
+    "creat": (85, None), "rename": (82, None), "renameat": (264, 38), "renameat2": (316, 276), "mkdir": (83, None),
+    "mkdirat": (258, 34), "rmdir": (84, None), "link": (86, None), "linkat": (265, 37), "unlink": (87, None),
+    "unlinkat": (263, 35), "symlink": (88, None), "symlinkat": (266, 36), "mknod": (133, None), "mknodat": (259, 33),
+    "chmod": (90, None), "fchmod": (91, 52), "fchmodat": (268, 53), "fchmodat2": (452, 452), "chown": (92, None),
+    "fchown": (93, 55), "lchown": (94, None), "fchownat": (260, 54), "truncate": (76, 45), "utime": (132, None),
+    "utimes": (235, None), "utimensat": (280, 88), "futimesat": (261, None), "setxattr": (188, 5), "lsetxattr": (189, 6),
+    "fsetxattr": (190, 7), "removexattr": (197, 14), "lremovexattr": (198, 15), "fremovexattr": (199, 16),
+    "kill": (62, 129), "tkill": (200, 130), "rt_sigqueueinfo": (129, 138), "pidfd_open": (434, 434),
+    "pidfd_send_signal": (424, 424), "pidfd_getfd": (438, 438), "ptrace": (101, 117), "process_vm_readv": (310, 270),
+    "process_vm_writev": (311, 271), "mount": (165, 40), "umount2": (166, 39), "pivot_root": (155, 41), "chroot": (161, 51),
+    "move_mount": (429, 429), "open_tree": (428, 428), "fsopen": (430, 430), "unshare": (272, 97), "setns": (308, 268),
+    "bpf": (321, 280), "perf_event_open": (298, 241), "userfaultfd": (323, 282), "add_key": (248, 217),
+    "request_key": (249, 218), "keyctl": (250, 219), "io_uring_setup": (425, 425), "io_uring_enter": (426, 426),
+    "io_uring_register": (427, 427), "open_by_handle_at": (304, 265), "init_module": (175, 105), "finit_module": (313, 273),
+    "kexec_load": (246, 104), "reboot": (169, 142), "swapon": (167, 224), "acct": (163, 89), "setuid": (105, 146),
+    "setgid": (106, 144), "setreuid": (113, 145), "setregid": (114, 143), "setresuid": (117, 147), "setresgid": (119, 149),
+    "setgroups": (116, 159), "shmget": (29, 194), "shmat": (30, 196), "msgget": (68, 186), "semget": (64, 190),
+    "mq_open": (240, 180), "memfd_create": (319, 279), "inotify_init1": (294, 26), "fanotify_init": (300, 262),
+}  # fmt: skip
+# Calls whose arguments decide: opening a file, making a thread, limits of a process, a signal to a thread, control of a terminal.
+_OPEN, _OPENAT, _OPENAT2 = (2, None), (257, 56), (437, 437)
+_CLONE, _CLONE3, _PRLIMIT, _TGKILL, _IOCTL = (56, 220), (435, 435), (302, 261), (234, 131), (16, 29)
+_MACHINES = {"x86_64": (0, 0xC000003E), "aarch64": (1, 0xC00000B7)}
+_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+_THREAD = 0x10000  # CLONE_THREAD
+_TIOCSTI = 0x5412
+_KILL, _ALLOW, _FAIL = 0x80000000, 0x7FFF0000, 0x00050000
+_LOAD, _EQUAL, _ABOVE, _BITS, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
+
+Instruction = tuple[int, int, int, int]
+
+
+def refuse_calls() -> bool:
+    """Install the filter for this process; False where there is none."""
+    libc = _libc()
+    if libc is None or sys.platform != "linux" or os.uname().machine not in _MACHINES or sys.maxsize < 1 << 32:
+        return False
+    which, architecture = _MACHINES[os.uname().machine]
+    program = _program(which, architecture, os.getpid())
+    code = b"".join(struct.pack("<HBBI", *each) for each in program)
+    buffer = ctypes.create_string_buffer(code, len(code))
+    head = struct.pack("@HxxxxxxP", len(program), ctypes.addressof(buffer))
+    if libc.prctl(38, 1, 0, 0, 0):
+        return False
+    return not libc.prctl(22, 2, head, 0, 0)
+
+
+def _program(which: int, architecture: int, process: int) -> list[Instruction]:
+    """The filter as instructions (code, jump where true, jump where false, operand) of the classic packet filter."""
+    refused = _FAIL | errno.EPERM
+    lines: list[Instruction] = [(_LOAD, 0, 0, 4), (_EQUAL, 1, 0, architecture), (_RETURN, 0, 0, _KILL), (_LOAD, 0, 0, 0)]
+    if which == 0:  # the x32 calls of x86-64 have numbers of their own
+        lines += [(_ABOVE, 0, 1, 0x40000000), (_RETURN, 0, 0, refused)]
+    for call in _REFUSED.values():
+        lines += _where(call[which], [(_RETURN, 0, 0, refused)])
+    for call in (_OPENAT2, _CLONE3):  # their arguments are behind a pointer; the C library falls back to the older calls
+        lines += _where(call[which], [(_RETURN, 0, 0, _FAIL | errno.ENOSYS)])
+    allow, refuse = (_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, refused)
+    lines += _where(_OPEN[which], [(_LOAD, 0, 0, _argument(1)), (_BITS, 0, 1, _WRITES), refuse, allow])
+    lines += _where(_OPENAT[which], [(_LOAD, 0, 0, _argument(2)), (_BITS, 0, 1, _WRITES), refuse, allow])
+    lines += _where(_CLONE[which], [(_LOAD, 0, 0, _argument(0)), (_BITS, 1, 0, _THREAD), refuse, allow])
+    lines += _where(_TGKILL[which], [(_LOAD, 0, 0, _argument(0)), (_EQUAL, 1, 0, process), refuse, allow])
+    lines += _where(_PRLIMIT[which], [(_LOAD, 0, 0, _argument(0)), (_EQUAL, 2, 0, 0), (_EQUAL, 1, 0, process), refuse, allow])
+    lines += _where(_IOCTL[which], [(_LOAD, 0, 0, _argument(1)), (_EQUAL, 0, 1, _TIOCSTI), refuse, allow])
+    return [*lines, allow]
+
+
+def _where(number: int | None, then: list[Instruction]) -> list[Instruction]:
+    """Instructions for one call; the number of the call is loaded, and stays so for the next test."""
+    return [] if number is None else [(_EQUAL, 0, len(then), number), *then]
+
+
+def _argument(number: int) -> int:
+    """Where the lower half of an argument is in what a filter sees."""
+    return 16 + 8 * number
+
+
+def _libc() -> ctypes.CDLL | None:
+    try:
+        return ctypes.CDLL(None, use_errno=True)
+    except (OSError, TypeError):
+        return None
+
+
+# ---- all of it
+
+
+def confine(readable: Sequence[str]) -> dict[str, int]:
+    """Close all doors but reading below these folders. Which layers are active: `rlimits`, `landlock` (its ABI), `seccomp`."""
+    return {"rlimits": int(limit_resources()), "landlock": restrict_files(readable), "seccomp": int(refuse_calls())}

@@ -1,0 +1,134 @@
+"""The meshes of a glTF file (.gltf, .glb) as one, in metres with y up: every node's transform, triangles, strips and fans.
+Khronos Group, glTF 2.0 Specification, 2021, sections 3.5 and 3.7."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene.geometry.gltf_file import (
+    FAN,
+    STRIP,
+    TRIANGLES,
+    Gltf,
+    GltfError,
+    node_parents,
+    nodes_below,
+    primitive_triangles,
+    scene_roots,
+)
+from antdsl.scene.geometry.import_notes import ImportNotes
+from antdsl.scene.geometry.matrices import after, applied, determinant, of_parts, still
+from antdsl.scene.geometry.mesh_text import VERTICES, MeshError
+from antdsl.scene.geometry.polygon_mesh import PolygonMesh
+
+Floats = NDArray[np.float64]
+Beside = Callable[[str, int], bytes]
+
+_DRACO = "KHR_draco_mesh_compression"
+_INSTANCES = "EXT_mesh_gpu_instancing"
+
+
+def read_gltf_mesh(data: bytes, notes: ImportNotes, part: str | None, beside: Beside) -> PolygonMesh:
+    """All meshes of the file's scene, of a `part` those at and below the nodes of that name (or with a mesh of that name).
+
+    `beside(path, cap)` reads a file next to it. MeshError says what is wrong."""
+    notes.form = "binary glTF" if data[:4] == b"glTF" else "glTF"
+    try:
+        with np.errstate(all="ignore"):
+            return _read(Gltf(data, beside), notes, part)
+    except GltfError as why:
+        raise MeshError(str(why), why.help) from None
+
+
+def _read(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
+    nodes, meshes = file.top("nodes"), file.top("meshes")
+    parents = node_parents(file)
+    roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
+    shown = nodes_below(file, roots)
+    chosen = set(shown) if part is None else _named(file, shown, part)
+    notes.skip("animations", len(file.top("animations")))
+    ways: dict[int, Floats] = {}
+    points: list[Floats] = []
+    faces: list[NDArray[np.int64]] = []
+    count = 0
+    for number in shown:
+        node = nodes[number]
+        above = ways.get(parents[number], still())
+        ways[number] = after(above, _way(file, node))
+        mesh = file.index(node, "mesh", len(meshes))
+        if number not in chosen or mesh is None:
+            continue
+        way = ways[number]
+        if "skin" in node:  # by the specification the node's own transform does not count
+            notes.skip(f"the skin of `{file.name(node, 'a node')}`: its mesh is read as it was modelled")
+            way = still()
+        if _INSTANCES in file.object(node, "extensions"):
+            notes.skip("instances of a mesh (EXT_mesh_gpu_instancing)")
+        for primitive in file.objects(meshes[mesh], "primitives"):
+            found = _primitive(file, primitive, notes)
+            if found is None:
+                continue
+            own, triangles = found
+            points.append(applied(way, own))
+            faces.append((triangles[:, [0, 2, 1]] if determinant(way) < 0 else triangles) + count)
+            count += len(own)
+            if count > VERTICES or sum(map(len, faces)) > limits.MESH_FACES:
+                raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
+    if not points:
+        return PolygonMesh(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64))
+    return PolygonMesh.of_triangles(np.concatenate(points), np.concatenate(faces))
+
+
+def _way(file: Gltf, node: dict[str, Any]) -> Floats:
+    """The way (3, 4) from a node's space to that of its parent."""
+    if "matrix" in node:
+        return file.floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T[:3]
+    return of_parts(
+        file.floats(node, "translation", (0.0, 0.0, 0.0)),
+        file.floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)),
+        file.floats(node, "scale", (1.0, 1.0, 1.0)),
+    )
+
+
+def _named(file: Gltf, shown: list[int], part: str) -> set[int]:
+    """The nodes of a name, or whose mesh has it, and all below them."""
+    from antdsl.diagnostics.suggestion import nearest_name
+
+    nodes, meshes = file.top("nodes"), file.top("meshes")
+    names: dict[str, list[int]] = {}
+    for number in shown:
+        mesh = file.index(nodes[number], "mesh", len(meshes))
+        of = {file.name(nodes[number], ""), "" if mesh is None else file.name(meshes[mesh], "")}
+        for name in of - {""}:
+            names.setdefault(name, []).append(number)
+    if part not in names:
+        near = nearest_name(part, names)
+        known = ", ".join(f"`{name[:40]}`" for name in list(names)[:8]) or "no names"
+        raise MeshError(f"has no node `{part[:60]}`: " + (f"did you mean `{near}`?" if near else f"it has {known}"), None)
+    found: set[int] = set()
+    for number in names[part]:
+        if number not in found:
+            found.update(nodes_below(file, [number]))
+    return found
+
+
+def _primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tuple[Floats, NDArray[np.int64]] | None:
+    """The points and triangles of a primitive; None, and a note, where it has none that are read."""
+    mode = primitive.get("mode", TRIANGLES)
+    if mode not in (TRIANGLES, STRIP, FAN):
+        notes.skip("primitives of lines" if mode in (1, 2, 3) else "primitives of points")
+        return None
+    if _DRACO in file.object(primitive, "extensions"):
+        raise GltfError("is compressed with Draco, which is not read", "export it without compression")
+    given = file.object(primitive, "attributes")
+    if "POSITION" not in given:
+        notes.skip("primitives without positions")
+        return None
+    points = file.accessor(given["POSITION"], 3).astype(np.float64)
+    notes.skip("morph targets", len(file.listed(primitive, "targets")))
+    return points, primitive_triangles(file, primitive, len(points))

@@ -1,0 +1,153 @@
+"""What the reader finds in USD files as arrays of this process: each count, shape, type and index is checked before use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import wraps
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.reader.protocol import Message, ProtocolError
+from antdsl.scene.geometry.meshes import RawMesh, sound
+from antdsl.scene.geometry.usd.errors import UsdError
+from antdsl.scene.geometry.usd.stage import UsdStage
+from antdsl.scene.staging.moves import MeshMoves
+
+Floats = NDArray[np.float64]
+T = TypeVar("T")
+_TEXT = 256  # characters of a name in the file
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsdMesh:
+    """`raw` as of a mesh file, but in mm and the scene's axes. `moves`: None where it stands still. `values` by the name of a
+    primvar: float64 (n,) numbers, (n, 3) vectors that were turned with their mesh. `passed_over`: types of shapes not read."""
+
+    raw: RawMesh
+    moves: MeshMoves | None
+    values: Mapping[str, Floats]
+    passed_over: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsdPoints:
+    """`places` (frames, n, 3) in mm, one frame where all stand still. `radius` (n,) in mm, nan where the file says nothing.
+    `values`: primvars and user properties with one number a point, by name, in the file's units, nan where a point has none;
+    `texts`: user properties that are words, "" where there is none. `ahead` (n, 3): where each one's own +x leads at the first
+    frame, nan for points, which face no way. `unit`: the file's unit of length in mm."""
+
+    names: tuple[str, ...]
+    places: Floats
+    radius: Floats
+    values: Mapping[str, Floats]
+    texts: Mapping[str, tuple[str, ...]]
+    ahead: Floats
+    unit: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsdCamera:
+    """Places in mm, one row a frame or a single one where nothing changes; `focal` in mm for a sensor 36 mm wide."""
+
+    at: Floats
+    look_at: Floats
+    up: Floats
+    focal: Floats
+
+
+def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
+    """All meshes at and below the stage's prim, joined. UsdError says why there are none, MeshError what is wrong with them."""
+    names = tuple(primvars)
+    answer = stage.ask("usd-mesh", {"primvars": names})
+    try:
+        vertices = answer.array("vertices", "f8", None, 3)
+        faces = answer.array("faces", "i8", None, 3)
+        if len(faces) > limits.MESH_FACES or len(vertices) > 3 * limits.MESH_FACES:
+            words = f"the meshes below `{stage.prim}` have {len(faces):,} faces, more than {limits.MESH_FACES:,}"
+            raise UsdError("too-large", words, "name a part of it")
+        moves = _moves(answer, len(vertices), len(stage.frames)) if "moves:group" in answer.arrays else None
+        values = {name: _values(answer, f"value:{number}", len(vertices)) for number, name in enumerate(names)}
+        passed_over = tuple(text[:_TEXT] for text in answer.texts("passed_over", 1000))
+    except ProtocolError as why:
+        raise stage.senseless(why) from None
+    raw = sound(vertices, faces)  # which looks at each index and each vertex that is used
+    kept = {name: value[raw.own_vertices] for name, value in values.items()}
+    return UsdMesh(raw, None if moves is None else moves.take(raw.own_vertices), kept, passed_over)
+
+
+def _moves(answer: Message, count: int, frames: int) -> MeshMoves:
+    tracks = answer.array("moves:tracks", "f8", None, frames, 3, 4)
+    bent = answer.indices("moves:bent", "i8", count, None)
+    offsets = answer.array("moves:offsets", "f8", frames if len(bent) else 0, len(bent), 3)
+    if len(bent) > 1 and not (np.diff(bent) > 0).all():
+        raise ProtocolError("`bent` does not ascend")
+    return MeshMoves(answer.indices("moves:group", "i4", len(tracks), count), tracks, bent, offsets)
+
+
+def _values(answer: Message, name: str, count: int) -> Floats:
+    found = answer.arrays.get(name)
+    return answer.array(name, "f8", count) if found is not None and found.ndim == 1 else answer.array(name, "f8", count, 3)
+
+
+def checked(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
+    """The function with a UsdError for an answer that makes no sense."""
+
+    @wraps(read)
+    def judged(stage: UsdStage) -> T:
+        try:
+            return read(stage)
+        except ProtocolError as why:
+            raise stage.senseless(why) from None
+
+    return judged
+
+
+def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
+    """The points of all Points prims at or below the prim; where there are none, its children that have a place, one each. With a
+    `kind` all prims below it instead, however deep, whose `userProperties:kind` is that word."""
+    answer = stage.ask("usd-points", {"of_kind": kind})
+    try:
+        places = answer.array("places", "f8", None, None, 3)
+        frames, count = places.shape[:2]
+        if count > limits.AGENTS:
+            raise UsdError("too-large", f"below `{stage.prim}` are more than {limits.AGENTS:,} points")
+        if frames not in (1, len(stage.frames)) or not np.isfinite(places).all():
+            raise ProtocolError("`places` has other frames, or a point that is not finite")
+        keys, words = answer.texts("values", 10_000), answer.texts("texts", 10_000)
+        return UsdPoints(
+            names=answer.packed_texts("names", count),
+            places=places,
+            radius=answer.array("radius", "f8", count),
+            values={key: answer.array(f"value:{number}", "f8", count) for number, key in enumerate(keys)},
+            texts={key: answer.packed_texts(f"text:{number}", count) for number, key in enumerate(words)},
+            ahead=answer.array("ahead", "f8", count, 3),
+            unit=answer.number("unit"),
+        )
+    except ProtocolError as why:
+        raise stage.senseless(why) from None
+
+
+@checked
+def read_usd_curve(stage: UsdStage) -> Floats:
+    """The points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame where it stands still.
+
+    UsdError where there is none or more than one."""
+    places = stage.ask("usd-curve").array("places", "f8", None, None, 3)
+    if len(places) not in (1, len(stage.frames)) or not places.shape[1] >= 2 or not np.isfinite(places).all():
+        raise ProtocolError("`places` has other frames, too few points, or one that is not finite")
+    return places
+
+
+@checked
+def read_usd_camera(stage: UsdStage) -> UsdCamera:
+    """The camera that the prim is, or the only one below it."""
+    answer = stage.ask("usd-camera")
+    at = answer.array("at", "f8", None, 3)
+    if len(at) not in (1, len(stage.frames)):
+        raise ProtocolError("`at` has other frames")
+    look_at, up = (answer.array(name, "f8", len(at), 3) for name in ("look_at", "up"))
+    return UsdCamera(at, look_at, up, answer.array("focal", "f8", len(at)))

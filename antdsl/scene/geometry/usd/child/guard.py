@@ -1,0 +1,36 @@
+"""USD's own exceptions as refusals, for all functions that answer requests about USD files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from antdsl.reader.refusal import Refusal
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.usd.errors import pxr, words_of
+
+if TYPE_CHECKING:
+    from antdsl.reader.protocol import Message
+
+Answer = tuple[dict[str, Any], Mapping[str, Any]]
+
+
+def guarded(read: Callable[[Message], Answer]) -> Callable[[Message], Answer]:
+    """The function with every problem of the file as a Refusal, whose `about` says what the message is about."""
+
+    @wraps(read)
+    def answer(request: Message) -> Answer:
+        try:
+            with np.errstate(all="ignore"):  # a value that is not finite is reported where it is used
+                return read(request)
+        except MeshError as why:
+            raise Refusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
+        except pxr("Tf").ErrorException as why:
+            raise Refusal("bad-usd", words_of(why), None, "prim", "exception") from why
+        except UnicodeDecodeError as why:  # a name or a text of the file that USD passes on as it is
+            raise Refusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from why
+
+    return answer

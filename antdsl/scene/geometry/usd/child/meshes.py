@@ -1,0 +1,228 @@
+"""The meshes at and below a prim as one: triangles in mm and the scene's axes, how they move, and painted values on vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.reader.sandbox import allow_memory
+from antdsl.scene.geometry.matrices import after, applied, determinants, have_inverses, inverse, still
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
+from antdsl.scene.geometry.usd.child.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
+from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
+from antdsl.scene.geometry.usd.errors import UsdError, pxr
+
+Faces = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JoinedMesh:
+    """Vertices float64 (n, 3) in mm and the scene's axes and faces int64 (m, 3), as they are in the file. `moves`: the arrays of
+    a `MeshMoves` by name, None where the mesh is at rest. `values` by the name of a primvar: numbers (n,) or vectors (n, 3) that
+    were turned with their mesh. `passed_over`: types of shapes that are not read."""
+
+    vertices: Floats
+    faces: Faces
+    moves: dict[str, NDArray[Any]] | None
+    values: dict[str, Floats]
+    passed_over: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shape:
+    placed: Placed
+    points: Floats
+    faces: Faces
+    bent: bool
+
+    @property
+    def count(self) -> int:
+        return len(self.placed.ways)
+
+
+def joined_mesh(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
+    """All meshes at and below the stage's prim, joined. UsdError says why there are none, MeshError what is wrong with them."""
+    path = stage.prim.GetPath()
+    shapes, faces, points = [], 0, 0
+    for placed in placed_meshes(stage):
+        shape = _shape(stage, placed)
+        faces += len(shape.faces) * shape.count
+        points += len(shape.points) * shape.count
+        if faces > limits.MESH_FACES or points > 3 * limits.MESH_FACES:
+            words = f"the meshes below `{path}` have {faces:,} faces and {points:,} points"
+            most = f"more than {limits.MESH_FACES:,} faces or {3 * limits.MESH_FACES:,} points are not read"
+            raise UsdError("too-large", f"{words}; {most}", "name a part of it")
+        if len(shape.faces):
+            shapes.append(shape)
+    passed_over = tuple(other_shapes(stage))
+    if not shapes:
+        also = f", only {', '.join(passed_over)}" if passed_over else ""
+        raise UsdError("no-such-prim", f"there is no mesh at or below `{path}`{also}", _hidden(stage))
+    allow_memory(6 * 24 * (faces + points))
+    values = {name: np.concatenate([_values(stage, shape, name) for shape in shapes]) for name in primvars}
+    return JoinedMesh(*_joined(shapes), _moves(stage, shapes), values, passed_over)
+
+
+def _shape(stage: OpenStage, placed: Placed) -> _Shape:
+    """The points and triangles of a mesh prim, holes and the other hand minded, subdivision not."""
+    prim, mesh = placed.prim, pxr("UsdGeom").Mesh(placed.prim)
+    path = prim.GetPath()
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(stage.first) or [], np.int64)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(stage.first) or [], np.int64)
+    points = _points(mesh, stage.times[0])
+    if counts.sum() != len(corners) or (counts < 0).any():
+        raise MeshError(f"has at `{path}` another number of corners than its faces say")
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
+        raise MeshError(f"has at `{path}` a face that names a point which is not there")
+    for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
+        if len(stage.times) > 1 and attribute.ValueMightBeTimeVarying():
+            _same_faces(stage, attribute, path)
+    whole = np.ones(len(counts), np.bool_)
+    holes = np.array(mesh.GetHoleIndicesAttr().Get(stage.first) or [], np.int64)
+    whole[holes[(holes >= 0) & (holes < len(counts))]] = False
+    faces = _triangles(points, counts, corners, whole, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
+    bent = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
+    return _Shape(placed, points, faces, bent)
+
+
+def _points(mesh: Any, time: float) -> Floats:
+    found = mesh.GetPointsAttr().Get(pxr("Usd").TimeCode(time))
+    return np.array([] if found is None else found, np.float64).reshape(-1, 3)
+
+
+def _same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
+    first = attribute.Get(stage.first)
+    for time in stage.times[1:]:
+        if attribute.Get(pxr("Usd").TimeCode(time)) != first:
+            raise UsdError("moving-topology", f"the mesh `{path}` has other faces at other frames", BAKE)
+
+
+def _triangles(
+    points: Floats, counts: NDArray[np.int64], corners: NDArray[np.int64], whole: NDArray[np.bool_], backwards: bool, path: Any
+) -> Faces:
+    """Triangles (m, 3) of those polygons that are `whole`; `backwards`: each is read the other way round from its first
+    corner."""
+    at = np.arange(len(corners))
+    if backwards:
+        start, count = np.repeat(np.cumsum(counts) - counts, counts), np.repeat(counts, counts)
+        at = start + (start - at) % np.maximum(count, 1)
+    kept = corners[at[np.repeat(whole, counts)]]
+    if len(kept) and not np.isfinite(points[kept]).all():
+        raise MeshError(f"has at `{path}` a point that is not finite")
+    try:
+        return np.asarray(kept[triangulate(points, counts[whole], kept).corners])
+    except TooManyCorners as why:
+        raise MeshError(f"has at `{path}` a part that {why}", "cut it into smaller faces in the program that made it") from None
+
+
+def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
+    """Every shape at every place, at the first frame; a mirrored one keeps its outside outside."""
+    vertices, faces, before = [], [], 0
+    for shape in shapes:
+        ways, count = shape.placed.ways[:, 0], len(shape.points)
+        vertices.append(applied(ways[:, None], shape.points).reshape(-1, 3))
+        is_mirrored = determinants(ways) < 0
+        turned = np.where(is_mirrored[:, None, None], shape.faces[:, [0, 2, 1]], shape.faces)
+        faces.append((turned + (before + count * np.arange(len(ways)))[:, None, None]).reshape(-1, 3))
+        before += count * len(ways)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | None:
+    """The way of each place that moves as one track; where points move of themselves, or a place begins without a size, each
+    vertex for itself."""
+    frames = len(stage.times)
+    if not any(shape.bent or shape.placed.ways.shape[1] > 1 for shape in shapes):
+        return None
+    free = [_are_free(shape) for shape in shapes]
+    sizes = [
+        len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed.ways.shape[1] * 96 * int((~alone).sum())
+        for shape, alone in zip(shapes, free, strict=True)
+    ]
+    check_bytes(sum(sizes), "what moves")
+    tracks, group, bent, before, count = [still(1, frames)], [], [], 0, 1
+    for shape, alone in zip(shapes, free, strict=True):
+        ways, points = shape.placed.ways, len(shape.points)
+        is_first = (ways == ways[:, :1]).all(axis=(2, 3))
+        moved = ~alone & ~is_first.all(axis=1)
+        number = np.where(moved, count + np.cumsum(moved) - 1, 0)
+        group.append(np.repeat(number.astype(np.int32), points))
+        if moved.any():
+            track = after(ways[moved], inverse(ways[moved, 0])[:, None])
+            track[is_first[moved]] = still()  # exactly where it rests
+            tracks.append(track)
+            count += len(track)
+        bent.append((before + points * np.flatnonzero(alone)[:, None] + np.arange(points)).ravel())
+        before += points * len(ways)
+    numbers = np.concatenate(bent)
+    offsets = np.empty((frames if len(numbers) else 0, len(numbers), 3))
+    for k in range(len(offsets)):
+        offsets[k] = np.concatenate([_offsets(stage, s, f, k) for s, f in zip(shapes, free, strict=True) if f.any()])
+    if count == 1 and not len(numbers):
+        return None
+    return {"group": np.concatenate(group), "tracks": np.concatenate(tracks), "bent": numbers, "offsets": offsets}
+
+
+def _are_free(shape: _Shape) -> NDArray[np.bool_]:
+    """For each place of a shape whether its vertices move one by one."""
+    ways = shape.placed.ways
+    if shape.bent:
+        return np.ones(len(ways), np.bool_)
+    return ~have_inverses(ways[:, 0]) if ways.shape[1] > 1 else np.zeros(len(ways), np.bool_)
+
+
+def _offsets(stage: OpenStage, shape: _Shape, free: NDArray[np.bool_], k: int) -> Floats:
+    """How far the vertices of free places are at a frame from where they are at rest."""
+    points = _points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.bent else shape.points
+    if len(points) != len(shape.points):
+        path = shape.placed.prim.GetPath()
+        raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE)
+    ways = shape.placed.ways[free]
+    shift = applied(ways[:, min(k, ways.shape[1] - 1), None], points) - applied(ways[:, 0, None], shape.points)
+    return shift.reshape(-1, 3)
+
+
+def _values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
+    """A primvar on the points of a shape, at each of its places; vectors turn with the mesh and keep their length."""
+    prim = shape.placed.prim
+    primvar = pxr("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+    if not primvar or not primvar.HasValue():
+        raise UsdError("no-such-prim", f"`{prim.GetPath()}` has no primvar `{name}`", f"paint `primvars:{name}` on it")
+    found = np.array(primvar.ComputeFlattened(stage.first), np.float64)
+    found = found.reshape(-1, 1) if found.ndim == 1 and not _is_vector(primvar) else found.reshape(-1, found.shape[-1])
+    if primvar.GetInterpolation() == "constant" and len(found) == 1:
+        found = np.repeat(found, len(shape.points), axis=0)
+    if len(found) != len(shape.points):
+        words = f"the primvar `{name}` of `{prim.GetPath()}` has {len(found):,} values for {len(shape.points):,} points"
+        raise UsdError("bad-usd", words, "paint it on the points (interpolation `vertex`)")
+    if found.shape[1] == 3:
+        return _turned(shape.placed.ways[:, 0, None], found).reshape(-1, 3)
+    return np.tile(found[:, 0], shape.count)
+
+
+def _is_vector(primvar: Any) -> bool:
+    return "3" in str(primvar.GetTypeName())
+
+
+def _turned(ways: Floats, vectors: Floats) -> Floats:
+    turned = applied(np.concatenate([ways[..., :3], np.zeros((*ways.shape[:-1], 1))], axis=-1), vectors)
+    long, size = (np.sqrt((v * v).sum(axis=-1, keepdims=True)) for v in (vectors, turned))
+    return np.asarray(turned * (long / np.where(size > 0, size, 1.0)))
+
+
+def _hidden(stage: OpenStage) -> str | None:
+    """What to say where all meshes are of another purpose, or not seen."""
+    usd, geom = pxr("Usd"), pxr("UsdGeom")
+    every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]
+    if not every:
+        return "name a prim that holds meshes"
+    purposes = {str(geom.Imageable(p).ComputePurpose()) for p in every} - {"default", stage.purpose}
+    if purposes & {"proxy", "render"}:
+        return f"its meshes are of the purpose `{min(purposes)}`: write `purpose: {min(purposes & {'proxy', 'render'})}`"
+    return "its meshes are invisible or guides"

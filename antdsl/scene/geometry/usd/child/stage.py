@@ -1,0 +1,187 @@
+"""A USD stage opened for one prim: its units and axes, its time, and which of the prims below are seen."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene.geometry.matrices import after
+from antdsl.scene.geometry.usd.child.layer import opened_layer
+from antdsl.scene.geometry.usd.errors import UsdError, pxr
+
+if TYPE_CHECKING:
+    from antdsl.reader.protocol import Message
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenStage:
+    """`prim` is the requested one. `to_scene` (3, 4) takes the stage's places to mm and the scene's axes. `times` are the time
+    codes of the requested frames, the first being the one at which everything is at rest."""
+
+    prim: Any
+    to_scene: Floats
+    times: tuple[float, ...]
+    purpose: str
+    stage: Any
+
+    @property
+    def first(self) -> Any:
+        return pxr("Usd").TimeCode(self.times[0])
+
+    def shown(self, prim: Any) -> bool:
+        """Whether a prim is of the purpose asked for and visible at the first frame."""
+        image = pxr("UsdGeom").Imageable(prim)
+        if not image:
+            return True
+        return image.ComputePurpose() in ("default", self.purpose) and image.ComputeVisibility(self.first) != "invisible"
+
+    def below(self, prim: Any) -> Iterator[Any]:
+        """The prim and those below it that are seen, instances looked into, the prototypes of point instancers left out."""
+        usd, geom = pxr("Usd"), pxr("UsdGeom")
+        walk = iter(usd.PrimRange(prim, usd.TraverseInstanceProxies()))
+        for found in walk:
+            if not self.shown(found):
+                if geom.Imageable(found).ComputeVisibility(self.first) == "invisible":
+                    walk.PruneChildren()
+                continue
+            if found.IsA(geom.PointInstancer):
+                walk.PruneChildren()
+            yield found
+
+    def matrices(self, prim: Any, every: bool) -> Floats:
+        """The way from a prim's own space to the scene (frames, 3, 4), at all frames, or only the first when `every` is False."""
+        cache = pxr("UsdGeom").XformCache()
+        found = []
+        for time in self.times if every else self.times[:1]:
+            cache.SetTime(pxr("Usd").TimeCode(time))
+            found.append(column_matrix(cache.GetLocalToWorldTransform(prim)))
+        return after(self.to_scene, np.array(found))
+
+    def travels(self, prim: Any) -> bool:
+        """Whether a prim's place may change over time."""
+        geom = pxr("UsdGeom")
+        while prim and not prim.IsPseudoRoot():
+            moved = geom.Xformable(prim)
+            if moved:
+                if moved.TransformMightBeTimeVarying():
+                    return len(self.times) > 1
+                if moved.GetResetXformStack():
+                    return False
+            prim = prim.GetParent()
+        return False
+
+
+def column_matrix(matrix: Any) -> Floats:
+    """USD's matrix for rows of coordinates as (3, 4) for columns."""
+    rows = np.array(matrix, np.float64)
+    return np.ascontiguousarray(rows[:, :3].T)
+
+
+_last: tuple[tuple[object, ...], OpenStage] | None = None  # requests about one prim follow each other
+
+
+def open_stage(request: Message) -> OpenStage:
+    """The stage of the top file `path`, below the folder `folder`, for what is at and below `prim`; `text` is the file's name in
+    messages.
+
+    Frame f is USD's time code f · timeCodesPerSecond / fps: equal where the rates are. UsdError when the stage uses a file
+    outside of the folder, has more in it than is read, or has no such prim."""
+    global _last
+    said, frames = request.document, request.array("frames", "<i8", None)
+    path, folder, text, prim, up, purpose = (str(said[key]) for key in ("path", "folder", "text", "prim", "up", "purpose"))
+    fps = Fraction(int(said["fps"][0]), int(said["fps"][1]))
+    key = (path, folder, prim, up, purpose, fps, frames.tobytes())
+    if _last is None or _last[0] != key:
+        _last = None
+        _last = (key, _opened(path, folder, text, prim, up, purpose, fps, frames.tolist()))
+    return _last[1]
+
+
+def _opened(path: str, folder: str, text: str, prim: str, up: str, purpose: str, fps: Fraction, frames: list[int]) -> OpenStage:
+    usd, geom, sdf = pxr("Usd"), pxr("UsdGeom"), pxr("Sdf")
+    if not prim.startswith("/") or not sdf.Path.IsValidPathString(prim)[0] or not sdf.Path(prim).IsAbsoluteRootOrPrimPath():
+        raise UsdError("no-such-prim", f"`{prim}` is not the path of a prim", "write it from the root: `/set/stones`")
+    place, top = sdf.Path(prim), opened_layer(path, folder, text)
+    stage = usd.Stage.OpenMasked(top, usd.StagePopulationMask([place]))
+    stage.ExpandPopulationMask()
+    for layer in stage.GetUsedLayers():
+        own = os.path.realpath(str(layer.identifier).partition("[")[0])
+        if not layer.anonymous and not own.startswith(folder + os.sep):
+            raise UsdError("bad-path", f"`{text}` uses a file that is not below the granted roots", None, "usd")
+    found = stage.GetPrimAtPath(place)
+    if not found or not found.IsActive():
+        raise _no_such_prim(top, text, place, bool(found))
+    problems = stage.GetCompositionErrors()
+    if problems:
+        raise UsdError("bad-usd", f"`{text}` does not hold together: {_first_words(str(problems[0]), folder)}", None, "usd")
+    _count_prims(stage, text, prim)
+    rate = float(stage.GetTimeCodesPerSecond())
+    factor = float(geom.GetStageMetersPerUnit(stage)) * 1000.0
+    for name, value in (("timeCodesPerSecond", rate), ("metersPerUnit", factor / 1000.0)):
+        if not 1e-12 < value < 1e12:
+            words = f"`{text}` says `{name} = {value:g}`, which cannot be"
+            raise UsdError("bad-usd", words, f"give it a `{name}` above 0", "usd")
+    times = tuple(float(Fraction(frame) / fps) * rate for frame in frames)
+    return OpenStage(found, _to_scene(factor, str(geom.GetStageUpAxis(stage)).lower(), up), times, purpose, stage)
+
+
+def _count_prims(stage: Any, text: str, prim: str) -> None:
+    usd = pxr("Usd")
+    for number, found in enumerate(usd.PrimRange(stage.GetPseudoRoot(), usd.TraverseInstanceProxies())):
+        if number >= limits.USD_PRIMS:
+            words = f"`{text}` comes to more than {limits.USD_PRIMS:,} prims for `{prim}`"
+            raise UsdError("too-large", words, "name a smaller part of it")
+        if found.GetPath().pathElementCount > limits.USD_LEVELS:
+            words = f"`{text}` comes to prims more than {limits.USD_LEVELS} levels deep for `{prim}`"
+            raise UsdError("bad-usd", words, "name a smaller part of it")
+
+
+def _to_scene(factor: float, own: str, up: str) -> Floats:
+    matrix = np.zeros((3, 4))
+    if own == up:
+        rows = [(0, 1.0), (1, 1.0), (2, 1.0)]
+    elif own == "z":
+        rows = [(0, 1.0), (2, 1.0), (1, -1.0)]  # as `meshes.turned_up`
+    else:
+        rows = [(0, 1.0), (2, -1.0), (1, 1.0)]
+    for row, (column, sign) in enumerate(rows):
+        matrix[row, column] = sign * factor
+    return matrix
+
+
+def _first_words(text: str, folder: str) -> str:
+    line = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.replace(folder + os.sep, "").split()))
+    return line if len(line) <= 160 else line[:157] + "…"
+
+
+def _no_such_prim(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
+    """With what is there instead: the children of the longest part of the path that exists."""
+    from antdsl.diagnostics.suggestion import nearest_name
+
+    if inactive:
+        return UsdError("no-such-prim", f"the prim `{path}` of `{text}` is switched off", "make it active, or name another")
+    usd = pxr("Usd")
+    above = path.GetParentPath()
+    while True:
+        stage = usd.Stage.OpenMasked(layer, usd.StagePopulationMask([above]), usd.Stage.LoadNone)
+        parent = stage.GetPrimAtPath(above)
+        if parent or above.isEmpty or above.IsAbsoluteRootPath():
+            break
+        above = above.GetParentPath()
+    names = [child.GetName() for child in parent.GetFilteredChildren(usd.PrimAllPrimsPredicate)][:200] if parent else []
+    wanted = str(path).removeprefix(str(above)).strip("/").split("/")[0]
+    near = nearest_name(wanted, names)
+    if near:
+        help: str | None = f"did you mean `{above.AppendChild(near)}`?"
+    else:
+        help = f"below `{above}` are: " + ", ".join(f"`{name}`" for name in names[:12]) if names else None
+    return UsdError("no-such-prim", f"there is no prim `{path}` in `{text}`", help)

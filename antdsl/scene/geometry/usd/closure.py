@@ -1,0 +1,223 @@
+"""All files that a USD file is made of, collected layer by layer into a private folder, the only one that the reader may open.
+
+Each file is read here, by `Roots`, so the same rules hold as for any file that a scene names: below the scene's folder or a
+granted root, no link, no address, no larger than a mesh may be. The reader opens the copy and lists what it names. The copies
+have the same relative paths as the files, by which USD finds them. No message says whether a file outside exists."""
+
+from __future__ import annotations
+
+import os
+import posixpath
+import re
+import shutil
+import weakref
+from collections.abc import Iterator
+from hashlib import blake2b
+from pathlib import Path
+from typing import NoReturn
+
+from antdsl import limits
+from antdsl.reader import client
+from antdsl.reader.protocol import ProtocolError
+from antdsl.reader.refusal import Refusal, shown
+from antdsl.scene.geometry.usd.errors import UsdError
+from antdsl.scene.geometry.usd.package import LAYERS, PackageError, layers_of, packed
+from antdsl.scene.paths import PathRefused, Roots
+
+PACKAGE = ".usdz"
+KINDS = (*LAYERS, PACKAGE)
+_ADDRESS = re.compile("[A-Za-z][A-Za-z0-9+.-]+:")
+_ABSOLUTE = re.compile(r"[/\\]|[A-Za-z]:")
+_SHOWN = 80
+
+Place = tuple[str, str]  # the full path of a file, and the layer inside of it where it is a package, else ""
+
+
+class Closure:
+    """The files of the USD file `text`: `path` is the copy of that file in the private `folder`, `hashes` are of all files by the
+    names that a scene would give them, `size` is their bytes. UsdError says why one cannot be read. The copies are removed with
+    this object."""
+
+    def __init__(self, roots: Roots, text: str) -> None:
+        self.text, self.size = text, 0
+        self.hashes: dict[str, str] = {}
+        self._roots = roots
+        self._folders = {name: os.path.abspath(folder) for name, folder in (("", roots.folder), *roots.granted.items())}
+        self._files: dict[str, str] = {}  # the name of each by its full path
+        self._packages: dict[str, dict[str, bytes]] = {}
+        try:
+            self.folder = os.path.realpath(client.new_folder())
+        except OSError as problem:
+            words = f"`{text}` cannot be read: there is no folder for temporary files ({(problem.strerror or '').lower()})"
+            raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
+        weakref.finalize(self, shutil.rmtree, self.folder, True)
+        self._top = self._path(text, None)
+        self.path = self._collect(text)
+
+    @property
+    def digest(self) -> str:
+        """A hash of all files with their names."""
+        return blake2b(repr(sorted(self.hashes.items())).encode(), digest_size=16).hexdigest()
+
+    def _collect(self, text: str) -> str:
+        """Copy the file and all that it is made of; the path of its copy."""
+        waiting = [self._add(text, None)]
+        seen = set(waiting)
+        while waiting:
+            place = waiting.pop()
+            for found in self._named(place):
+                if found not in seen:
+                    seen.add(found)
+                    waiting.append(found)
+                    if len(seen) > limits.USD_LAYERS:
+                        raise self._too_large(text)
+        return self._copy(self._top)
+
+    def _copy(self, path: str) -> str:
+        """Where the copy of a file is, or would be."""
+        try:
+            below = os.path.relpath(path, os.path.commonpath([*self._folders.values()]))
+        except ValueError:  # folders of several drives
+            drive, rest = os.path.splitdrive(path)
+            below = os.path.join(re.sub("[^A-Za-z0-9]", "_", drive), rest.lstrip("/\\"))
+        return os.path.join(self.folder, below)
+
+    def _path(self, text: str, by: Place | None) -> str:
+        """The full path of a file by the name that a scene would give it, judged as text only."""
+        if not text.lower().endswith(KINDS):
+            raise UsdError("bad-usd", f"`{_cut(text)}` is not one of {', '.join(KINDS)}", None, "usd")
+        try:
+            return os.path.abspath(self._roots.path(text))
+        except PathRefused as refused:
+            raise _refused(refused, by) from None
+
+    def _add(self, text: str, by: Place | None) -> Place:
+        """Copy a file by the name that a scene would give it."""
+        path = self._path(text, by)
+        if path not in self._files:
+            try:
+                data = self._roots.read(text, limits.MESH_BYTES)
+            except PathRefused as refused:
+                raise _refused(refused, by) from None
+            self.size += len(data)
+            if len(self._files) >= limits.USD_LAYERS or self.size > 4 * limits.MESH_BYTES:
+                raise self._too_large(text)
+            self._files[path] = text
+            self.hashes[text] = blake2b(data, digest_size=16).hexdigest()
+            if text.lower().endswith(PACKAGE):
+                data = self._unpack(path, text, data)
+            self._write(Path(self._copy(path)), data)
+        return path, next(iter(self._packages.get(path, [""])))
+
+    def _unpack(self, path: str, text: str, data: bytes) -> bytes:
+        try:
+            self._packages[path] = layers_of(data)
+        except PackageError as why:
+            raise UsdError("bad-usd", f"the package `{text}` {why}", "export it again", "usd") from None
+        return packed(self._packages[path])
+
+    def _write(self, path: Path, data: bytes) -> None:
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with open(path, "xb") as file:
+                file.write(data)
+        except OSError as problem:
+            words = f"`{self.text}` cannot be copied to be read: {(problem.strerror or 'it cannot be written').lower()}"
+            raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
+
+    def _named(self, place: Place) -> Iterator[Place]:
+        """The files, or layers of the same package, that a layer names."""
+        path, inside = place
+        copy, name = self._copy(path), f"{self._files[path]}{f'[{inside}]' if inside else ''}"
+        document = {"path": f"{copy}[{inside}]" if inside else copy, "folder": self.folder, "text": name}
+        digest = blake2b(f"{self.hashes[self._files[path]]} {inside}".encode(), digest_size=16).hexdigest()
+        for asset in self._assets(document, name, digest):
+            yield self._part(place, asset) if inside else self._file(place, asset)
+
+    def _assets(self, document: dict[str, str], name: str, digest: str) -> list[str]:
+        try:
+            return client.ask("usd-layer", document, size=self.size, digest=digest).texts("assets")
+        except Refusal as why:
+            if why.about == "exception":
+                raise UsdError("bad-usd", f"`{name}` cannot be read as USD: {why}", why.help, "usd") from None
+            raise UsdError(why.code, str(why), why.help, "usd") from None
+        except client.ReaderFailure as why:
+            raise UsdError("bad-usd", f"`{name}` {why}", why.help, "usd") from None
+        except ProtocolError as why:
+            raise UsdError("bad-usd", f"`{name}` cannot be read: {why}", "export it again", "usd") from None
+
+    def _part(self, place: Place, asset: str) -> Place:
+        """A layer of a package that another one of it names."""
+        path, inside = place
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(inside), asset))
+        parts = self._packages[path]
+        if target not in parts and not asset.startswith("."):
+            target = posixpath.normpath(asset)  # USD looks beside the layer, then from the package's top
+        if target not in parts or _ABSOLUTE.match(asset):
+            words = f"`{_cut(asset)}`{_naming(place)} is not a layer of that package"
+            raise UsdError("bad-path", words, "package all files together, for example with `usdzip`", "usd")
+        return path, target
+
+    def _file(self, place: Place, asset: str) -> Place:
+        """A file that a layer names, copied; UsdError for an address or a text that is evaluated when it is opened."""
+        named = f"`{_cut(asset)}`{_naming(place)}"
+        if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
+            raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path out", "usd")
+        if _ADDRESS.match(asset):
+            raise UsdError("bad-path", f"{named} is an address, not a file", "copy the file beside the others", "usd")
+        outer, mark, inner = asset.partition("[")
+        if _ABSOLUTE.match(asset):
+            self._outside(named)
+        found = self._add(self._found(place[0], outer, named), place)
+        if not mark:
+            return found
+        if found[0] not in self._packages or inner.removesuffix("]") not in self._packages[found[0]]:
+            raise UsdError("bad-path", f"{named} is not a layer of a package", "name the package alone", "usd")
+        return found[0], inner.removesuffix("]")
+
+    def _found(self, path: str, asset: str, named: str) -> str:
+        """The name of the file that USD would find: beside the layer, else beside the first one."""
+        folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top)])
+        names = [self._name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
+        inside = [name for name in names if name is not None]
+        if not inside:
+            self._outside(named)
+        return next((name for name in inside if self._is_there(name)), inside[0])
+
+    def _is_there(self, name: str) -> bool:
+        """Whether there is anything below a root; reading it says why it is not used."""
+        try:
+            return self._roots.exists(name) >= 0
+        except PathRefused as refused:
+            return refused.code != "no-such-file"
+
+    def _outside(self, named: str) -> NoReturn:
+        message = f"{named} lies outside the scene's folder and of every granted root, or is absolute"
+        help = "write a path relative to the file, and grant its folder with `--root NAME=FOLDER`, or copy the file"
+        raise UsdError("bad-path", message, help, "usd")
+
+    def _name(self, path: str) -> str | None:
+        """The name that a scene would give a file, None outside of all roots. The disk is not touched."""
+        for name, folder in self._folders.items():
+            if path.startswith(folder.rstrip(os.sep) + os.sep):
+                below = Path(path).relative_to(folder).as_posix()
+                return f"{name}:{below}" if name else below
+        return None
+
+    def _too_large(self, text: str) -> UsdError:
+        return UsdError("too-large", f"`{text}` and the files it is made of are more than are read", None, "usd")
+
+
+def _refused(why: PathRefused, by: Place | None) -> UsdError:
+    return UsdError(why.code, f"{why}{_naming(by)}", why.help, "usd")
+
+
+def _naming(place: Place | None) -> str:
+    if place is None:
+        return ""
+    name = posixpath.basename(place[1]) or os.path.basename(place[0])
+    return f", named by `{shown(name[:_SHOWN])}`,"
+
+
+def _cut(text: str) -> str:
+    return shown(text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "…")

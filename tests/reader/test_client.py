@@ -1,0 +1,162 @@
+"""The reader of a process: it is started once, replaced when it dies, hangs or talks nonsense, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from antdsl import limits
+from antdsl.reader import client, private_folder
+from antdsl.reader.client import Reader, ReaderFailure
+from antdsl.reader.image_request import ImageError, read_image_file
+from antdsl.reader.private_folder import PrivateFolder, remove_stale
+
+HELLO = """import sys, json, struct, time, os
+def send(document, arrays=(), body=b""):
+    text = json.dumps({"document": document, "arrays": list(arrays)}).encode()
+    os.write(1, struct.pack("<4sQ", b"ant1", len(text)) + text + body)
+send({"active": {"rlimits": 1, "landlock": 1, "seccomp": 1}})
+os.read(0, 1 << 20)
+"""
+
+
+def png(samples: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(samples).save(file, "PNG")
+    return file.getvalue()
+
+
+GREY = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000
+
+
+@pytest.fixture
+def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
+    made = Reader()
+    monkeypatch.setattr(client, "_reader", made)
+    yield made
+    made.end()
+
+
+def samples() -> np.ndarray | None:
+    return read_image_file(png(GREY), "PNG", ("I;16",), 100).samples
+
+
+def test_it_is_started_once_and_again_after_it_died(reader: Reader) -> None:
+    assert np.array_equal(samples(), GREY)  # type: ignore[arg-type]
+    assert reader._running is not None
+    first = reader._running.process
+    samples()
+    assert reader._running.process is first
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    assert np.array_equal(samples(), GREY)  # type: ignore[arg-type]
+    second, folder = reader._running.process, reader._folder
+    assert second is not first and folder is not None
+    reader.end()
+    assert second.poll() is not None and not folder.path.exists()
+
+
+def test_an_image_that_is_none_or_too_large_is_refused(reader: Reader) -> None:
+    with pytest.raises(ImageError, match="cannot be read as PNG"):
+        read_image_file(b"\x89PNG\r\n\x1a\n" + bytes(90), "PNG", ("RGB",), 100)
+    for modes, pixels in ((("RGB",), 100), (("I;16",), 11)):
+        found = read_image_file(png(GREY), "PNG", modes, pixels)
+        assert found.samples is None and (found.rows, found.columns, found.mode) == (3, 4, "I;16")
+
+
+@pytest.mark.parametrize(
+    ("does", "words"),
+    [
+        ("sys.exit(3)", "brings down the library"),
+        ("os.abort()", "brings down the library"),
+        ("os.write(1, b'what?' * 100)", "makes no sense"),
+        ("send({'answer': 3})", "makes no sense"),
+        ("send({'refusal': {'code': 'no-such-code', 'message': 'x', 'help': None, 'key': '', 'about': ''}})", "makes no sense"),
+        ("send({'answer': {}}, [['samples', '<f8', [1 << 39]]])", "makes no sense"),
+        ("send({'answer': {'mode': 'I;16', 'rows': 3, 'columns': 4, 'pages': 1, 'texts': {}}})", "makes no sense"),
+        ("send({'answer': {'mode': 'I;16', 'rows': -3, 'columns': -4, 'pages': 1, 'texts': {}}})", "makes no sense"),
+        ("send({'failure': 'memory'})", "too much memory"),
+        ("time.sleep(600)", "takes too long"),
+    ],
+)
+def test_whatever_the_process_does_is_an_error(
+    does: str, words: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    program = tmp_path / "child.py"
+    program.write_text(f"{HELLO}{does}\n")
+    monkeypatch.setattr(client, "_PROGRAM", program)
+    if "sleep" in does:
+        monkeypatch.setattr(limits, "READER_WALL_SECONDS", 1)
+        monkeypatch.setattr(limits, "READER_SECONDS", 0)
+    with pytest.raises(ImageError, match=words):
+        samples()
+    monkeypatch.undo()
+    monkeypatch.setattr(client, "_reader", Reader())
+    assert np.array_equal(samples(), GREY), "the next one answers"  # type: ignore[arg-type]
+    client._reader.end()
+
+
+def test_a_request_that_failed_is_not_made_again(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    program = tmp_path / "child.py"
+    program.write_text(f"{HELLO}os.abort()\n")
+    monkeypatch.setattr(client, "_PROGRAM", program)
+    with pytest.raises(ReaderFailure):
+        client.ask("image", {}, digest="a")
+    monkeypatch.setattr(reader, "_start", lambda: pytest.fail("started again"))
+    with pytest.raises(ReaderFailure, match="brings down"):
+        client.ask("image", {}, digest="a")
+
+
+def test_threads_take_turns(reader: Reader) -> None:
+    found: list[bool] = []
+    threads = [threading.Thread(target=lambda: found.append(np.array_equal(samples(), GREY))) for _ in range(6)]  # type: ignore[arg-type]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found == [True] * 6
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
+def test_a_forked_process_has_a_reader_of_its_own(reader: Reader) -> None:
+    samples()
+    assert reader._running is not None and reader._folder is not None
+    process, folder = reader._running.process, reader._folder.path
+    forked = os.fork()
+    if not forked:
+        code = 1
+        try:
+            is_new = client._reader is not reader
+            code = 0 if is_new and np.array_equal(samples(), GREY) and client._reader._folder.path != folder else 2  # type: ignore[union-attr,arg-type]
+            client._reader.end()
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(forked, 0)[1]) == 0
+    assert folder.exists() and process.poll() is None
+    assert np.array_equal(samples(), GREY) and reader._running.process is process  # type: ignore[arg-type]
+
+
+def test_folders_of_killed_processes_are_removed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    living = PrivateFolder()
+    assert living.path.parent.stat().st_mode & 0o777 == 0o700
+    (living.new() / "a.usda").write_text("x")
+    dead, other = tmp_path / f"{private_folder._PREFIX}dead", tmp_path / "other"
+    target = tmp_path / "target"
+    for folder in (dead, other, target):
+        (folder / "files").mkdir(parents=True)
+        (folder / "lock").write_bytes(b"")
+    (tmp_path / f"{private_folder._PREFIX}link").symlink_to(target)
+    remove_stale()
+    assert not dead.exists() and other.exists() and target.exists() and (living.path / "1" / "a.usda").exists()
+    living.remove()
+    assert not living.path.parent.exists()

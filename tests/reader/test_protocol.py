@@ -1,0 +1,112 @@
+"""Messages of the reader: what is written is read again, and anything else is a ProtocolError, whatever the bytes."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+
+from antdsl import limits
+from antdsl.reader.protocol import MAGIC, Message, ProtocolError, pack_texts, read_message, write_message
+from antdsl.reader.refusal import Refusal
+
+ARRAYS = {"a": np.arange(12, dtype=np.float64).reshape(4, 3), "b": np.zeros((0, 3), np.int64), "c": np.array([7], ">u2")}
+
+
+def written(document: dict[str, Any], arrays: dict[str, Any]) -> bytes:
+    file = io.BytesIO()
+    write_message(file, document, arrays)
+    return file.getvalue()
+
+
+def framed(header: Any, body: bytes = b"") -> bytes:
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return struct.pack("<4sQ", MAGIC, len(text)) + text + body
+
+
+def test_a_message_is_read_as_it_was_written() -> None:
+    found = read_message(io.BytesIO(written({"x": [1, "é"]}, ARRAYS)), 1000)
+    assert found.document == {"x": [1, "é"]} and found.array("c", "u2", 1)[0] == 7
+    assert all(np.array_equal(found.arrays[name], array) for name, array in ARRAYS.items())
+    texts = ("", "é\0", "b" * 100)
+    packed = read_message(io.BytesIO(written({}, pack_texts("t", texts))), 1000)
+    assert packed.packed_texts("t", 3) == texts
+    for array in (np.array([1j]), np.array(["x"]), np.array([object()])):
+        with pytest.raises(ValueError, match="are not sent"):
+            written({}, {"a": array})
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"ant",
+        b"GET / HTTP/1.1\r\n\r\n",
+        struct.pack("<4sQ", MAGIC, 1 << 62),
+        framed([]),
+        framed({}),
+        framed(b"[" * 100_000),
+        framed({"document": {}, "arrays": [["a", "<f8", [1 << 39]]]}),
+        framed({"document": {}, "arrays": [["a", "<f8", [-1]]]}),
+        framed({"document": {}, "arrays": [["a", "<f8", [2, 1 << 39, 1 << 39]]]}),
+        framed({"document": {}, "arrays": [["a", "O", [1]]]}),
+        framed({"document": {}, "arrays": [["a", "<f8", [1]]]}, b"1234"),
+        framed({"document": {}, "arrays": [["a", "|V8", [1]]]}),
+        framed({"document": {}, "arrays": [["a", "<f8", [0]], ["a", "<f8", [0]]]}),
+        framed(b'{"document": {"x": NaN}, "arrays": []}'),
+        framed({"document": {}, "arrays": [["a", "<f8", [True]]]}),
+        framed({"document": {}, "arrays": [[["a"], "<f8", [0]]]}),
+        framed({"document": {}, "arrays": [["a", ["<f8"], [0]]]}),
+        framed(b'{"document": {"x": 1' + b"0" * 9000 + b'}, "arrays": []}'),
+    ],
+)
+def test_what_is_no_message_is_refused(data: bytes) -> None:
+    with pytest.raises(ProtocolError):
+        read_message(io.BytesIO(data), limits.READER_BYTES)
+
+
+def test_any_bytes_are_a_message_or_refused() -> None:
+    draw, good = random.Random(1), written({"answer": {"names": ["a"], "unit": 1.5}}, ARRAYS)
+    accepted = 0
+    for _ in range(4000):
+        data = bytearray(good)
+        for _ in range(draw.randint(1, 6)):
+            place = draw.randrange(len(data))
+            data[place : place + draw.randint(0, 2)] = bytes(draw.choices(b'0129"[]{},:<fiu8x\xff\0', k=draw.randint(0, 3)))
+        try:
+            found = read_message(io.BytesIO(bytes(data)), 1 << 16)
+            accepted += isinstance(found.document, dict)
+        except ProtocolError:
+            continue
+    assert accepted  # changes within the numbers are values
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda m: m.array("missing", "f8", None), lambda m: m.array("a", "f4", None, 3), lambda m: m.array("a", "f8", 4),
+        lambda m: m.array("a", "f8", 4, 4), lambda m: m.indices("i", "i8", 3, None), lambda m: m.indices("i", "i8", 9, None),
+        lambda m: m.number("x"), lambda m: m.number("huge"), lambda m: m.texts("x"), lambda m: m.texts("many", 1),
+        lambda m: m.packed_texts("t"), lambda m: m.packed_texts("u"), lambda m: m.packed_texts("none"),
+    ],
+)  # fmt: skip
+def test_values_are_checked_when_they_are_used(use: Any) -> None:
+    texts = {"t:lengths": np.array([2, -1, 3]), "t:bytes": np.zeros(4, np.uint8)}
+    texts |= {"u:lengths": np.array([1]), "u:bytes": np.array([255], np.uint8)}
+    message = Message({"x": True, "huge": 10**400, "many": ["a", "b"]}, {**ARRAYS, "i": np.array([-1, 5]), **texts})
+    with pytest.raises(ProtocolError):
+        use(message)
+
+
+def test_a_refusal_has_a_known_code_and_printable_texts() -> None:
+    sent = Refusal("bad-usd", "a\x1b[31m" + "b" * 5000, None, "prim").as_document()
+    found = Refusal.of_document(sent, {"bad-usd"})
+    assert found is not None and str(found).isprintable() and len(str(found)) <= 2000
+    assert Refusal.of_document(sent, {"bad-mesh"}) is None
+    for document in (None, [], {}, {**sent, "message": 3}, {**sent, "help": []}, {**sent, "key": None}):
+        assert Refusal.of_document(document, {"bad-usd"}) is None

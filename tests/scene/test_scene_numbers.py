@@ -1,0 +1,176 @@
+"""Extreme numbers in every numeric field of a scene end in a located message, or in a run whose state is finite."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import antdsl.scene.model  # noqa: F401 - defines the parts
+from antdsl.cli.new import ground
+from antdsl.pipeline import open_scene
+from antdsl.runtime import BindError, FaultStop, LimitStop, Options, bind, step
+from antdsl.scene import load
+from antdsl.scene.parts import Part
+from antdsl.scene.quantities import Quantity
+
+EXTREMES = (
+    "1e300", "-1e300", "1e-300", "-0.0", "5e-324", "2.2250738585072011e-308", "0.12345678901234567890", "1e38", "-3.5e38",
+    "1e19", "1e12", "1e-12", "99999999999999999999999999", "0", "-1", "0.5", "1e5", "1e9",
+)  # fmt: skip
+PROGRAM = """ant 1
+use steering
+world { surface ground; surface hills; obstacle rock; curve line; items food { load = 3 }; flow drift; flow away; flow rim
+  flow guide; flow brush; map paint }
+field trail on ground { half_life 3 s; diffuse 4 mm^2/s; cell 4 mm }
+species walker {
+  param pace = 20 mm/s in 5 mm/s .. 50 mm/s
+  size 4 mm
+  max_speed pace
+  state stroll { steer wander(swing: 60 deg) + along(drift) + along(away) + along(rim) + along(guide) + along(brush)
+    deposit trail 4 /s }
+  layers { separate(radius: 8 mm); state }
+}
+"""
+SCENE = """antdsl: 1
+units: mm
+fps: 24
+frames: 1..2
+preroll: 0
+substeps: 1
+seed: 5
+contacts: hard
+world:
+  ground: {mesh: ground.ply, at: [1, 2, 3], rotate: [4, 5, 6], scale: 1.5, keys: {1: {at: [7, 8, 9], rotate: [10, 11, 12]}}}
+  hills: {height: hills.png, extent: [50 mm, 60 mm], scale: 5 mm, offset: 1 mm, at: [0, -90, 1], rotate: [1, 2, 3]}
+  rock: {mesh: ball.ply, at: [10, 3, 10], rotate: [1, 2, 3], scale: 0.5}
+  line: {curve: line.json, at: [1, 2, 3]}
+  food: {crumb: {at: [30, 0, 20], on: ground, radius: 3 mm, load: 7, keys: {1: {at: [5, 6, 7]}}}}
+  drift: {tangent: line, strength: 0.5, radius: 40 mm, cell: 9 mm, gather: 2}
+  away: {away: [30, 0, 20], strength: 0.5, radius: 40 mm, cell: 9 mm}
+  rim: {border: ground, within: 30 mm, strength: 0.5, cell: 9 mm}
+  guide: {solved: [30, 0, 20], slope: 2, room: 3 mm, maps: {paint: 2}, crowding: 3, every: 2 s, cell: 9 mm, strength: 0.5}
+  brush: {painted: brush.npz, on: ground, strength: 0.5}
+  paint: {painted: paint.npz, on: ground, strength: 0.5}
+crowd:
+  - {species: walker, from: walker.ant, count: 20, place: {on: ground, around: [1, 2, 3], radius: 60 mm, apart: 5 mm, seed: 9}}
+  - species: walker
+    from: walker.ant
+    count: 3
+    place: {on: ground, radius: 50 mm}
+    walk: {direction: [1, 0, 2], speed: 10 mm/s, length: 20 mm}
+set: {walker.pace: 30 mm/s}
+fields: {trail: {start: 2, around: [1, 2, 3], radius: 30 mm}}
+camera: {at: [0, 130, 190], look_at: [1, 2, 3], focal: 35 mm}
+lod: {near: 100 mm, far: 200 mm}
+output: {checkpoint: 50}
+"""
+# Read by the validators of MeshThing, CurveThing and ItemThing, from files whose reading takes seconds.
+ELSEWHERE = {("UsdThing", name) for name in ("at", "rotate", "scale", "voxel")} | {
+    ("UsdEach", "radius"), ("MeshThing", "voxel"), ("StartFrom", "frame"), ("HeightThing", "layer"),
+}  # fmt: skip
+NUMBER = re.compile(r"(?<![\w.#])-?\d+(?:\.\d+)?(?![\w.]*\.(?:ply|png|npz|json|ant))")
+
+
+def places() -> list[tuple[int, int]]:
+    """Where numbers stand in the text of the scene."""
+    return [match.span() for match in NUMBER.finditer(SCENE) if not SCENE[: match.start()].endswith("antdsl: ")]
+
+
+PLACES = places()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("numbers")
+    (folder / "walker.ant").write_text(PROGRAM)
+    (folder / "ground.ply").write_bytes(ground(side=9))
+    (folder / "ball.ply").write_bytes(ground(side=3, width=20))
+    (folder / "line.json").write_text("[[-40, 0, 0], [0, 1, 5], [40, 0, 0]]")
+    Image.fromarray(np.arange(64, dtype=np.uint16).reshape(8, 8) * 500).save(folder / "hills.png")
+    np.savez(folder / "brush.npz", brush=np.ones((81, 3), np.float32))
+    np.savez(folder / "paint.npz", paint=np.ones(81, np.float32))
+    return folder
+
+
+def demand_message_or_run(folder: Path, place: tuple[int, int], extreme: str) -> None:
+    text = SCENE[: place[0]] + extreme + SCENE[place[1] :]
+    scene = folder / "scene.yaml"
+    scene.write_text(text)
+    shot, report = open_scene(scene)
+    if not report.ok:
+        assert all(each.span is not None for each in report.errors), report.errors
+        return
+    assert shot is not None
+    try:
+        world = bind(shot.plan, shot.setting, Options(backend="numpy"))
+        step(world)
+    except BindError as why:
+        assert why.report.errors and all(each.span is not None for each in why.report.errors)
+    except (FaultStop, LimitStop) as why:
+        raise AssertionError(f"{extreme} is accepted and stops the run: {why}") from None
+
+
+def line_of(place: tuple[int, int]) -> str:
+    number = SCENE[: place[0]].count("\n")
+    return f"{number + 1}:{place[0] - SCENE.rfind(chr(10), 0, place[0])}"
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_extreme_numbers_in_some_fields(folder: Path, number: int) -> None:
+    for index in range(number * 7, len(PLACES), 21):
+        demand_message_or_run(folder, PLACES[index], EXTREMES[(index * 5 + number) % len(EXTREMES)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", PLACES, ids=line_of)
+def test_extreme_numbers_in_every_field(folder: Path, place: tuple[int, int]) -> None:
+    for extreme in EXTREMES:
+        demand_message_or_run(folder, place, extreme)
+
+
+def test_the_scene_has_every_numeric_field(folder: Path) -> None:
+    scene = folder / "all.yaml"
+    scene.write_text(SCENE)
+    loaded, report = load(scene)
+    assert loaded is not None and report.ok, report.errors
+    used = {
+        (type(part).__name__, name) for part in parts(loaded.model) for name in numeric(part) if getattr(part, name) is not None
+    }
+    known = {(kind.__name__, name) for kind in kinds(Part) for name, found in kind.model_fields.items() if is_numeric(found)}
+    inherited = {name for _, name in used}
+    missing = {(kind, name) for kind, name in known - used - ELSEWHERE if name not in inherited}
+    assert not missing
+
+
+def kinds(kind: type[Part]) -> Iterator[type[Part]]:
+    for each in kind.__subclasses__():
+        yield each
+        yield from kinds(each)
+
+
+def is_numeric(found: Any) -> bool:
+    return bool(re.search(r"\bint\b|\bfloat\b|Quantity|Fraction", repr(found.annotation) + repr(found.metadata)))
+
+
+def numeric(part: Part) -> list[str]:
+    return [name for name, found in type(part).model_fields.items() if is_numeric(found) and name in part.model_fields_set]
+
+
+def parts(value: Any) -> Iterator[Part]:
+    """All parts of a model, those in it too."""
+    if isinstance(value, Part):
+        yield value
+        for name in type(value).model_fields:
+            yield from parts(getattr(value, name))
+    elif isinstance(value, dict):
+        for each in value.values():
+            yield from parts(each)
+    elif isinstance(value, tuple) and not isinstance(value, Quantity):
+        for each in value:
+            yield from parts(each)

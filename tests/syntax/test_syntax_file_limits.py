@@ -1,0 +1,37 @@
+"""What one file may hold is counted before it is parsed."""
+
+from __future__ import annotations
+
+from unittest.mock import patch
+
+import pytest
+
+from antdsl import limits, syntax
+from antdsl.source import Source
+
+SPECIES = "species s{} {{ state a {{ }}\nlayers {{ state }} }}\n"
+END = "\nstate a { }\nlayers { state } }\n"
+LARGE = {
+    "5,000 species": "ant 1\n" + "".join(SPECIES.format(number) for number in range(5000)),
+    "9,005 statements": "ant 1\nspecies s { " + "\n".join(f"let p{number} = 2 mm" for number in range(9000)) + END,
+    "4,001 statements": "ant 1\n" + "foo bar\n" * 4000,
+    "words, numbers and signs": "ant 1\nspecies s { x = " + "\n x = ".join("+".join(["1"] * 150) for _ in range(120)) + END,
+}
+
+
+@pytest.mark.parametrize("words", LARGE)
+def test_a_large_file_is_one_located_message_and_is_not_parsed(words: str) -> None:
+    text = LARGE[words]
+    assert len(text.encode()) <= limits.ANT_FILE_BYTES
+    with patch("antdsl.syntax.parser._Reading", side_effect=AssertionError("parsed")):
+        file, report = syntax.parse(Source("large.ant", text))
+    assert file.broken
+    (found,) = report.errors
+    assert found.code == "too-many" and words.split(" of")[0] in found.message
+    assert found.span is not None and found.span.start > 1000
+
+
+def test_a_file_at_the_limits_is_parsed() -> None:
+    text = "ant 1\n" + "".join(SPECIES.format(number) for number in range(limits.SPECIES))
+    file, report = syntax.parse(Source("large.ant", text))
+    assert report.ok and not file.broken
