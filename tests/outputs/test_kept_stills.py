@@ -14,6 +14,7 @@ from PIL import Image
 
 from antdsl.cli import _run as run_in_process
 from antdsl.diagnostics import Report
+from antdsl.whole import whole
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ("--width", "96", "--height", "54", "--threads", "1")
@@ -113,7 +114,7 @@ def test_a_termination_leaves_whole_pictures_and_its_own_exit_code(
     def ended(self: kept_stills.Stills, frame: int, image: object) -> Path:
         count.append(frame)
         if len(count) == 3:
-            with kept_stills.whole(kept_stills.still_path(self.folder, frame)) as part:
+            with whole(kept_stills.still_path(self.folder, frame)) as part:
                 part.write_bytes(b"half")
                 signal.raise_signal(signal.SIGTERM)
         return put(self, frame, image)  # type: ignore[arg-type]
