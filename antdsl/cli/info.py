@@ -30,7 +30,7 @@ def info(
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     for line in describe(found):
-        print_result(line)
+        print_result("".join(c if c.isprintable() else "\ufffd" for c in line))  # the manifest may be a stranger's
     if verify:
         _verify(found)
 
@@ -69,6 +69,9 @@ def describe(cache: Cache) -> list[str]:
     if inside and inside[-1] in hashes:
         lines.append(f"state hash   {hashes[inside[-1]]} (frame {inside[-1]})")
     lines.append(f"complete     {'yes' if len(inside) == wanted else 'no: `antdsl run SCENE --resume` goes on'}")
+    if manifest.made_with is not None:
+        lines.append("made with")
+        lines += [f"  {name:<10} {value or 'none'}" for name, value in manifest.made_with.model_dump().items()]
     lines.append("made from")
     lines += [f"  {value}  {name}" for name, value in manifest.inputs.items()]
     return lines

@@ -20,10 +20,10 @@ from distributed.diagnostics.plugin import WorkerPlugin
 
 from antdsl import __version__
 from antdsl.bounded import open_bounded
-from antdsl.executors.machine import sources
 from antdsl.executors.parcel import Parcel, Seen, inside
 from antdsl.executors.tasks import LOOK, Refused, Work, Worker, perform
 from antdsl.limits import MADE_BYTES, MIB
+from antdsl.outputs.provenance import sources
 
 PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
 

@@ -87,7 +87,8 @@ class Flow:
     def reaches(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
         """Whether it leads agents on from where they stand, bool[n]: whether it is anything there. Arguments as of `at`."""
         x, y, z = self.at(meshes, footing, place, up)
-        return (x != 0) | (y != 0) | (z != 0)
+        found: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
+        return found
 
     def show(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Give as `state` what these arrays say, without being it: for a copy that is only looked at."""

@@ -81,7 +81,8 @@ class Solved(Flow):
 
     def _nearest_slot(self, face: Index, footing: Footing) -> Index:
         slots, weights = self.lattice.locate(face, footing.b1, footing.b2)
-        return np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
+        nearest: Index = np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
+        return nearest
 
     def _shares(self, crowd: NDArray[np.int64]) -> Floats:
         """The share of each triangle that is covered by agents, felt a little beyond them."""

@@ -17,7 +17,6 @@ from antdsl import __version__, limits
 from antdsl.bounded import read_bounded
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.hashes import Line
-from antdsl.outputs.cache.manifest import MANIFEST
 from antdsl.outputs.drawing import Drawn
 from antdsl.whole import write_whole
 
@@ -45,7 +44,8 @@ class Stills:
     def of(cls, folder: Path, cache: Cache, wanted: Drawn, together: Sequence[int]) -> Stills:
         """Reads what tells the frames of the cache from those of another. `together`: the frames that the camera is chosen
         for."""
-        manifest = blake2b(read_bounded(cache.folder / MANIFEST, STILL_BYTES), digest_size=16).hexdigest()
+        read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on it
+        manifest = blake2b(read.encode(), digest_size=16).hexdigest()
         frames = cache.frames()
         about = {
             "antdsl": __version__,

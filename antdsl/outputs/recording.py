@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,6 +20,7 @@ from antdsl.outputs.cache.manifest import CameraEntry, way_to
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.looks_of_scene import looks_of
+from antdsl.outputs.provenance import provenance
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, emitted_since, feet_hash, restore, state_hash, step
@@ -163,11 +165,12 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
     maker = FrameMaker(world, shot.program, model.output.attributes, pieces, model.output.events)
     kept = KeptBodies.of(shot.bodies, {line.species: line.body for line in model.crowd if line.body is not None})
+    name = Path(shot.scene.source.path).name
     manifest = describe(
         world,
         shot.setting,
         version=shot.inputs["antdsl"],
-        scene=Path(shot.scene.source.path).name,
+        scene=name,
         scene_path=recording.way or way_to(Path(shot.scene.source.path), recording.folder),
         inputs=recording.inputs,
         units=model.units,
@@ -186,7 +189,8 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         camera=_camera(shot),
         looks=looks_of(model),
     )
-    with CacheWriter(recording.folder, manifest, recording.written) as writer:
+    made_with = partial(provenance, name, shot.frames, shot.setting.seed, recording.inputs)
+    with CacheWriter(recording.folder, manifest, made_with, recording.written) as writer:
         static = {**recording.static, **kept.arrays}
         writer.begin(world, static, maker, recording.kept, recording.damaged, recording.surface_error)
         if recording.resumed_from is None:

@@ -11,9 +11,9 @@ from typing import Any
 
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
-from antdsl.executors.machine import sources
 from antdsl.loading import CheckedOnce
 from antdsl.outputs.cache.manifest import MANIFEST
+from antdsl.outputs.provenance import sources
 from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.scene import Scene

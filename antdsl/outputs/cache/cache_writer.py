@@ -29,7 +29,7 @@ from antdsl.outputs.cache.cache_reader import (
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, Line, hash_of_static, line_of, read_lines
 from antdsl.outputs.cache.lock import LOCK, FolderLock, Locked
-from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, write_manifest
+from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, Provenance, write_manifest
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.links import is_link
 from antdsl.outputs.surface_error import surface_error
@@ -168,11 +168,19 @@ class CacheWriter:
     """Between `__enter__` and `__exit__` the folder is locked and frames can be put in. After an error nothing more is
     written.
 
+    `made_with` gives what the manifest says of this process. It reads all of antdsl's files, so the thread that writes calls it.
+
     `told` gets what was found out about each frame, some frames later, all when `__exit__` is through: `hash` and, of all frames
     so far, `surface_error` (None where that of the frames before is not known) once it is written; `seconds` by name."""
 
-    def __init__(self, folder: Path, manifest: Manifest, told: Callable[[Mapping[str, Any]], None]) -> None:
-        self.folder, self.manifest = folder, manifest
+    def __init__(
+        self,
+        folder: Path,
+        manifest: Manifest,
+        made_with: Callable[[], Provenance],
+        told: Callable[[Mapping[str, Any]], None],
+    ) -> None:
+        self.folder, self.manifest, self._made_with = folder, manifest, made_with
         self._told = told
         self._lock = FolderLock(folder)
         self._behind: Behind | None = None
@@ -220,11 +228,15 @@ class CacheWriter:
         clear(self.folder, last, damaged)
         file = npz_file(static)
         write_whole(self.folder / STATIC, file.parts)
-        write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(file)}))
         world.carved = {}
         world.emitted = [] if "emit" in maker.events else None
         self._maker, self._worst = maker, worst
         self._scribe, self._behind = Scribe(self.folder), Behind(self._told)
+        self._behind.hand_over(partial(self._put_manifest, hash_of_static(file)))
+
+    def _put_manifest(self, static: str) -> Mapping[str, Any]:
+        write_manifest(self.folder, self.manifest.model_copy(update={"static": static, "made_with": self._made_with()}))
+        return {}
 
     def put_frame(self, world: World) -> None:
         """Measure, hash and hand over the frame that a world stands at. An error of a frame before is raised."""

@@ -154,6 +154,19 @@ class CameraEntry(Part):
     moves: bool = False
 
 
+class Provenance(Part):
+    """What a cache was made with: `sources` is a hash of antdsl's own files, `command` one that makes the same frames; versions
+    are empty where a package is missing. Nothing that is read depends on it."""
+
+    sources: Word
+    python: Word
+    numpy: Word
+    llvm: Word
+    open3d: Word
+    platform: Word
+    command: Annotated[str, Field(max_length=2000)]
+
+
 class Manifest(Part):
     """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
     asked for; `events` the names that frames count. `static` is the hash of `static.npz`, None where none was kept; `state_hash`
@@ -162,6 +175,7 @@ class Manifest(Part):
 
     format: Literal[1] = 1
     antdsl: Word
+    made_with: Provenance | None = None
     scene: Word
     scene_path: Way | None = None
     inputs: dict[Word, Word]

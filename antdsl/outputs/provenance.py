@@ -1,0 +1,86 @@
+"""What a cache was made with: a hash of antdsl's sources, versions of what computes its numbers, the platform, the command."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+from collections.abc import Mapping
+from functools import cache
+from hashlib import blake2b
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+import antdsl
+from antdsl.bounded import read_bounded
+from antdsl.limits import MIB
+from antdsl.machine_code import machine
+from antdsl.outputs.cache.manifest import Provenance
+from antdsl.resources import behaviours_folder, grammar_folder
+from antdsl.scene.values import FrameRange
+
+_ENDINGS = (".py", ".ant", ".json", ".lark")  # what a result may depend on
+_SKIPPED = frozenset(["_data", "page", "web", "__pycache__"])
+_LONGEST = 2000  # characters of a command
+
+
+def provenance(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> Provenance:
+    """What this process makes a cache with. `scene` is the name of the scene's file, `inputs` those of the run."""
+    return Provenance(sources=sources(), command=command(scene, frames, seed, inputs), **_versions())
+
+
+def command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> str:
+    """The command that makes the same frames. It names no folder and nothing that changes no result, such as `--out` and
+    `--threads`: the same run gives the same bytes wherever it is, and a cache that is passed on tells nothing of a machine."""
+    changes = [f"{name.removeprefix('--set ')}={text}" for name, text in inputs.items() if name.startswith("--set ")]
+    sets = [word for change in changes for word in ("--set", change)]
+    words = ["antdsl", "run", scene, "--frames", f"{frames.first}..{frames.last}", "--seed", str(seed), *sets]
+    return shlex.join(words)[:_LONGEST]
+
+
+@cache
+def sources() -> str:
+    """A hash of the package's modules, its library of behaviours and its grammar, by name: 24 hexadecimal digits."""
+    hashed = blake2b(digest_size=12)
+    for start in (Path(antdsl.__file__).parent, behaviours_folder(), grammar_folder()):
+        for folder, inner, files in os.walk(start):
+            inner[:] = sorted(name for name in inner if name not in _SKIPPED)
+            for name in sorted(name for name in files if name.endswith(_ENDINGS)):
+                path = os.path.join(folder, name)
+                for part in (Path(path).relative_to(start).as_posix().encode(), read_bounded(path, 16 * MIB)):
+                    hashed.update(len(part).to_bytes(8, "little"))
+                    hashed.update(part)
+    return hashed.hexdigest()
+
+
+@cache
+def _versions() -> Mapping[str, str]:
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "llvm": _llvm(),
+        "open3d": _installed("open3d", "open3d-cpu"),
+        "platform": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def _llvm() -> str:
+    """LLVM's version and llvmlite's; empty where there is no machine code."""
+    if machine.unavailable():
+        return ""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    return f"{'.'.join(map(str, llvm.llvm_version_info))} (llvmlite {llvmlite.__version__})"
+
+
+def _installed(*names: str) -> str:
+    """The version of the first of these packages that is installed; empty without any."""
+    for name in names:
+        try:
+            return version(name)
+        except PackageNotFoundError:
+            continue
+    return ""

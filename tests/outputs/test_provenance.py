@@ -1,0 +1,117 @@
+"""What a cache was made with stands in its manifest, the same bytes wherever it is made, and `info` shows it."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run
+
+from antdsl.outputs import provenance
+from antdsl.outputs.cache.manifest import MANIFEST, ManifestError, read_manifest
+from antdsl.scene.values import FrameRange
+
+MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
+
+
+def made(folder: Path, *words: str, out: str = "out/scene") -> Path:
+    """The cache of a run of the smallest scene in a folder."""
+    folder.mkdir(parents=True)
+    for name in ("walker.ant", "ground.ply", "scene.yaml"):
+        shutil.copy(MINIMAL / name, folder)
+    done = run("run", "scene.yaml", "-q", "--frames", "1..2", *words, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / out
+
+
+def test_a_manifest_says_what_made_it_and_names_no_folder(tmp_path: Path) -> None:
+    cache = made(tmp_path / "private" / "name", "--seed", "7", "--threads", "1")
+    found = read_manifest(cache).made_with
+    assert found is not None
+    assert (found.python, found.numpy) == (platform.python_version(), np.__version__)
+    assert found.platform == f"{platform.system()} {platform.machine()}" and found.sources == provenance.sources()
+    assert found.command == "antdsl run scene.yaml --frames 1..2 --seed 7"
+    text = (cache / MANIFEST).read_text()
+    assert "private" not in text and str(tmp_path) not in text
+    shown = run("info", str(cache), cwd=tmp_path).stdout
+    assert "made with\n" in shown
+    for value in found.model_dump().values():
+        assert value in shown
+    other = made(tmp_path / "elsewhere", "--seed", "7", "--backend", "reference", "--out", "away", out="away")
+    there = json.loads((other / MANIFEST).read_text())
+    here = json.loads(text)
+    assert {**there, "scene_path": ""} == {**here, "scene_path": ""}
+    frame = Path("frames", "frame.0001.npz")
+    assert (other / frame).read_bytes() == (cache / frame).read_bytes()
+
+
+def test_the_command_can_be_given_again_whatever_names_it_has() -> None:
+    inputs = {"scene.yaml": "00", "--set pace": "4 mm/s; rm", "edit 1": "smooth orient:9"}
+    words = shlex.split(provenance.command("my $(scene).yaml", FrameRange(-3, 9), 5, inputs))
+    assert words == ["antdsl", "run", "my $(scene).yaml", "--frames", "-3..9", "--seed", "5", "--set", "pace=4 mm/s; rm"]
+    assert len(provenance.command("x" * 5000, FrameRange(1, 2), 0, {})) == 2000
+
+
+def test_sources_are_all_that_a_result_depends_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("package", "behaviours", "grammar"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "package" / "__init__.py").write_text("one = 1\n")
+    monkeypatch.setattr(provenance.antdsl, "__file__", str(tmp_path / "package" / "__init__.py"))
+    for name in ("behaviours", "grammar"):
+        monkeypatch.setattr(provenance, f"{name}_folder", lambda name=name: tmp_path / name)
+    hashes = []
+
+    def note() -> bool:
+        """Whether the hash is another one than all before."""
+        hashes.append(provenance.sources.__wrapped__())
+        return hashes[-1] not in hashes[:-1]
+
+    assert note()
+    for path, text in (
+        ("package/__init__.py", "one = 2\n"),
+        ("package/two.py", ""),
+        ("package/inner.json", "{}"),
+        ("behaviours/steering.ant", "ant 1\n"),
+        ("grammar/tables.json", "[]"),
+    ):
+        (tmp_path / path).write_text(text)
+        assert note(), path
+    for path in ("package/__pycache__/two.py", "package/web/two.py", "package/note.txt"):
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text("other")
+        assert not note(), path
+
+
+@pytest.mark.parametrize(
+    ("change", "readable"),
+    [
+        (lambda entry: None, True),
+        (lambda entry: {**entry, "command": "x" * 2001}, False),
+        (lambda entry: {**entry, "llvm": "x" * 501}, False),
+        (lambda entry: {**entry, "python": 3}, False),
+        (lambda entry: {k: v for k, v in entry.items() if k != "numpy"}, False),
+        (lambda entry: "text", False),
+        (lambda entry: {**entry, "command": "\x1b[2Jgone\u202e", "more": [1]}, True),
+    ],
+    ids=["none", "long", "long word", "number", "missing", "text", "escape"],
+)
+def test_what_a_stranger_wrote_there_is_bounded_and_shown_without_escapes(
+    tmp_path: Path,
+    change,  # type: ignore[no-untyped-def]
+    readable: bool,
+) -> None:
+    cache = made(tmp_path / "shot")
+    document = json.loads((cache / MANIFEST).read_text())
+    document["made_with"] = change(document["made_with"])
+    (cache / MANIFEST).write_text(json.dumps(document))
+    done = run("info", str(cache), cwd=tmp_path)
+    assert (done.returncode == 0) == readable
+    assert "\x1b" not in done.stdout + done.stderr and "\u202e" not in done.stdout + done.stderr
+    if not readable:
+        with pytest.raises(ManifestError, match="damaged"):
+            read_manifest(cache)
