@@ -14,7 +14,6 @@ from PIL import Image
 
 from antdsl.cli import _run as run_in_process
 from antdsl.diagnostics import Report
-from antdsl.whole import whole
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ("--width", "96", "--height", "54", "--threads", "1")

@@ -105,7 +105,7 @@ def _cut(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
     if np.maximum(mesh.counts - 2, 0).sum() > limits.MESH_FACES:
         raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
     points = mesh.points
-    bad = (~np.isfinite(points) | (np.abs(points) >= 1e30)).any(axis=1)
+    bad = np.asarray((~np.isfinite(points) | (np.abs(points) >= 1e30)).any(axis=1))
     if bad.any():
         used = mesh.indices[bad[mesh.indices]]
         if len(used):
