@@ -52,7 +52,7 @@ SCENE_ANGLE: Final = 1e6  # radians; a larger angle has too few digits left with
 SCENE_TIME: Final = 1e9  # seconds
 SCENE_SPEED: Final = 1e10  # millimetres a second
 SCENE_NUMBER: Final = 1e30  # of a value of a param or an attribute, in base units
-SCENE_LEAST: Final = 1e-6  # of a length, time or speed that has to be above zero, in the same units
+SCENE_LEAST: Final = 1e-9  # of a length, time or speed that has to be above zero, in the same units
 
 # bodies
 BODY_TEXT_BYTES: Final = 64 * MIB  # of one JSON file

@@ -36,7 +36,10 @@ species person "Somebody with a skeleton" {
   on collision(met) { load += 0.1 }
   machine legs {
     start stroll
-    state stroll "Strolls" amber { steer wander() + climb(trail) * load; play walk; deposit trail 1 /s; when after 0.2 s -> run over 0.2 s }
+    state stroll "Strolls" amber {
+      steer wander() + climb(trail) * load; play walk;
+      deposit trail 1 /s; when after 0.2 s -> run over 0.2 s
+    }
     state run "Runs" red { steer seek(friend); play run; emit ping(within: 9 m); when after 0.2 s -> stroll over 0.2 s }
     from any except gone when age > life -> gone { die }
     state gone "Dies" grey { when after 1 s -> run }

@@ -128,7 +128,11 @@ class Kind:
             assert same(self.name, path, data, self.files[path]), path
 
 
-def kill(count: int, seed: int, report: Callable[[str], None] = print) -> int:
+def say(line: str) -> None:
+    print(line, flush=True)
+
+
+def kill(count: int, seed: int, report: Callable[[str], None] = say) -> int:
     """Kill commands so often; after how many of these kills anything was lost or damaged."""
     for name in IMPORTED:
         importlib.import_module(name)
@@ -151,6 +155,8 @@ def kill(count: int, seed: int, report: Callable[[str], None] = print) -> int:
             if not kills:
                 continue
             done += kills
+            if done // 50 > (done - kills) // 50 and done < count:
+                report(f"{done - kills} kills: {consistent} consistent, going on")
             try:
                 kind.demand_whole_files(folder)
                 kind.demand_same_end(folder)

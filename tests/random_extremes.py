@@ -54,6 +54,7 @@ NUMBERS = (
     "min_speed / 20 mm/s",
     "moved / 2 mm",
     "length(drift)",
+    "(if reachable(drift) then 1 else 0)",
     "damp",
     "smell(trail, ahead: odd * 1 mm, turn: odd * 1 deg)",
     "smell(alarm_mark, ahead: fear * 9 mm)",

@@ -82,7 +82,8 @@ class TrappedProject:
     """A small scene among traps. `folder` is the project; beside it lie a home folder, one for temporary files, `elsewhere`, to
     which links lead, and `TRAPPED`, once a trap was executed."""
 
-    def __init__(self, place: Path, cache_folder: Path | None) -> None:
+    def __init__(self, place: Path, cache_folder: Path | None, but: frozenset[str] = frozenset()) -> None:
+        """With a copy of a cache, and without traps for some modules."""
         self.place = place
         self.folder, self.elsewhere, self.log = place / "project", place / "elsewhere", place / "TRAPPED"
         self.home, self.temporary = place / "home", place / "temporary"
@@ -91,7 +92,7 @@ class TrappedProject:
         copy_scene(self.folder)
         if cache_folder is not None:
             shutil.copytree(cache_folder, self.folder / "cache")
-        self._modules()
+        self._modules(but)
         self._programs()
         for name, text in CONFIGURATION.items():
             file = self.folder / name
@@ -107,8 +108,8 @@ class TrappedProject:
     def _trap(self, name: str) -> str:
         return f"open({str(self.log)!r}, 'a').write({name!r} + '\\n')\nraise SystemExit('a trap was executed: {name}')\n"
 
-    def _modules(self) -> None:
-        for number, name in enumerate(module_names()):
+    def _modules(self, but: frozenset[str]) -> None:
+        for number, name in enumerate(sorted(set(module_names()) - but)):
             if number % 2:
                 (self.folder / f"{name}.py").write_text(self._trap(name), encoding="utf-8")
             else:

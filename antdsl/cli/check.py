@@ -37,7 +37,11 @@ def check(
         help="Show the page of a code such as `unknown-state`, or what a word or a behaviour means, and stop.",
     ),
     params: bool = typer.Option(False, "--params", help="List every param as a table: default, unit, range, help."),
-    cost: bool = typer.Option(False, "--cost", help="List what each state asks for, and the memory an agent takes."),
+    cost: bool = typer.Option(
+        False,
+        "--cost",
+        help="List what each state asks for, the memory an agent takes, and the faces, voxels, cells and points of a scene.",
+    ),
     imports: bool = typer.Option(False, "--imports", help="List what was read of each mesh of a scene, and what was changed."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
 ) -> None:
@@ -56,10 +60,11 @@ def check(
     from antdsl.diagnostics.ignoring import judged, without_ignored
     from antdsl.files import find_files
     from antdsl.numerics.cores import cores
-    from antdsl.pipeline import Choices
+    from antdsl.pipeline import Choices, open_scene
 
     files, report = find_files(paths)
-    checked = check_all(files, Choices(grants(root)), strict=strict, cores=cores(), programs=params or cost)
+    choices = Choices(grants(root))
+    checked = check_all(files, choices, strict=strict, cores=cores(), programs=params or cost)
     for file in files:
         report.extend(checked.reports[file])
     report = judged(report, checked.sources, strict=strict)
@@ -72,7 +77,7 @@ def check(
         if shown:
             print_result(f"`antdsl check --explain {shown[0]}` says more{f'; so for {others}' if others else ''}\n")
     if params or cost:
-        from antdsl.cli.printing.check_tables import cost_table, params_table
+        from antdsl.cli.printing.check_tables import cost_table, params_table, work_table
 
         programs = [(file, checked.programs[file]) for file in files if file in checked.programs]
         sound = [(file, program) for file, program in programs if checked.reports[file].ok]
@@ -80,6 +85,10 @@ def check(
             print_result(line)
         for line in cost_table(sound) if cost else ():
             print_result(line)
+        for file, _ in sound if cost else ():
+            shot = open_scene(file, choices)[0] if file.suffix != ".ant" else None
+            for line in work_table(file, shot) if shot is not None else ():
+                print_result(line)
     if imports:
         from antdsl.cli.printing.check_tables import import_table
 

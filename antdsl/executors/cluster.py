@@ -26,6 +26,7 @@ from antdsl.executors.machine import sources
 from antdsl.executors.parcel import Parcel, Seen, pack
 from antdsl.executors.tasks import LOOK, Lost, Refused, Task
 
+_ROLES = ("scheduler", "worker", "nanny")
 _CONNECT = 15  # seconds to wait for a scheduler
 _FIRST = 5.0  # seconds for the files to be there, until tasks are given
 _IN_VAIN = 3  # times that all is given anew, where nothing is answered in between
@@ -45,8 +46,9 @@ def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
     memory; their address. There is no dashboard, and a worker has no bound of memory. Dask starts an HTTP server without pages in
     the scheduler and in each worker all the same, and listens on every interface unless an address is named."""
     isolate()
-    routes: dict[str, list[str]] = {f"distributed.{who}.http.routes": [] for who in ("scheduler", "worker", "nanny")}
-    with dask.config.set({**routes, "distributed.worker.memory.terminate": False}):
+    nothing: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in _ROLES}
+    nothing |= {f"distributed.{role}.preload": [] for role in (*_ROLES, "client")}  # modules that a configuration file names
+    with dask.config.set({**nothing, "distributed.worker.memory.terminate": False}):
         security = Security.temporary()
         with LocalCluster(
             n_workers=workers,

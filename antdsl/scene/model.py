@@ -53,8 +53,8 @@ Look = Annotated[str, BeforeValidator(one_of(*LOOKS))]  # of things in pictures
 
 class MeshThing(Part):
     """A mesh file (`####` in its name: one a frame), turned and moved into the scene: scaled, its `up` made the scene's, rotated
-    about x, then y, then z, then put `at`. `group`: of an .obj file only the faces of that group or object, of glTF only what lies
-    at and below that node. `weld`: vertices nearer to each other than this are one place."""
+    about x, then y, then z, then put `at`. `group`: of an .obj file only the faces of that group or object, of glTF only what
+    lies at and below that node. `weld`: vertices nearer to each other than this are one place."""
 
     mesh: FilePath
     group: Word | None = None

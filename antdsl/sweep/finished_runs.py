@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -36,13 +37,17 @@ class Keeper:
         return self.runs / f"{job.key}.json"
 
     def kept(self, job: Job) -> dict[str, Any] | None:
-        """The measures of a run that was finished before, or None."""
+        """The measures of a run that was finished before, or None: also where its file is damaged. Files from before they had a
+        hash count as they are."""
         try:
             document = json.loads(read_bounded(self.path(job), _BYTES))
         except (OSError, ValueError, RecursionError):
             return None
         fits = isinstance(document, dict) and document.get("key") == job.key and isinstance(document.get("measures"), dict)
-        return document["measures"] if fits else None
+        if not fits or document.pop("hash", None) not in (None, _hash(document)):
+            return None
+        measures: dict[str, Any] = document["measures"]
+        return measures
 
     def others(self, jobs: Iterable[Job]) -> int:
         """How many finished runs there are of none of these jobs."""
@@ -51,7 +56,13 @@ class Keeper:
     def keep(self, job: Job, measures: Mapping[str, Any]) -> None:
         """Write a run's measures; the file is there whole or not at all."""
         document = about(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
+        document["hash"] = _hash(document)
         write_whole(self.path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)
+
+
+def _hash(document: Mapping[str, Any]) -> str:
+    content = {name: value for name, value in document.items() if name != "hash"}
+    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def about(job: Job) -> dict[str, Any]:

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
 BATCH_SECONDS = 60.0  # CPU seconds of one worker
 HANG_SECONDS = 30.0  # CPU seconds of one input after which its worker is killed
-STALL_SECONDS = 120.0  # seconds without any CPU time or message: a worker that waits for something
+IDLE = 3  # workers in a row that end before their first input, after which a run ends
+STALL_SECONDS = 300.0  # seconds without any CPU time or message: a worker that waits for something
 ADDRESS_BYTES = 3 * GIB  # above the address space at the start
 POOL = 4000  # inputs
 REPEAT = 8  # one input in so many is fed twice and must give the same report
@@ -88,24 +89,25 @@ class Campaign:
 
     def run(self, cpu_minutes: float | None = None, executions: int | None = None) -> Result:
         """Feed inputs until so many CPU minutes of workers, or executions, are spent."""
-        batch = 0
+        batch = idle = 0
         while (cpu_minutes is None or self.result.cpu_seconds < 60 * cpu_minutes) and (
             executions is None or self.result.executions < executions
         ):
             left = None if executions is None else executions - self.result.executions
             seconds = BATCH_SECONDS if cpu_minutes is None else min(BATCH_SECONDS, 60 * cpu_minutes - self.result.cpu_seconds)
-            done = self._batch(batch, seconds, left, self.pool if batch == 0 and executions is None else ())
+            first = self.pool if batch == 0 and executions is None else ()
+            idle = 0 if self._batch(batch, seconds, left, first) else idle + 1
             batch += 1
-            if not done and self.result.executions == 0 and batch > 3:
-                raise RuntimeError(f"the worker of `{self.target.name}` ends before its first input")
+            if idle >= IDLE:
+                break
         return self._finish(batch)
 
     def feed(self, inputs: Sequence[bytes]) -> Result:
         """Feed these inputs and nothing else; after a crash a new worker goes on with the next one."""
-        batch = 0
-        while self.result.executions < len(inputs):
+        batch = idle = 0
+        while self.result.executions < len(inputs) and idle < IDLE:
             left = inputs[self.result.executions :]
-            self._batch(batch, 1e9, len(left), left)
+            idle = 0 if self._batch(batch, 1e9, len(left), left) else idle + 1
             batch += 1
         return self._finish(batch)
 
@@ -223,7 +225,7 @@ class _Worker:
         code = 70
         faulthandler.disable()
         try:
-            os.chdir(self.folder)
+            use_folder(self.folder)
             with open(os.devnull, "r+b") as null:
                 for stream in (0, 1, 2):
                     os.dup2(null.fileno(), stream)
@@ -315,14 +317,22 @@ class _Worker:
 
 def replay(target: Target, data: bytes) -> Outcome:
     """Feed one input in this process, in a folder of its own."""
-    place = os.getcwd()
+    place, temporary = os.getcwd(), tempfile.tempdir
     with tempfile.TemporaryDirectory() as name:
         folder = Path(os.path.realpath(name))
-        os.chdir(folder)
+        use_folder(folder)
         try:
             return Oracle(target.open(folder), folder, target.allowed).run(data)
         finally:
             os.chdir(place)
+            tempfile.tempdir = temporary
+
+
+def use_folder(folder: Path) -> None:
+    """Make a folder the working directory, with the folder for temporary files in it."""
+    os.chdir(folder)
+    (folder / "temporary").mkdir()
+    tempfile.tempdir = str(folder / "temporary")
 
 
 def skeletons(report: str) -> list[int]:

@@ -45,7 +45,7 @@ def _words(*lists: Iterable[str]) -> tuple[Mutator, ...]:
 def programs() -> list[bytes]:
     made = [Author(random.Random(seed)).program().text.encode() for seed in range(12)]
     made += [Sensing(seed).text.encode() for seed in range(12)]
-    return made + _files("examples/*/*.ant", "tests/programs/*.ant", "tests/cases/**/*.ant", cap=6000) + [rows.PROGRAM]
+    return made + _files("examples/*/*.ant", "tests/programs/*.ant", "tests/cases/**/*.ant", cap=2500) + [rows.PROGRAM]
 
 
 def program_words() -> tuple[Mutator, ...]:

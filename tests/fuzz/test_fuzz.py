@@ -92,7 +92,7 @@ KINDS = {
 @pytest.mark.parametrize("data", KINDS)
 def test_each_kind_of_mistake_is_found_and_its_input_saved(data: bytes, tmp_path: Path) -> None:
     target = Target("bad", lambda: [b"good"], TEXT, bad, cap=100)
-    result = Campaign(target, saves=tmp_path, hang_seconds=0.3).feed([data, b"good"])
+    result = Campaign(target, saves=tmp_path, hang_seconds=0.3 if data == b"hang" else 60.0).feed([data, b"good"])
     found = {each["kind"]: each["input"] for each in result.findings.values()}
     assert KINDS[data] in found
     assert result.executions == 2

@@ -36,7 +36,7 @@ FORBIDDEN_ATTRIBUTES = frozenset(
     [("np", "load"), ("numpy", "load"), ("yaml", "load"), ("yaml", "unsafe_load"), ("yaml", "full_load"), ("os", "system")]
 )
 FORBIDDEN_NAMES = frozenset(["utils", "util", "helpers", "common", "base", "manager", "misc"])
-HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "PIL", "imageio_ffmpeg", "graphlay"])
+HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "mapbox_earcut", "PIL", "imageio_ffmpeg", "graphlay"])
 OPEN3D_DOOR = PACKAGE / "casting" / "rays.py"
 
 

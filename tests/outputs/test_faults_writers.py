@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
 
+import numpy as np
 import pytest
 from fault_shim import FAULTS, Fault, Faults
 from fault_shots import BESIDE, MADE, WRITERS, Inline, copied, files, project, ran, same, written
+from kills import kill
 from sampling import sampled
+
+from antdsl.cli import _run
+from antdsl.outputs.pictures import film
+from antdsl.sweep.finished_runs import Keeper
 
 SAMPLE = ("csv", "geo", "edit", "stills", "summary", "sweep", "golden", "fmt")
 
@@ -100,3 +110,69 @@ def limited(size: int, work: Callable[[], int]) -> int:
         finally:
             os._exit(code)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no such limit")
+@pytest.mark.parametrize("name", sampled(("usdc", "usda", "chunks"), ("usda",)))
+def test_usd_on_a_full_disk_is_no_bug_and_leaves_the_old_file(unbroken: Path, tmp_path: Path, name: str) -> None:
+    pytest.importorskip("pxr")
+    folder = copied(unbroken, tmp_path / "p")
+    assert written(folder, name)[0] == 0
+    whole = files(folder, name)
+    size = max(map(len, whole.values()))
+
+    def export() -> int:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for number in (1, 2):
+            os.dup2(nowhere, number)
+        os.chdir(folder)
+        stream = open(os.devnull, "w")  # noqa: SIM115
+        with patch("sys.argv", ["antdsl", *WRITERS[name]]), patch("sys.stdout", stream), patch("sys.stderr", stream):
+            return _run()
+
+    for limit in (1, size // 2, size - 10):
+        assert limited(limit, export) == 3
+        assert files(folder, name) == whole
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no such limit")
+def test_a_film_on_a_full_disk_is_not_written(tmp_path: Path) -> None:
+    """The encoder is another program, which says nothing of it."""
+    pytest.importorskip("imageio_ffmpeg")
+    noise = np.random.default_rng(1).integers(0, 255, (20, 48, 64, 3)).astype(np.uint8)
+    assert film(noise, tmp_path / "film.mp4", 24).ok
+    size = (tmp_path / "film.mp4").stat().st_size
+    (tmp_path / "film.mp4").write_bytes(b"old")
+
+    def encode() -> int:
+        errors = film(noise, tmp_path / "film.mp4", 24).errors
+        return 3 if [each.code for each in errors] == ["cannot-write"] else 98
+
+    for limit in (100, size // 2, size - 10):
+        assert limited(limit, encode) == 3
+        assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+        assert (tmp_path / "film.mp4").read_bytes() == b"old"
+
+
+def test_a_finished_run_of_a_sweep_that_was_damaged_is_run_again(unbroken: Path, tmp_path: Path) -> None:
+    folder = copied(unbroken, tmp_path / "p")
+    assert written(folder, "sweep")[0] == 0
+    keeper = Keeper(folder / MADE / "sweep")
+    (path, *_) = sorted(keeper.runs.glob("*.json"))
+    data, document = path.read_bytes(), json.loads(path.read_bytes())
+    job: Any = SimpleNamespace(key=document["key"])
+    assert keeper.kept(job) == document["measures"]
+    found = []
+    for at in range(0, len(data), 3):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :])
+        found.append(keeper.kept(job))
+        path.write_bytes(data[:at])
+        found.append(keeper.kept(job))
+    assert all(each in (None, document["measures"]) for each in found) and found.count(None) > 0.9 * len(found)
+
+
+@pytest.mark.slow
+def test_kills_leave_nothing_damaged() -> None:
+    lines: list[str] = []
+    assert kill(25, 7, lines.append) == 0, lines
+    assert lines[-1].endswith("consistent")

@@ -8,12 +8,20 @@ import meshes
 import numpy as np
 import pytest
 import random_sensing
+import random_vanishing
 from meaning import WAYS, crowd, item, play
 from random_programs import NAMES, NUMBERS, Author, Reading
+from sampling import sampled
 
-from antdsl.runtime import FieldStart, MeshData, Options
+from antdsl.runtime import FieldStart, MeshData, Options, World
 
 FRAMES = 14
+SENSING = (
+    Options(on_fault="quarantine", backend="numpy"),
+    Options(on_fault="quarantine", chunk=3, threads=2, shuffle_rows=3, backend="numpy"),
+    Options(on_fault="quarantine", backend="native", wait_for_code=True, chunk=8, shuffle_rows=4),
+    Options(on_fault="quarantine", backend="reference", shuffle_rows=2),
+)
 
 
 @pytest.mark.parametrize("seed", [*range(30), 1283])
@@ -45,12 +53,19 @@ def place() -> dict[str, object]:
 @pytest.mark.parametrize("seed", range(8))
 def test_backends_agree_on_what_agents_sense_and_do(seed: int, place: dict[str, object]) -> None:
     text = random_sensing.Sensing(seed).text
-    ways = (
-        Options(on_fault="quarantine", backend="numpy"),
-        Options(on_fault="quarantine", chunk=3, threads=2, shuffle_rows=3, backend="numpy"),
-        Options(on_fault="quarantine", backend="native", wait_for_code=True, chunk=8, shuffle_rows=4),
-        Options(on_fault="quarantine", backend="reference", shuffle_rows=2),
-    )
     agents = (crowd(9, radius=60), crowd(3, species="other", radius=60))
-    seen = play(text, *agents, world=random_sensing.WORLD, steps=6, ways=ways, **place)
+    seen = play(text, *agents, world=random_sensing.WORLD, steps=6, ways=SENSING, **place)
     assert seen.world.frame == 6 and seen.world.faults.count == 0  # what is no number loses against its bounds
+
+
+@pytest.mark.parametrize("seed", sampled(range(60), [3]))
+def test_backends_agree_on_species_that_die_out_and_come_back(seed: int, place: dict[str, object]) -> None:
+    text = random_vanishing.Vanishing(seed).text
+    there: list[tuple[int, ...]] = []
+    crowds = (crowd(4, radius=60), crowd(3, species="other", radius=60), crowd(1, species="egg", radius=60))
+
+    def count(world: World) -> None:
+        there.append(tuple(len(world.populations[name]) for name in ("a", "other")))
+
+    seen = play(text, *crowds, world=random_sensing.WORLD, steps=14, ways=SENSING, each=count, **place)
+    assert seen.world.faults.count == 0 and any(0 in each for each in there)

@@ -14,6 +14,7 @@ from antdsl.bodies.agents.gltf_shapes import captured, unused
 from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.rig import Channel
 from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
+from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import pxr
 
@@ -64,7 +65,7 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
     _counted(body, len(points))
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
         raise BodyError(f"has a mesh `{prim.GetPath()}` with a point that is not finite", _EXPORT)
-    corners, triangles, face = _triangles(mesh, prim, time, len(points))
+    corners, triangles, face = _triangles(mesh, prim, time, points)
     if not len(triangles):
         body.left_out[f"the mesh `{prim.GetPath()}` has no faces"] = None
         return None
@@ -100,21 +101,20 @@ def _rows(given: Any, width: int) -> Floats:
     return found.reshape(-1, width)
 
 
-def _triangles(mesh: Any, prim: Any, time: Any, points: int) -> tuple[Whole, Whole, Whole]:
+def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Whole, Whole, Whole]:
     """The point of each corner of the faces; triangles (n, 3) of corners; and the face of each triangle."""
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
     if len(corners) > 3 * limits.MESH_FACES or len(counts) > limits.MESH_FACES:
         raise BodyError(f"has a mesh `{prim.GetPath()}` of more than {limits.MESH_FACES:,} faces", code="too-large")
     right = counts.sum() == len(corners) and (not len(counts) or counts.min() >= 0)
-    if not right or (len(corners) and (corners.min() < 0 or corners.max() >= points)):
+    if not right or (len(corners) and (corners.min() < 0 or corners.max() >= len(points))):
         raise BodyError(f"has a mesh `{prim.GetPath()}` whose faces name points which are not there", _EXPORT)
-    starts = np.cumsum(counts) - counts
-    number = np.maximum(counts - 2, 0)
-    face = np.repeat(np.arange(len(counts)), number)
-    within = np.arange(len(face)) - np.repeat(np.cumsum(number) - number, number)
-    first = starts[face]
-    found = np.stack([first, first + within + 1, first + within + 2], axis=1).reshape(-1, 3)
+    try:
+        cut = triangulate(points, counts, corners)
+    except TooManyCorners as why:
+        raise BodyError(f"has a mesh `{prim.GetPath()}` that {why}", "cut it into smaller faces", "too-large") from None
+    found, face = cut.corners, cut.polygon
     if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":
         found = found[:, ::-1]
     return corners, found, face

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from antdsl import limits
 from antdsl.diagnostics.places import safe
 from antdsl.program.cost import Part, costs
 from antdsl.program.kinds import Kind
@@ -14,7 +15,7 @@ from antdsl.program.tables.units import measure
 from antdsl.source import Span
 
 if TYPE_CHECKING:
-    from antdsl.pipeline import Choices
+    from antdsl.pipeline import Choices, Shot
 
 Programs = Sequence[tuple[Path, Program]]
 
@@ -131,3 +132,31 @@ def import_table(files: Sequence[Path], choices: Choices) -> Iterator[str]:
             count += 1
     if not count:
         yield "no scene without errors here has a mesh"
+
+
+# --- work of a scene -------------------------------------------------------------------------------------------------
+
+
+def work_table(file: Path, shot: Shot) -> Iterator[str]:
+    """What the world of a scene and its crowd have to allocate: counts and bytes, estimated before anything is made."""
+    from antdsl.plan.register_bytes import memory
+    from antdsl.runtime.binding.world_work import world_work
+    from antdsl.scene.matching import const_base
+
+    sizes = {name: sum(memory(species).values()) for name, species in shot.plan.species.items()}
+    fields = {
+        name: (declared.surfaces, const_base(declared.cell, shot.scene))
+        for name, declared in shot.program.fields.items()
+        if isinstance(declared.cell, Const)
+    }
+    works = world_work(shot.setting, fields, sizes)
+    yield f"{file}: about {_size(sum(work.bytes for work in works))} for the world and its crowd"
+    rows = [(work.thing, f"{work.number:,} {work.parts}", _size(work.bytes)) for work in works]
+    yield from _aligned([("thing", "work", "memory"), *rows])
+
+
+def _size(bytes: int) -> str:
+    for unit, words in ((limits.GIB, "GiB"), (limits.MIB, "MiB"), (limits.KIB, "KiB")):
+        if bytes >= unit:
+            return f"{bytes / unit:,.1f} {words}"
+    return f"{bytes} bytes"

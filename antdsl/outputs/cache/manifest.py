@@ -111,8 +111,9 @@ class ImportEntry(Part):
 
 
 class MeshEntry(Part):
-    """`imported`: what was read of its file. `moves`: each frame has its vertices. `deviation`: of a surface of heights, how far (scene units) its triangles lie from
-    the bilinear surface through its samples, at most. `look`: what pictures draw it as; None goes by its name."""
+    """`imported`: what was read of its file. `moves`: each frame has its vertices. `deviation`: of a surface of heights, how far
+    (scene units) its triangles lie from the bilinear surface through its samples, at most. `look`: what pictures draw it as;
+    None goes by its name."""
 
     name: Word
     kind: Literal["surface", "obstacle", "solid"]

@@ -2,12 +2,14 @@
 
 import errno
 import io
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bounded import open_bounded
 from antdsl.diagnostics.model import Report
 from antdsl.whole import whole, write_whole
 
@@ -78,15 +80,30 @@ def film(images: Iterable[Image], path: Path, fps: float) -> Report:
 
 
 def _demand_frames(path: Path, count: int) -> None:
-    """OSError where a film has fewer frames than were drawn: the encoder says nothing of a disk that is full."""
+    """OSError where a film has fewer frames than were drawn, or is cut off: the encoder says nothing of a disk that is full."""
     import imageio_ffmpeg
 
     try:
-        there = imageio_ffmpeg.count_frames_and_secs(str(path))[0]
+        there = imageio_ffmpeg.count_frames_and_secs(str(path))[0] or 0
     except RuntimeError:
         there = 0
-    if there is None or there < count:
-        raise OSError(errno.EIO, f"{there or 0} of {count} frames reached the disk, which may be full", str(path))
+    if there < count or not _is_complete(path):
+        raise OSError(errno.EIO, f"{min(there, count - 1)} of {count} frames reached the disk, which may be full", str(path))
+
+
+def _is_complete(path: Path) -> bool:
+    """Whether the boxes of an MP4 file (ISO/IEC 14496-12) end where the file ends."""
+    with open_bounded(path, 1 << 62) as file:
+        end, place = os.fstat(file.fileno()).st_size, 0
+        while place < end:
+            file.seek(place)
+            head = file.read(16)
+            size = int.from_bytes(head[:4], "big")
+            size = int.from_bytes(head[8:16], "big") if size == 1 else size
+            if len(head) < 8 or size < 8:
+                return False
+            place += size
+    return place == end
 
 
 def _with(first: Image, others: Iterable[Image]) -> Iterable[Image]:

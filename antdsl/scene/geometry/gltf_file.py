@@ -39,8 +39,8 @@ _HARMLESS = (
 
 
 class GltfError(Exception):
-    """Why a file cannot be used, in words that fit after its name. `code` is a diagnostic's code where it is not the reader's usual
-    one, `help` what to do instead."""
+    """Why a file cannot be used, in words that fit after its name. `code`: a diagnostic's, where it is not the reader's usual
+    one; `help`: what to do instead."""
 
     def __init__(self, message: str, help: str | None = None, code: str = "") -> None:
         super().__init__(message)

@@ -106,8 +106,8 @@ def applied(way: Floats, points: Floats) -> Floats:
 
 
 def different(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-    """An order by x, y, z of points (n, 3); which of them in that order differ from the one before; and for each point, counted from
-    0, which of the different ones it is. Zero and minus zero are one."""
+    """An order by x, y, z of points (n, 3); which of them in that order differ from the one before; and for each point the number
+    of the different one it is. Zero and minus zero are one."""
     order = np.lexsort(points.T[::-1])
     ranked = points[order]
     new = np.ones(len(points), np.bool_)

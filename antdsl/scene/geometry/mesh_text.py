@@ -1,7 +1,7 @@
 """The tokenizer of meshes as text: .obj, .ply and .stl files to blocks of words with their lines.
 
-Line ends of any system, a byte order mark, indentation, comments and continued lines are resolved here and nowhere else. A block is
-about a megabyte; its words are found by NumPy, so that a reader can take columns of numbers out of thousands of lines at once."""
+Line ends of any system, a byte order mark, indentation, comments and continued lines are resolved here and nowhere else. NumPy
+finds the words of a block, so that a reader takes columns of numbers out of thousands of lines at once."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def check_text(data: bytes) -> None:
 
 
 def plain_text(data: bytes) -> bytes:
-    """Text with `\\n` between lines, without byte order mark, comments and continued lines. A comment begins with `#` at the start of
-    a word, after numbers of a vertex or face also within one."""
+    """Text with `\\n` between lines, without byte order mark, comments and continued lines. A comment begins with `#` at the
+    start of a word, after numbers of a vertex or face also within one."""
     data = data.removeprefix(b"\xef\xbb\xbf").removesuffix(b"\x1a")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -80,15 +80,15 @@ def plain_text(data: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Lines of a text that have words. `number` int64[L]: of each line in the file, from 1; its words are `first[k]` to `first[k] +
-    count[k]`. `start`, `end` int64[W]: where each word is among the `bytes`."""
+    """Lines of a text that have words. `number` int64[L]: of each line in the file, from 1; its words are `first[k]` to
+    `first[k] + count[k]`. `start`, `end` int64[W]: where each word is among the bytes `data`."""
 
     number: Whole
     first: Whole
     count: Whole
     start: Whole
     end: Whole
-    bytes: NDArray[np.uint8]
+    data: NDArray[np.uint8]
     _words: list[list[bytes]] = field(default_factory=list)
 
     def __len__(self) -> int:
@@ -98,13 +98,13 @@ class Block:
     def words(self) -> list[bytes]:
         """All words of the block's bytes."""
         if not self._words:
-            self._words.append(self.bytes.tobytes().split())
+            self._words.append(self.data.tobytes().split())
         return self._words[0]
 
     def slice(self, begin: int, stop: int) -> Block:
         """Some of its lines."""
         part = slice(begin, stop)
-        return Block(self.number[part], self.first[part], self.count[part], self.start, self.end, self.bytes, self._words)
+        return Block(self.number[part], self.first[part], self.count[part], self.start, self.end, self.data, self._words)
 
     def line(self, k: int) -> list[bytes]:
         """The words of the line at place k."""
@@ -115,7 +115,7 @@ class Block:
         start, stop = self.start[self.first], self.end[self.first]
         found = np.zeros((len(self), 8), np.uint8)
         for k in range(min(8, int((stop - start).max(initial=0)))):
-            char = self.bytes[np.minimum(start + k, len(self.bytes) - 1)]
+            char = self.data[np.minimum(start + k, len(self.data) - 1)]
             found[:, k] = np.where(start + k < stop, char, 0)
         found[(found >= 65) & (found <= 90)] += 32
         return found.view("S8")[:, 0]
@@ -130,7 +130,7 @@ class Block:
         else:
             chosen = [words[k] for k in flat.tolist()]
         try:
-            if longest > _WORD_BYTES or ((self.bytes == 95).any() and any(b"_" in word for word in chosen)):
+            if longest > _WORD_BYTES or ((self.data == 95).any() and any(b"_" in word for word in chosen)):
                 raise ValueError  # a number of Python alone
             found = np.fromiter(map(float, chosen), np.float64, len(chosen))
         except ValueError:
@@ -156,12 +156,12 @@ class Block:
         """The words at places `at` as whole numbers, and which of them are. With `slash` only what is before one counts, as in
         `1/2/3`."""
         start, end = self.start[at], self.end[at]
-        negative = self.bytes[start] == 45
+        negative = self.data[start] == 45
         start = start + negative
         value = np.zeros(at.shape, np.int64)
         running, length = start < end, np.zeros(at.shape, np.int64)
         for k in range(_DIGITS + 1):
-            digit = self.bytes[np.minimum(start + k, len(self.bytes) - 1)].astype(np.int64) - 48
+            digit = self.data[np.minimum(start + k, len(self.data) - 1)].astype(np.int64) - 48
             running = running & (start + k < end) & (digit >= 0) & (digit <= 9)
             if not running.any():
                 break
@@ -169,9 +169,9 @@ class Block:
             length += running
         stop = start + length
         whole = stop >= end
-        if slash and (slashes := self.bytes == 47).any():
+        if slash and (slashes := self.data == 47).any():
             before = np.concatenate(([0], np.cumsum(slashes)))
-            whole |= slashes[np.minimum(stop, len(self.bytes) - 1)] & (before[end] - before[self.start[at]] <= 2)
+            whole |= slashes[np.minimum(stop, len(self.data) - 1)] & (before[end] - before[self.start[at]] <= 2)
         return np.where(negative, -value, value), (length > 0) & (length <= _DIGITS) & whole
 
 

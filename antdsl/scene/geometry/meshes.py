@@ -47,8 +47,8 @@ class RawMesh:
 
 
 def read_mesh(data: bytes, name: str, group: str | None = None, beside: Beside | None = None) -> RawMesh:
-    """The triangles of an .obj, .ply, .stl, .gltf or .glb file's bytes; MeshError says why there are none. `group`: of an .obj file
-    those of one group or object, of glTF those at and below a node. `beside(path, cap)` reads a file next to this one."""
+    """The triangles of a file's bytes; MeshError says why there are none. `group`: of an .obj file those of one group or object,
+    of glTF those at and below a node. `beside(path, cap)` reads a file next to this one."""
     kept = len(data) <= _KEPT_BYTES and not name.lower().endswith(".gltf")  # whose buffers may be in other files
     return _read(data, name, group) if kept else _sound_file(data, name, group, beside)
 
@@ -73,7 +73,7 @@ def _sound_file(data: bytes, name: str, group: str | None, beside: Beside | None
 def mesh_arrays(
     data: bytes, name: str, group: str | None = None, beside: Beside | None = None, notes: ImportNotes | None = None
 ) -> tuple[Floats, Faces]:
-    """As `read_mesh`, all triangles that the file has; nothing is checked but what reading needs. `notes` takes what was left out."""
+    """As `read_mesh`, all triangles that the file has; only what reading needs is checked. `notes` takes what was left out."""
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in KINDS:
@@ -105,11 +105,11 @@ def _cut(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
     if np.maximum(mesh.counts - 2, 0).sum() > limits.MESH_FACES:
         raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
     points = mesh.points
-    bad = ~(np.isfinite(points).all(axis=1) & (np.abs(points) < 1e30).all(axis=1))
+    bad = (~np.isfinite(points) | (np.abs(points) >= 1e30)).any(axis=1)
     if bad.any():
-        wrong = np.flatnonzero(bad[mesh.indices])
-        if len(wrong):
-            raise MeshError(f"has a vertex (number {mesh.indices[wrong[0]]}) that is not a finite point")
+        used = mesh.indices[bad[mesh.indices]]
+        if len(used):
+            raise MeshError(f"has a vertex (number {used[0]}) that is not a finite point")
     found = triangulate(points, mesh.counts, mesh.indices)
     small = mesh.counts < 3
     notes.skip("faces of fewer than three corners", int(small.sum()))
@@ -223,8 +223,8 @@ def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
 
 
 def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
-    """Vertices (n, 3) of which those nearer to each other than `tolerance` lie where the first of them does, also by way of others
-    between them; and how many were moved. Their numbers stay as they are."""
+    """Vertices (n, 3) of which those nearer to each other than `tolerance`, or joined by others between them, lie where the
+    first of them does; and how many were moved. Their numbers stay as they are."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree

@@ -55,14 +55,15 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
             notes.skip(f"element `{shown(element.name.encode())}` ({element.count:,})")
     found = read_elements(data, header, wanted, notes)
     columns = found[id(vertex)]
-    points = np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN warns as it is converted; what is not finite is refused later
+        points = np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1).astype(np.float64)
     counts, indices = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    for element in (face, strips):
-        if element is None or not element.count:
+    for shape in (face, strips):
+        if shape is None or not shape.count:
             continue
-        column = found[id(element)][lists[id(element)]]
+        column = found[id(shape)][lists[id(shape)]]
         assert column.counts is not None
-        if element is face:
+        if shape is face:
             counts.append(column.counts)
             indices.append(column.values)
         else:
@@ -98,7 +99,7 @@ def read_columns(data: bytes, header: Header, element: Element, names: Sequence[
 
 
 def read_elements(data: bytes, header: Header, wanted: Mapping[int, Collection[str]], notes: ImportNotes) -> dict[int, Columns]:
-    """The columns that are wanted, by the id of an element of the header and the property's name. What is not wanted is skipped."""
+    """The columns that are wanted, by the id of an element of the header and the property's name. Others are skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
         if len(set(names)) != len(names):
@@ -282,9 +283,9 @@ class _Binary:
         found = {}
         for p in element.properties:
             if p.name in wanted:
-                count = np.array(counts[p.name], np.int64) if p.count else np.ones(element.count, np.int64)
-                values = self._gathered(np.array(starts[p.name], np.int64), count, p.kind)
-                found[p.name] = Column(values.astype(np.int64), count) if p.count else Column(values)
+                many = np.array(counts[p.name], np.int64) if p.count else np.ones(element.count, np.int64)
+                values = self._gathered(np.array(starts[p.name], np.int64), many, p.kind)
+                found[p.name] = Column(values.astype(np.int64), many) if p.count else Column(values)
         return found
 
     def _gathered(self, start: Whole, count: Whole, kind: str) -> NDArray[Any]:

@@ -1,12 +1,13 @@
 """Polygons to triangles: the one triangulator for .obj, .ply, USD and bodies, and triangle strips.
 
-Triangles, quads and polygons that a fan from one of their corners covers are cut by NumPy, all of one size at once. A convex polygon
+NumPy cuts triangles, quads and polygons that a fan from one of their corners covers, all of one size at once. A convex polygon
 is a fan about its first corner. The rest, such as a polygon with two arms, goes to mapbox_earcut one by one, on a grid of whole
-numbers: all its products are exact there, so every processor finds the same triangles."""
+numbers: all its products are exact there, so every processor gets the same triangles."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -31,9 +32,9 @@ class TooManyCorners(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
-    """`corners` int64[m, 3]: places in the list of the corners of all polygons; `polygon` int64[m]: the polygon of each triangle, in
-    order. `cut`: how many polygons had more than three corners, `concave`: how many of those a fan about the first corner would
-    not cover. `crossing`: numbers of polygons that cut or cover themselves."""
+    """`corners` int64[m, 3]: places in the list of the corners of all polygons; `polygon` int64[m]: the polygon of each triangle,
+    in order. `cut`: how many polygons had more than three corners, `concave`: how many of those a fan about the first corner
+    would not cover. `crossing`: numbers of polygons that cut or cover themselves."""
 
     corners: Whole
     polygon: Whole
@@ -67,7 +68,7 @@ def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
     _check_work(counts[hard])
     for number in sorted(hard):
         at = np.arange(start[number], start[number] + counts[number])
-        found, crossed_itself = _ears(_flat(points[indices[at]][None])[0][0], indices[at])
+        found, crossed_itself = _ears(_flat(points[indices[at]][None])[0][0])
         parts.append((np.full(1, number), at[found][None]))
         if crossed_itself:
             crossing.append(number)
@@ -108,8 +109,8 @@ def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 
 
 def _fans(rings: Floats) -> tuple[Whole, Whole, NDArray[np.bool_]]:
-    """For polygons [p, n, 3] the triangles [p, n - 2, 3] of a fan, the corner it is about (-1 where none of those tried covers the
-    polygon), and whether they cross themselves."""
+    """For polygons [p, n, 3] the triangles [p, n - 2, 3] of a fan, the corner it is about (-1 where none that was tried covers
+    the polygon), and whether they cross themselves."""
     count = rings.shape[1]
     seen, has_area = _flat(rings)
     crossed = ~has_area & _crosses(rings)
@@ -143,9 +144,8 @@ def _crosses(rings: Floats) -> NDArray[np.bool_]:
     return np.asarray(across > 1e-6 * extent * extent)
 
 
-def _ears(seen: Floats, names: Whole) -> tuple[Whole, bool]:
-    """Triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise; and whether it crosses itself. `names`: the points
-    of its corners; a point that is named twice, as where a bridge leads to a hole, is one place."""
+def _ears(seen: Floats) -> tuple[Whole, bool]:
+    """Triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise; and whether it crosses itself."""
     from mapbox_earcut import triangulate_float64
 
     grid = np.round(seen * _GRID)
@@ -187,7 +187,7 @@ def _split(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]
             chain = _chain(a, b, needed, corners) if (a, b) in loose else []
             if chain:
                 stops = [a, *chain, b]
-                waiting += [[one, two, c] for one, two in zip(stops, stops[1:], strict=False)][::-1]
+                waiting += [[one, two, c] for one, two in pairwise(stops)][::-1]
                 break
         else:
             result.append(triangle)
@@ -197,7 +197,8 @@ def _split(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]
 def _chain(a: int, b: int, needed: dict[int, list[int]], corners: list[Corner]) -> list[int]:
     """The corners on the straight way from a to b that needed edges lead through; none where they lead elsewhere."""
     (ax, ay), (bx, by) = corners[a], corners[b]
-    at, chain = a, []
+    at = a
+    chain: list[int] = []
     while True:
         x, y = corners[at]
         onward = [
@@ -222,8 +223,8 @@ T = TypeVar("T", bound=np.integer)
 
 
 def strip_triangles(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
-    """Triangles (n, 3) of a strip of corners, every other one turned so that all look the same way; those that name a corner twice
-    join parts of a strip and are left out. `restart` begins a new strip."""
+    """Triangles (n, 3) of a strip of corners, every other one turned so that all look the same way. Those that name a corner
+    twice join parts of a strip and are left out. `restart` begins a new strip."""
     if len(corners) < 3:
         return np.empty((0, 3), corners.dtype)
     place = np.arange(len(corners))

@@ -9,7 +9,7 @@ import numpy as np
 from antdsl import limits
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import different
-from antdsl.scene.geometry.mesh_text import Floats, MeshError, blocks, check_count, check_text, plain_text, shown
+from antdsl.scene.geometry.mesh_text import Floats, MeshError, Whole, blocks, check_count, check_text, plain_text, shown
 from antdsl.scene.geometry.polygon_mesh import PolygonMesh
 
 _HEAD, _FACE = 84, 50  # bytes before the first face, and of each
@@ -59,7 +59,8 @@ def _binary(data: bytes, notes: ImportNotes) -> Floats:
 
 _FACET, _VERTEX, _END, _LOOP, _SOLID, _OTHER = range(6)
 _KINDS = {
-    b"facet": _FACET, b"vertex": _VERTEX, b"endfacet": _END, b"outer": _LOOP, b"endloop": _LOOP, b"solid": _SOLID, b"endsolid": _SOLID,
+    b"facet": _FACET, b"vertex": _VERTEX, b"endfacet": _END, b"outer": _LOOP, b"endloop": _LOOP, b"solid": _SOLID,
+    b"endsolid": _SOLID,
 }  # fmt: skip
 
 
@@ -89,7 +90,7 @@ def _text(data: bytes, notes: ImportNotes) -> Floats:
     return np.concatenate(corners)
 
 
-def _check_others(number: np.ndarray, kind: np.ndarray, words: list[str], notes: ImportNotes) -> None:  # type: ignore[type-arg]
+def _check_others(number: Whole, kind: Whole, words: list[str], notes: ImportNotes) -> None:
     """MeshError for a line within a facet that is not known; others are noted."""
     others = np.flatnonzero(kind == _OTHER)
     opened = np.cumsum((kind == _FACET).astype(np.int64) - (kind == _END))
@@ -99,7 +100,7 @@ def _check_others(number: np.ndarray, kind: np.ndarray, words: list[str], notes:
         notes.skip(f"a line that is not understood: `{text}`", 1, int(number[place]))
 
 
-def _check_facets(kinds: np.ndarray, numbers: np.ndarray, last: int) -> None:  # type: ignore[type-arg]
+def _check_facets(kinds: Whole, numbers: Whole, last: int) -> None:
     """MeshError where lines are not facet, three corners, end of the facet, again and again."""
     wanted = np.resize(np.array([_FACET, _VERTEX, _VERTEX, _VERTEX, _END]), len(kinds))
     wrong = np.flatnonzero(kinds != wanted)

@@ -85,7 +85,7 @@ ROWS = [
         "not finite",
         "wind.ply",
     ),
-    painted("V5 paint as text with words", WINDY.replace(b" 0 -100", b" 0 -100 a b c"), "bad-paint", "line 13", "wind.ply"),
+    painted("V5 paint as text with words", WINDY.replace(b" 0 -100", b" 0 -100 a b c"), "bad-paint", "line 14", "wind.ply"),
     Row("V3 a VDB for a mesh", "bad-mesh", "is not one of", {"ground.vdb": b" BDV" + bytes(90)}, named("ground.vdb")),
     Row("V4 a height map for a mesh", "bad-mesh", "is not one of", {"ground.exr": b"v/1\x01" + bytes(90)}, named("ground.exr")),
     solid("V5 a box", BOX, frames=2),

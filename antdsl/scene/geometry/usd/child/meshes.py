@@ -13,6 +13,7 @@ from antdsl import limits
 from antdsl.reader.sandbox import allow_memory
 from antdsl.scene.geometry.matrices import after, applied, determinants, have_inverses, inverse, still
 from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
@@ -85,7 +86,7 @@ def _shape(stage: OpenStage, placed: Placed) -> _Shape:
     whole = np.ones(len(counts), np.bool_)
     holes = np.array(mesh.GetHoleIndicesAttr().Get(stage.first) or [], np.int64)
     whole[holes[(holes >= 0) & (holes < len(counts))]] = False
-    faces = _triangles(counts, corners, whole, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded")
+    faces = _triangles(points, counts, corners, whole, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
     bent = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
     return _Shape(placed, points, faces, bent)
 
@@ -102,17 +103,22 @@ def _same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
             raise UsdError("moving-topology", f"the mesh `{path}` has other faces at other frames", BAKE)
 
 
-def _triangles(counts: NDArray[np.int64], corners: NDArray[np.int64], whole: NDArray[np.bool_], backwards: bool) -> Faces:
-    """Polygons, of which those that are `whole`, cut into fans about their first corner; `backwards`: each read the other way
-    round."""
-    start = np.cumsum(counts) - counts
-    many = np.where(whole, np.maximum(counts - 2, 0), 0)
-    face = np.repeat(np.arange(len(counts)), many)
-    step = np.arange(len(face)) - np.repeat(np.cumsum(many) - many, many)
-    at, one, two = start[face], step + 1, step + 2
+def _triangles(
+    points: Floats, counts: NDArray[np.int64], corners: NDArray[np.int64], whole: NDArray[np.bool_], backwards: bool, path: Any
+) -> Faces:
+    """Triangles (m, 3) of those polygons that are `whole`; `backwards`: each is read the other way round from its first
+    corner."""
+    at = np.arange(len(corners))
     if backwards:
-        one, two = counts[face] - one, counts[face] - two
-    return np.stack([corners[at], corners[at + one], corners[at + two]], axis=1).reshape(-1, 3)
+        start, count = np.repeat(np.cumsum(counts) - counts, counts), np.repeat(counts, counts)
+        at = start + (start - at) % np.maximum(count, 1)
+    kept = corners[at[np.repeat(whole, counts)]]
+    if len(kept) and not np.isfinite(points[kept]).all():
+        raise MeshError(f"has at `{path}` a point that is not finite")
+    try:
+        return np.asarray(kept[triangulate(points, counts[whole], kept).corners])
+    except TooManyCorners as why:
+        raise MeshError(f"has at `{path}` a part that {why}", "cut it into smaller faces in the program that made it") from None
 
 
 def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:

@@ -1,0 +1,242 @@
+"""Whether a path leads to the target of a flow: what agents read of it on every backend, and what is reported of a crowd."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from commands import run as command
+from compilers import need_llvmlite
+from meshes import ball, box, grid
+from test_program import checked, complaints
+
+from antdsl import passes, plan
+from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime.backends.native.backend import NativeBackend
+from antdsl.runtime.binding.start_findings import reaching
+from antdsl.scene.setting import (
+    BorderFlow,
+    CrowdData,
+    FlowData,
+    ItemData,
+    MeshData,
+    PlaceData,
+    Setting,
+    SolidData,
+    SolvedFlow,
+    SpreadFlow,
+    Target,
+)
+
+PROGRAM = """ant 1
+use steering
+world { surface ground; surface isle; obstacle rock; flow drift; items nest }
+species ant {
+  leads = 2
+  on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(0, 0, 1) }
+  state s { steer along(drift); leads = if reachable(drift) then 1 else 0 }
+}
+species bird { state s { steer halt() } }
+"""
+GOAL = Target(np.array([[0.0, 0.0, 0.0]]), np.array([10.0]))
+INSIDE, OUTSIDE = (0.0, 0.0, 20.0), (-150.0, 0.0, 0.0)
+
+
+def joined(*parts: tuple[np.ndarray, np.ndarray]) -> MeshData:
+    """Meshes as one."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    return MeshData(
+        np.concatenate([vertices for vertices, _ in parts]),
+        np.concatenate([faces + at for (_, faces), at in zip(parts, first[:-1], strict=True)]),
+    )
+
+
+def walls(door: float = 0.0) -> MeshData:
+    """Four walls about the origin, 160 mm wide, with a door of this width in one of them."""
+    sides = [box((-86, -10, -86), (86, 20, -80)), box((-86, -10, 80), (86, 20, 86)), box((80, -10, -86), (86, 20, 86))]
+    for low, high in ((-86.0, -door / 2), (door / 2, 86.0)):
+        sides.append(box((-86, -10, low), (-80, 20, high)))
+    return joined(*sides)
+
+
+def compiled(text: str = PROGRAM) -> plan.ir.Plan:
+    program, report = checked(text)
+    assert report.ok, complaints(report)
+    lowered, report = plan.lower(program)
+    assert complaints(report) == []
+    return passes.optimise(lowered)
+
+
+def world(
+    flow: FlowData | None = None, *, door: float = 0.0, options: Options | None = None, count: int = 9, **more: object
+) -> World:
+    """Ants inside of the walls and outside, as many each."""
+    crowds = [CrowdData("ant", count, PlaceData(around=at, radius=15.0)) for at in (INSIDE, OUTSIDE)]
+    given: dict = dict(
+        surfaces={"ground": MeshData(*grid(400.0, 40))},
+        obstacles={"rock": walls(door)},
+        items={"nest": (ItemData("home", (0.0, 0, 0), 10.0),)},
+        flows={"drift": flow or SolvedFlow(GOAL)},
+        crowds=tuple(crowds) if count else (),
+    )
+    return bind(compiled(), Setting(**{**given, **more}), options or Options())
+
+
+def leads(made: World) -> np.ndarray:
+    """What agents of a step read, and what the first looks at them say, in the order of ids: of nine inside, then nine outside."""
+    step(made)
+    ants = made.populations["ant"]
+    return ants.now["leads"][ants.in_id_order()]
+
+
+BACKENDS = [
+    Options(backend="reference"),
+    Options(backend="numpy"),
+    Options(backend="numpy", chunk=4, shuffle_rows=5),
+    Options(backend="native", wait_for_code=True),
+]
+
+
+@pytest.mark.parametrize("options", BACKENDS, ids=str)
+def test_a_closed_wall_cuts_off_those_outside_on_every_backend(options: Options) -> None:
+    if options.backend == "native":
+        need_llvmlite()
+    made = world(options=options)
+    assert reaching(made, "ant", "drift") == 9
+    assert leads(made).tolist() == [1] * 9 + [0] * 9
+    assert isinstance(made.backend, NativeBackend) == (options.backend == "native")
+
+
+@pytest.mark.parametrize("options", BACKENDS, ids=str)
+def test_without_agents_nothing_is_asked(options: Options) -> None:
+    if options.backend == "native":
+        need_llvmlite()
+    made = world(options=options, count=0)
+    assert reaching(made, "ant", "drift") == 0 and len(leads(made)) == 0
+
+
+def test_backends_agree_to_the_bit() -> None:
+    need_llvmlite()
+    hashes = []
+    for options in BACKENDS:
+        made = world(options=options, door=30.0)
+        for _ in range(5):
+            step(made)
+        hashes.append(state_hash(made))
+    assert len(set(hashes)) == 1
+
+
+def test_those_who_are_cut_off_do_not_come_through_the_wall() -> None:
+    made = world()
+    for _ in range(150):
+        step(made)
+    place = made.populations["ant"].position + made.origin
+    inside = (np.abs(place[:, [0, 2]]) < 83).all(axis=1)
+    assert inside.sum() == 9
+    assert np.hypot(place[:, 0] - OUTSIDE[0], place[:, 2] - OUTSIDE[2])[~inside].max() < 30, "they have no direction"
+
+
+@pytest.mark.parametrize(("door", "room", "reached"), [(40.0, 0.0, 18), (40.0, 60.0, 18), (0.0, 60.0, 9)])
+def test_a_door_leads_in_however_narrow_the_room_makes_it(door: float, room: float, reached: int) -> None:
+    """`room` makes a path dear, and closes none."""
+    assert reaching(world(SolvedFlow(GOAL, room=room), door=door), "ant", "drift") == reached
+
+
+def test_islands_and_targets_off_the_ground() -> None:
+    vertices, faces = grid(100.0, 10)
+    isle = MeshData(vertices + [600.0, 0, 0], faces)
+    surfaces = {"ground": MeshData(*grid(400.0, 40)), "isle": isle}
+    there = Target(np.array([[600.0, 0, 0]]), np.array([10.0]))
+    apart = dict(surfaces=surfaces, obstacles={"rock": MeshData(*ball(5.0, (180, 0, 180)))})
+    assert reaching(world(SolvedFlow(there), **apart), "ant", "drift") == 0, "on another island"
+    assert reaching(world(SolvedFlow(GOAL), **apart), "ant", "drift") == 18
+    assert reaching(world(SolvedFlow(GOAL, on=("isle",)), **apart), "ant", "drift") == 0, "they stand on no face of the flow"
+    off = Target(np.array([[-400.0, 0, 0]]), np.array([1.0]))
+    assert reaching(world(SolvedFlow(off)), "ant", "drift") == 9, "the ground nearest to it is its goal"
+
+
+@pytest.mark.parametrize(
+    ("flow", "reached"),
+    [
+        (SpreadFlow("toward", GOAL, radius=60.0), 9),
+        (SpreadFlow("away", GOAL, radius=60.0), 9),
+        (SpreadFlow("toward", GOAL), 18),
+        (BorderFlow(("ground",), 90.0), 9),
+    ],
+    ids=["toward", "away", "everywhere", "border"],
+)
+def test_of_other_flows_it_is_whether_they_are_anything_there(flow: FlowData, reached: int) -> None:
+    made = world(flow)
+    assert reaching(made, "ant", "drift") == reached
+    assert leads(made).sum() == reached
+
+
+def test_digging_opens_a_path_and_a_checkpoint_goes_on_with_it() -> None:
+    """The ground below a hill is cut off until it is dug free; the flow looks again when it is due."""
+    text = PROGRAM.replace("obstacle rock", "solid hill").replace("surface isle; ", "")
+    hill = SolidData(MeshData(*box((-250, -10, -40), (250, 25, 40))), 5.0)
+    crowd = CrowdData("ant", 4, PlaceData(points=np.array([[10.0 * k, 0, -150.0] for k in range(4)])))
+    goal = Target(np.array([[0.0, 0.0, 150.0]]), np.array([10.0]))
+    lowered = compiled(text)
+
+    def begun() -> World:
+        flows = {"drift": SolvedFlow(goal, every=0.25)}
+        setting = Setting(surfaces={"ground": MeshData(*grid(400.0, 40))}, solids={"hill": hill}, flows=flows, crowds=(crowd,))
+        return bind(lowered, setting, Options(backend="numpy"))
+
+    made = begun()
+    assert leads(made).tolist() == [0] * 4
+    z = np.linspace(-45, 45, 40)
+    made.solids["hill"].carve(np.stack([0 * z, 0 * z, z], axis=1), np.full(40, 30.0), np.arange(40))
+    assert leads(made).tolist() == [0] * 4, "not before it is time to look"
+    for _ in range(8):
+        found = leads(made)
+    assert found.tolist() == [1] * 4
+    again = begun()
+    restore(again, checkpoint(made))
+    assert state_hash(again) == state_hash(made)
+    assert leads(again).tolist() == leads(made).tolist() == [1] * 4
+
+
+WALKER = """ant 1
+use steering
+world { surface ground; obstacle rock; flow drift }
+species walker { state s { steer along(drift) } }
+species bird { state s { steer halt() } }
+spec "all get there" on "scene.yaml" { for 0.2 s; each walker { always: reachable(drift) } }
+"""
+SCENE = """antdsl: 1
+frames: 1..2
+world:
+  ground: {mesh: ground.obj}
+  rock: {mesh: rock.obj}
+  drift: {solved: [0, 0, 0]}
+crowd:
+  - {species: walker, from: walker.ant, count: COUNT, place: {on: ground, around: [-150, 0, 0], radius: 30 mm}}
+  - {species: bird, from: walker.ant, count: 3, place: {on: ground, around: [150, 0, 0], radius: 30 mm}}
+"""
+
+
+def obj(mesh: MeshData) -> str:
+    lines = ["v {} {} {}".format(*vertex) for vertex in mesh.vertices.tolist()]
+    return "\n".join(lines + ["f {} {} {}".format(*(face + 1)) for face in mesh.faces]) + "\n"
+
+
+def test_a_run_reports_how_many_no_path_leads_on_from_and_a_spec_can_ask(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    (tmp_path / "walker.ant").write_text(WALKER)
+    (tmp_path / "ground.obj").write_text(obj(MeshData(*grid(400.0, 40))))
+    (tmp_path / "rock.obj").write_text(obj(walls()))
+    (tmp_path / "scene.yaml").write_text(SCENE.replace("COUNT", "7"))
+    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "warning[unreachable-target]: 7 of 7 `walker` stand where no path leads to the target of `drift`" in done.stderr
+    assert "scene.yaml:6:19" in done.stderr and "`bird`" not in done.stderr and "when not reachable(drift)" in done.stderr
+    done = command("test", "walker.ant", "--no-keep", cwd=tmp_path)
+    assert done.returncode == 1 and "reachable(drift)" in done.stdout
+    (tmp_path / "scene.yaml").write_text(SCENE.replace("COUNT", "0"))
+    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert done.returncode == 0 and "unreachable" not in done.stderr, done.stderr
+    (tmp_path / "scene.yaml").write_text(SCENE.replace("COUNT", "7"))
+    (tmp_path / "rock.obj").write_text(obj(walls(60.0)))
+    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert done.returncode == 0 and "unreachable" not in done.stderr, done.stderr
+    assert command("test", "walker.ant", "--no-keep", cwd=tmp_path).returncode == 0

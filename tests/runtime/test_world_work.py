@@ -1,0 +1,39 @@
+"""Estimates of the work of a world: exact where it can be counted, saturated where it is endless, and nothing is allocated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from antdsl import limits
+from antdsl.runtime.binding.world_work import Work, world_work
+from antdsl.scene.setting import CrowdData, MeshData, Setting, SolidData, SolvedFlow, SpreadFlow, Target
+
+SQUARE = MeshData(np.array([[0, 0, 0], [100, 0, 0], [100, 0, 100], [0, 0, 100.0]]), np.array([[0, 2, 1], [0, 3, 2]], np.int32))
+TARGET = Target(np.zeros((1, 3)), np.zeros(1))
+
+
+def test_faces_cells_and_agents_are_counted() -> None:
+    setting = Setting(surfaces={"ground": SQUARE}, crowds=(CrowdData("ant", 7), CrowdData("ant", 5, group=1)))
+    found = world_work(setting, {"trail": (("ground",), 2.0)}, {"ant": 40})
+    assert found[0][:3] == ("surface ground", 2, "faces")
+    assert found[1][:3] == ("field trail", 2500, "cells at least")
+    assert found[2] == Work("species ant", 12, "agents", 480)
+
+
+@pytest.mark.parametrize("edge", [1e-9, 5e-324, 1e-150])
+def test_endless_work_is_a_number(edge: float) -> None:
+    setting = Setting(
+        surfaces={"ground": SQUARE},
+        solids={"hill": SolidData(SQUARE, edge)},
+        flows={"home": SolvedFlow(TARGET, cell=edge), "near": SpreadFlow("toward", TARGET, radius=edge)},
+    )
+    with np.errstate(all="ignore"):
+        found = world_work(setting, {"trail": (("ground",), edge)}, {})
+    for work in found:
+        assert 0 <= work.number <= 2**62 and 0 <= work.bytes <= 2**62
+    assert 1_000_000 < found[-1].number <= limits.FLOW_POINTS and found[-1].parts == "points at most"
+
+
+def test_a_world_of_nothing_needs_nothing() -> None:
+    assert world_work(Setting(), {}, {}) == []
