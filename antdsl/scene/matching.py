@@ -112,16 +112,11 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
                 scene.span("world", name, "voxel"), f"leave it out, or declare `solid {name}`",
             )  # fmt: skip
         if value.scale == 0 or abs(value.scale) < 1e-6:
-            report.error(
-                "wrong-value", "a scale of nothing leaves no mesh", scene.span("world", name, "scale"), "write `scale: 1`"
-            )
+            place = scene.span("world", name, "scale")
+            report.error("wrong-value", "a scale of nothing leaves no mesh", place, "write `scale: 1`")
         elif value.scale < 0:
-            report.warning(
-                "mirrored",
-                f"the mesh of `{name}` is mirrored",
-                scene.span("world", name, "scale"),
-                "its faces are turned so that outside stays outside",
-            )
+            place, help = scene.span("world", name, "scale"), "its faces are turned so that outside stays outside"
+            report.warning("mirrored", f"the mesh of `{name}` is mirrored", place, help)
     elif isinstance(value, (FlowThing, PaintedThing)):
         from antdsl.scene.staging.stage_flows import match_flow  # late: a scene without flows is checked without NumPy
 

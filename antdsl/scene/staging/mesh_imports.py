@@ -18,11 +18,12 @@ from antdsl.source import Span
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
 
+_FAR = 1e7  # mm from the origin; float32 steps are 1 mm there
 _DEFAULT_WELD = 0.01  # of a voxel: what is finer is lost in voxels anyway
 
 
-def report_losses(staging: Staging, shown: str, raw: RawMesh, span: Span | None) -> None:
-    """Warn of what of a mesh file is not in the scene."""
+def report_losses(staging: Staging, shown: str, raw: RawMesh, mesh: stage_of.MeshData, span: Span | None) -> None:
+    """Warn of what of a mesh file is not in the scene, or lies too far out."""
     report, notes = staging.report, raw.notes
     if raw.dropped:
         faces = "face" if raw.dropped == 1 else "faces"
@@ -37,6 +38,9 @@ def report_losses(staging: Staging, shown: str, raw: RawMesh, span: Span | None)
         more = f" and {len(skipped) - 8} more" if len(skipped) > 8 else ""
         words = f"`{shown}` has content that is not read: {', '.join(skipped[:8])}{more}"
         report.warning("unread-content", words, span, "export as triangles or polygons what agents should meet")
+    if np.abs(mesh.vertices).max() > _FAR:
+        words, help = f"the mesh `{shown}` lies more than 10 km from the origin", "move it with `at`, or check its `units`"
+        report.warning("far-away", words, span, help)
 
 
 def weld_thing(

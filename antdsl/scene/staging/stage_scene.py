@@ -50,7 +50,6 @@ from antdsl.scene.staging.stage_things import curve_places, moving_mesh, placed_
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _WIDEST = 1e6  # body lengths: ants in a whole county
 _COARSEST, _FINE = 1 / 3, 1 / 4  # of a body: voxels that are too wide, and good ones
-_FAR = 1e7  # mm from the origin; float32 steps are 1 mm there
 
 
 @dataclass(slots=True)
@@ -256,14 +255,7 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
         return None
     staging.raw[name] = raw
     mesh = weld_thing(staging, name, value, mesh)
-    report_losses(staging, shown, raw, span)
-    if np.abs(mesh.vertices).max() > _FAR:
-        report.warning(
-            "far-away",
-            f"the mesh `{shown}` lies more than 10 km from the origin",
-            span,
-            "move it with `at`, or check its `units`",
-        )
+    report_losses(staging, shown, raw, mesh, span)
     return mesh
 
 

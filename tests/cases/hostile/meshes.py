@@ -83,7 +83,7 @@ ROWS = [
     ply("M5 a line without end", b"-100 0 -100", b"1 " * 900_000, "bad-mesh", "line 10 of more than"),
     ply("M5 no text", b"-100 0 -100", b"\xff\xfe\x00 0 -100", "bad-mesh", "line 10"),
     ply("M5 the same face twice", b"3 0 2 3", b"3 0 1 2", "degenerate-faces", "given twice"),
-    ply("M5 a face of two corners", b"3 0 2 3", b"2 0 2", ""),
+    ply("M5 a face of two corners", b"3 0 2 3", b"2 0 2", "unread-content", "fewer than three"),
     Row("A5 CRLF in a text ply", "", files={"ground.ply": GROUND.replace(b"\n", b"\r\n")}, frames=2),
     Row("A5 blank lines in a text ply", "", files={"ground.ply": GROUND.replace(b"100 0 100\n", b"100 0 100\n\n  \n")}, frames=2),
     Row("M10 vertices 20 km out", "far-away", files={"ground.ply": GROUND.replace(b"100 0 ", b"100 20000000 ")}),
