@@ -3,7 +3,7 @@
 USD files are read in the reader's process (`antdsl.reader`): `closure` collects the files, `stage` requests, `answers` checks
 what comes back. The folder `child` runs there, with usd-core of the extra `[usd]`. No other code reads a USD file.
 
-Public names are loaded when they are first used: the reader's process needs `child` alone, and a scene without USD none of them."""
+Public names are loaded when they are first used: the reader's process needs `child` alone, a scene without USD none of them."""
 
 from __future__ import annotations
 
