@@ -97,9 +97,7 @@ class Reader:
     def folder(self) -> Path:
         """A new folder whose files the child may open; OSError."""
         with self._lock:
-            if self._folder is None:
-                self._folder = PrivateFolder()
-            return self._folder.new()
+            return self._private().new()
 
     def active(self) -> dict[str, int]:
         """Which layers confine the child: `rlimits`, `landlock` (its ABI), `seccomp`; 0 for one that this system has not."""
@@ -179,10 +177,17 @@ class Reader:
         if self._running is not None and self._running.process.poll() is not None:
             self._end()  # it died between two requests
         if self._running is None:
-            if self._folder is None:
-                self._folder = PrivateFolder()
-            self._running = _Process(self._folder.path, modules)
+            self._running = _Process(self._private().path, modules)
         return self._running
+
+    def _private(self) -> PrivateFolder:
+        if self._folder is None:
+            self._folder = PrivateFolder()
+            if "multiprocessing.util" in sys.modules:  # a process of a pool leaves without the functions of `atexit`
+                from multiprocessing.util import Finalize
+
+                Finalize(None, self.end, exitpriority=1)
+        return self._folder
 
     def _end(self) -> int:
         running, self._running = self._running, None
@@ -271,6 +276,11 @@ def active_layers() -> dict[str, int]:
 
 
 _of_owners: list[Reader] = []  # never freed: a thread that is not in this process may hold their locks
+
+
+def end_reader() -> None:
+    """End the reader and remove the private folder now, in a process that leaves without the functions of `atexit`."""
+    _reader.end()
 
 
 def _forked() -> None:
