@@ -202,6 +202,10 @@ def _begin(
             os.close(ours)
             _work(theirs, groups, claims, choices, strict, parsed, cpu_seconds)
             code = 0
+            if "antdsl.reader.client" in sys.modules:
+                from antdsl.reader.client import end_reader
+
+                end_reader()
         finally:
             os._exit(code)  # nothing that the parent has begun is ended twice
     os.close(theirs)

@@ -11,8 +11,8 @@ import subprocess
 import sys
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,11 +31,11 @@ CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig", "bad-u
 
 class ReaderFailure(Exception):
     """The reader gave no answer: it died, took too long or too much memory, sent something else, or cannot be started. The text
-    says so in words that fit after the name of a file; `help` says what to do."""
+    says so in words that fit after the name of a file; `help` says what to do. `is_lasting`: the same request fails again."""
 
-    def __init__(self, message: str, help: str | None = None) -> None:
+    def __init__(self, message: str, help: str | None = None, *, is_lasting: bool = True) -> None:
         super().__init__(message)
-        self.help = help
+        self.help, self.is_lasting = help, is_lasting
 
 
 class _Process:
@@ -92,20 +92,20 @@ class Reader:
         self._lock = threading.Lock()
         self._running: _Process | None = None
         self._folder: PrivateFolder | None = None
-        self._failures: OrderedDict[str, ReaderFailure] = OrderedDict()
+        self._failures: OrderedDict[str, tuple[str, str | None]] = OrderedDict()  # messages and help
 
     def folder(self) -> Path:
         """A new folder whose files the child may open; OSError."""
         with self._lock:
-            if self._folder is None:
-                self._folder = PrivateFolder()
-            return self._folder.new()
+            return self._private().new()
 
     def active(self) -> dict[str, int]:
         """Which layers confine the child: `rlimits`, `landlock` (its ABI), `seccomp`; 0 for one that this system has not."""
         with self._lock:
             try:
-                return self._start().greeted()
+                running = self._start()
+                with _deadline(running, limits.READER_WALL_SECONDS):
+                    return running.greeted()
             except (OSError, ProtocolError) as problem:
                 self._end()
                 raise ReaderFailure("the process that reads foreign files cannot be started") from problem
@@ -114,12 +114,12 @@ class Reader:
         """As the function `ask`."""
         with self._lock:
             if digest and digest in self._failures:
-                raise self._failures[digest]
+                raise ReaderFailure(*self._failures[digest])
             try:
                 return self._ask(kind, document, arrays, size, seconds)
             except ReaderFailure as why:
-                if digest:
-                    self._failures[digest] = why
+                if digest and why.is_lasting:
+                    self._failures[digest] = (str(why), why.help)
                     if len(self._failures) > _REMEMBERED:
                         self._failures.popitem(last=False)
                 raise
@@ -134,32 +134,22 @@ class Reader:
         seconds += limits.READER_SECONDS + size // limits.READER_BYTES_A_SECOND
         memory = min(limits.READER_MEMORY + limits.READER_MEMORY_A_BYTE * size, limits.READER_MEMORY_MOST)
         said = {**document, "kind": kind, "seconds": seconds, "memory": memory}
-        late = threading.Event()
         try:
             running = self._start()
         except OSError as problem:
-            raise ReaderFailure("cannot be read: the process that reads it cannot be started") from problem
-
-        def stop() -> None:
-            late.set()
-            running.process.kill()
-
-        timer = threading.Timer(limits.READER_WALL_SECONDS + 4 * seconds, stop)
-        timer.daemon = True
-        timer.start()
+            words = "cannot be read: the process that reads it cannot be started"
+            raise ReaderFailure(words, "run `antdsl doctor`", is_lasting=False) from problem
+        late = threading.Event()
         try:
-            running.greeted()
-            write_message(running.requests, said, arrays)
-            answer = read_message(running.answers, limits.READER_BYTES)
+            with _deadline(running, limits.READER_WALL_SECONDS + 4 * seconds, late):
+                running.greeted()
+                write_message(running.requests, said, arrays)
+                answer = read_message(running.answers, limits.READER_BYTES)
         except (EndOfMessages, BrokenPipeError):
             raise _death(running, self._end(), late.is_set()) from None
         except ProtocolError:
             self._end()
-            raise ReaderFailure(
-                "cannot be read: the process that reads it gave an answer that makes no sense", _DAMAGED
-            ) from None
-        finally:
-            timer.cancel()
+            raise ReaderFailure(_SENSELESS, _DAMAGED) from None
         return self._judged(answer)
 
     def _judged(self, answer: Message) -> Message:
@@ -187,10 +177,17 @@ class Reader:
         if self._running is not None and self._running.process.poll() is not None:
             self._end()  # it died between two requests
         if self._running is None:
-            if self._folder is None:
-                self._folder = PrivateFolder()
-            self._running = _Process(self._folder.path, modules)
+            self._running = _Process(self._private().path, modules)
         return self._running
+
+    def _private(self) -> PrivateFolder:
+        if self._folder is None:
+            self._folder = PrivateFolder()
+            if "multiprocessing.util" in sys.modules:  # a process of a pool leaves without the functions of `atexit`
+                from multiprocessing.util import Finalize
+
+                Finalize(None, self.end, exitpriority=1)
+        return self._folder
 
     def _end(self) -> int:
         running, self._running = self._running, None
@@ -214,14 +211,34 @@ _DAMAGED = "export it again"
 _SENSELESS = "cannot be read: the process that reads it gave an answer that makes no sense"
 
 
+@contextmanager
+def _deadline(running: _Process, seconds: float, late: threading.Event | None = None) -> Iterator[None]:
+    """Kill a child that is not done after so many seconds by the clock; `late` is set then."""
+
+    def stop() -> None:
+        if late is not None:
+            late.set()
+        running.process.kill()
+
+    timer = threading.Timer(seconds, stop)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
 def _death(running: _Process, status: int, is_late: bool) -> ReaderFailure:
     """Why a child ended without an answer."""
     import signal
 
     if is_late or status == -getattr(signal, "SIGXCPU", 0):
-        return ReaderFailure("cannot be read: it takes too long to be read", "use a lighter file, or a part of it")
+        words = "cannot be read: it takes too long to be read"
+        return ReaderFailure(words, "use a lighter file, or a part of it", is_lasting=not is_late)
     if running.active is None:
-        return ReaderFailure("cannot be read: the process that reads it ends when it starts", "run `antdsl doctor`")
+        words = "cannot be read: the process that reads it ends when it starts"
+        return ReaderFailure(words, "run `antdsl doctor`", is_lasting=False)
     words = "it brings down the library that reads it, as files do that are damaged or nested without end"
     return ReaderFailure(f"cannot be read: {words}", _DAMAGED)
 
@@ -259,6 +276,11 @@ def active_layers() -> dict[str, int]:
 
 
 _of_owners: list[Reader] = []  # never freed: a thread that is not in this process may hold their locks
+
+
+def end_reader() -> None:
+    """End the reader and remove the private folder now, in a process that leaves without the functions of `atexit`."""
+    _reader.end()
 
 
 def _forked() -> None:

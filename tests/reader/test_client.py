@@ -160,3 +160,30 @@ def test_folders_of_killed_processes_are_removed(monkeypatch: pytest.MonkeyPatch
     assert not dead.exists() and other.exists() and target.exists() and (living.path / "1" / "a.usda").exists()
     living.remove()
     assert not living.path.parent.exists()
+
+
+def test_a_check_by_many_processes_leaves_no_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from cases.hostile.rows import PROJECT
+
+    from antdsl.checking import check_all
+    from antdsl.pipeline import Choices
+
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    monkeypatch.setattr(client, "_reader", Reader())
+    scenes = []
+    for number in range(12):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        for name, data in PROJECT.items():
+            (folder / name).write_bytes(data if isinstance(data, bytes) else data())
+        (folder / "h.png").write_bytes(png(np.full((4, 4), number, np.uint16)))
+        text = (folder / "scene.yaml").read_text()
+        height = "{height: h.png, extent: [1, 1], scale: 1}"
+        assert "{mesh: ground.ply}" in text
+        (folder / "scene.yaml").write_text(text.replace("{mesh: ground.ply}", height))
+        scenes.append(folder / "scene.yaml")
+    found = check_all(scenes, Choices(), cores=2)
+    assert len(found.reports) == 12 and not any(report.errors for report in found.reports.values())
+    client._reader.end()
+    assert not list((tmp_path / "temporary").glob(f"{private_folder._PREFIX}*"))

@@ -1,22 +1,37 @@
 """Sets of other departments: meshes, curves, points and cameras by prim path out of USD files, in mm and the scene's axes.
 
 USD files are read in the reader's process (`antdsl.reader`): `closure` collects the files, `stage` requests, `answers` checks
-what comes back. The folder `child` runs there, with usd-core of the extra `[usd]`. No other code reads a USD file."""
+what comes back. The folder `child` runs there, with usd-core of the extra `[usd]`. No other code reads a USD file.
 
-from antdsl.scene.geometry.usd.answers import (
-    UsdCamera,
-    UsdMesh,
-    UsdPoints,
-    read_usd_camera,
-    read_usd_curve,
-    read_usd_mesh,
-    read_usd_points,
-)
-from antdsl.scene.geometry.usd.closure import Closure
-from antdsl.scene.geometry.usd.errors import UsdError, pxr
-from antdsl.scene.geometry.usd.stage import UsdStage, open_stage
+Public names are loaded when they are first used: the reader's process needs `child` alone, a scene without USD none of them."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from antdsl.scene.geometry.usd.answers import (
+        UsdCamera,
+        UsdMesh,
+        UsdPoints,
+        read_usd_camera,
+        read_usd_curve,
+        read_usd_mesh,
+        read_usd_points,
+    )
+    from antdsl.scene.geometry.usd.closure import Closure
+    from antdsl.scene.geometry.usd.errors import UsdError, pxr
+    from antdsl.scene.geometry.usd.stage import UsdStage, open_stage
 
 __all__ = [
     "Closure", "UsdCamera", "UsdError", "UsdMesh", "UsdPoints", "UsdStage",
     "open_stage", "pxr", "read_usd_camera", "read_usd_curve", "read_usd_mesh", "read_usd_points",
 ]  # fmt: skip
+_MODULES = {"Closure": "closure", "UsdError": "errors", "pxr": "errors", "UsdStage": "stage", "open_stage": "stage"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module `{__name__}` has no `{name}`")
+    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'answers')}"), name)
