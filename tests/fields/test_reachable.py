@@ -82,7 +82,7 @@ def world(
 
 
 def leads(made: World) -> np.ndarray:
-    """What agents of a step read, and what the first looks at them say, in the order of ids: of nine inside, then nine outside."""
+    """What agents read in a step, in the order of ids: nine inside, then nine outside."""
     step(made)
     ants = made.populations["ant"]
     return ants.now["leads"][ants.in_id_order()]
@@ -143,7 +143,7 @@ def test_a_door_leads_in_however_narrow_the_room_makes_it(door: float, room: flo
 
 def test_islands_and_targets_off_the_ground() -> None:
     vertices, faces = grid(100.0, 10)
-    isle = MeshData(vertices + [600.0, 0, 0], faces)
+    isle = MeshData(vertices + np.array([600.0, 0.0, 0.0]), faces)
     surfaces = {"ground": MeshData(*grid(400.0, 40)), "isle": isle}
     there = Target(np.array([[600.0, 0, 0]]), np.array([10.0]))
     apart = dict(surfaces=surfaces, obstacles={"rock": MeshData(*ball(5.0, (180, 0, 180)))})

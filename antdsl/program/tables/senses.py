@@ -178,7 +178,7 @@ _ROWS = (
         "flow.reachable",
         "flow",
         (Part("", "b"),),
-        "whether a path leads from where the agent stands to the target of a solved flow; of other flows, whether they are anything",
+        "whether a path leads from here to the target of a solved flow; of other flows, whether they are anything here",
         (
             Builtin(
                 (Arg("of", "flow"),),
