@@ -114,7 +114,7 @@ def _triangles(
         at = start + (start - at) % np.maximum(count, 1)
     kept = corners[at[np.repeat(whole, counts)]]
     if len(kept) and not np.isfinite(points[kept]).all():
-        raise MeshError(f"has at `{path}` a point that is not finite")
+        raise MeshError(f"has at `{path}` a vertex that is not a finite point")
     try:
         return np.asarray(kept[triangulate(points, counts[whole], kept).corners])
     except TooManyCorners as why:
