@@ -159,6 +159,10 @@ def usd_name(data: bytes) -> str:
     return "set.usdc" if data.startswith(b"PXR-USDC") else "set.usdz" if data.startswith(b"PK") else "set.usda"
 
 
+def gltf_name(data: bytes) -> str:
+    return "set.glb" if data.startswith(b"glTF") else "set.gltf"
+
+
 def image_name(data: bytes) -> str:
     kinds = ((b"\x89PNG", "png"), (b"PK", "npz"), (b"II", "tif"), (b"MM", "tif"))
     return "map." + next((ending for start, ending in kinds if data.startswith(start)), "png")
@@ -168,7 +172,7 @@ def feed_gltf(folder: Path) -> Feed:
     """A glTF or GLB body by itself."""
 
     def feed(data: bytes) -> str:
-        path = folder / ("body.glb" if data.startswith(b"glTF") else "body.gltf")
+        path = folder / gltf_name(data)
         path.write_bytes(data)
         return _body_text(path)
 

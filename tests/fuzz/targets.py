@@ -52,6 +52,10 @@ TARGETS: dict[str, Target] = {
         Target("stl", seeds.stl_files, (*TEXT, *BINARY, *seeds.mesh_words()), feeds.feed_mesh("stl")),
         Target("gltf", seeds.gltf_files, (*TEXT, *BINARY, *seeds.gltf_words()), feeds.feed_gltf),
         Target(
+            "gltf_ground", seeds.gltf_files, (*TEXT, *BINARY, *seeds.gltf_words()),
+            feeds.feed_ground(feeds.gltf_name, "{mesh: FILE}"),
+        ),
+        Target(
             "usd", seeds.usd_files, (*TEXT, *BINARY, *seeds.usd_words()), feeds.feed_ground(feeds.usd_name, "{usd: FILE}"),
             allowed=READER,
         ),
@@ -59,6 +63,7 @@ TARGETS: dict[str, Target] = {
         Target(
             "image", seeds.image_files, BINARY,
             feeds.feed_ground(feeds.image_name, "{height: FILE, extent: [100 mm, 100 mm], scale: 10 mm}"),
+            allowed=READER,
         ),
         Target("cache", feeds_cache.cache_inputs, (*TEXT, *BINARY, *BINARY), feeds_cache.feed_cache),
         Target(
