@@ -16,7 +16,8 @@ _READ = frozenset(["P", "orient", "pscale", "id", "species"])
 
 
 def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write these frames as CSV, frame by frame, in the scene's units and axes, places from its zero point. It is in its place whole or not at all.
+    """Write these frames as CSV, frame by frame, in the scene's units and axes, places from its zero point. It is in its
+    place whole or not at all.
 
     Angles are degrees about x, then y, then z, without jumps from frame to frame; with the scale, which is the body's length,
     they bring a body of length 1 along +x with +y up into its place.

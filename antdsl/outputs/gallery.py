@@ -51,7 +51,8 @@ class NoPicture(Exception):
 class Gallery:
     """Makes pictures of one cache, each of its frame alone, with places relative to `origin` (scene units). With a `window` they
     hold paths: where each agent is in the frames of so many seconds before and after. `blurred`: they say where agents are in
-    the frame after, too. `full`: by field, the strength that is drawn strongest. Raises NoPicture for a cache without what pictures need, or without such a field."""
+    the frame after, too. `full`: by field, the strength that is drawn strongest. Raises NoPicture for a cache without what
+    pictures need, or without such a field."""
 
     def __init__(
         self,

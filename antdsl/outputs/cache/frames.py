@@ -221,10 +221,7 @@ def describe(
             ItemsEntry(
                 name=name,
                 names=tuple(item.name for item in items),
-                position=tuple(
-                    (x * scale, y * scale, z * scale)
-                    for x, y, z in (np.subtract(item.position, world.origin).tolist() for item in items)
-                ),
+                position=tuple(_scaled(np.subtract(item.position, world.origin), scale) for item in items),
                 radius=tuple(item.radius * scale for item in items),
                 attributes=tuple(world.items[name].amounts) if name in world.items else (),
                 moves=name in setting.moves.items,
@@ -235,6 +232,11 @@ def describe(
         events=event_names(world),
         camera=camera,
     )
+
+
+def _scaled(place: NDArray[np.float64], scale: float) -> tuple[float, float, float]:
+    x, y, z = (place * scale).tolist()
+    return x, y, z
 
 
 def _mesh(
