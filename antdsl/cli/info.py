@@ -50,6 +50,8 @@ def describe(cache: Cache) -> list[str]:
         f"units        {manifest.units}, {manifest.up} up",
         f"attributes   {' '.join(manifest.attributes)}",
     ]
+    if any(manifest.origin):
+        lines.insert(3, f"origin       {' '.join(f'{x:.15g}' for x in manifest.origin)} {manifest.units}")
     for species in manifest.species:
         for machine in species.machines:
             lines.append(f"states       {species.name}.{machine.name}: {' '.join(state.name for state in machine.states)}")

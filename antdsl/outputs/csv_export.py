@@ -8,21 +8,22 @@ from pathlib import Path
 import numpy as np
 
 from antdsl.outputs.euler_angles import Angles
-from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.gallery import Gallery, place_digits
 from antdsl.whole import whole_file
 
 HEAD = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
 _READ = frozenset(["P", "orient", "pscale", "id", "species"])
-_ROW = "%d,%d" + ",%.9g" * 9  # nine digits give a float32 back to the last bit
 
 
 def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write these frames as CSV, frame by frame, in the scene's units and axes. It is in its place whole or not at all.
+    """Write these frames as CSV, frame by frame, in the scene's units and axes, places from its zero point. It is in its
+    place whole or not at all.
 
     Angles are degrees about x, then y, then z, without jumps from frame to frame; with the scale, which is the body's length,
     they bring a body of length 1 along +x with +y up into its place.
 
     CacheError for a frame that is damaged, OSError where nothing can be written."""
+    row = "%d,%d" + f",{place_digits(gallery)}" * 3 + ",%.9g" * 6  # nine digits give a float32 back to the last bit
     angles = [Angles() for _ in gallery.manifest.species]
     with whole_file(path) as file:
         file.write(f"{HEAD}\n".encode())
@@ -35,8 +36,8 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
                 rows = np.flatnonzero(which == number)
                 rows = rows[np.argsort(numbers[rows], kind="stable")]
                 table = np.empty((len(rows), 11))
-                table[:, 0], table[:, 1], table[:, 2:5] = numbers[rows], frame, arrays["P"][rows]
+                table[:, 0], table[:, 1], table[:, 2:5] = numbers[rows], frame, arrays["P"][rows] + gallery.origin
                 table[:, 5:8] = angles[number].of(numbers[rows], arrays["orient"][rows])
                 table[:, 8:] = arrays["pscale"][rows, None]
-                text = f"{_ROW},{species.name}\n" * len(rows) % tuple(table.ravel().tolist())
+                text = f"{row},{species.name}\n" * len(rows) % tuple(table.ravel().tolist())
                 file.write(text.encode())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import turned
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
 from antdsl.outputs.cache.npz import to_bytes
-from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.gallery import Gallery, place_digits
 from antdsl.whole import whole_file, write_whole
 
 KINDS = ("birth", "death", "state", "footfall", "emit", "contact")
@@ -42,13 +42,14 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     """Write events as a table, a row each; `what` is a word. CacheError for a frame that is damaged, OSError where nothing can be
     written."""
     frames = list(frames)
-    names = [entry.name for entry in gallery.manifest.species]
+    names, digits = [entry.name for entry in gallery.manifest.species], place_digits(gallery)
     with whole_file(path) as file:
         file.write(f"{HEAD}\n".encode())
         for frame, found in _all(gallery, frames):
             told = _words(gallery, found)
             for k, word in enumerate(told):
-                numbers = ",".join(f"{value:.9g}" for value in (*found.place[k], *found.normal[k]))
+                place = ",".join(digits % value for value in found.place[k] + gallery.origin)
+                numbers = ",".join([place, *(f"{value:.9g}" for value in found.normal[k])])
                 other = f"{names[found.other_species[k]]},{found.other[k]},{found.deep[k]:.9g}" if found.other[k] >= 0 else ",,"
                 seconds = (frame - gallery.manifest.first) * gallery.dt
                 row = f"{frame},{seconds:.9g},{found.kind},{names[found.species[k]]},{found.id[k]},{numbers},{word},{other}\n"
@@ -58,12 +59,12 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
 def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
     """The same as arrays, `KIND.frame`, `KIND.species`, `KIND.id`, `KIND.P`, `KIND.N`, `KIND.what`, and of contacts
-    `other_species`, `other` and `depth`."""
+    `other_species`, `other` and `depth`. `origin` float64[3]: what `KIND.P` is relative to."""
     frames = list(frames)
     found: dict[str, list[tuple[int, Events]]] = {kind: [] for kind in KINDS}
     for frame, each in _all(gallery, frames):
         found[each.kind].append((frame, each))
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {"origin": gallery.origin}
     for kind, parts in found.items():
         events = [each for _, each in parts]
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.outputs.cache.places import scene_places
 from antdsl.runtime.world import World
 
 _ACROSS = 44  # arrows side by side over the longest side of the ground
@@ -19,7 +20,7 @@ _LIFT = 0.06
 
 
 def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
-    """Arrays of all flows that lie on meshes, in scene units (`scale` per mm)."""
+    """Arrays of all flows that lie on meshes, in scene units (`scale` per mm), relative to the world's origin."""
     meshes = world.ground.meshes
     if meshes is None:
         return {}
@@ -39,7 +40,7 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
         first[1:] = (cells[order][1:] != cells[order][:-1]).any(axis=1)
         chosen = order[first]
         lifted = place[:, chosen] + _LIFT * step * table.normal.take(face[chosen], axis=1)
-        found[f"flow.{name}.P"] = ((lifted.T + world.origin) * scale).astype(np.float32)
+        found[f"flow.{name}.P"] = scene_places(lifted.T, scale)
         found[f"flow.{name}.V"] = (way[:, chosen].T * (_LONG * step * scale)).astype(np.float32)
     return found
 

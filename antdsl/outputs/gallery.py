@@ -49,9 +49,10 @@ class NoPicture(Exception):
 
 
 class Gallery:
-    """Makes pictures of one cache, each of its frame alone. With a `window` they hold paths: where each agent is in the frames of
-    so many seconds before and after. `blurred`: they say where agents are in the frame after, too. `full`: by field, the
-    strength that is drawn strongest. Raises NoPicture for a cache without what pictures need, or without such a field."""
+    """Makes pictures of one cache, each of its frame alone, with places relative to `origin` (scene units). With a `window` they
+    hold paths: where each agent is in the frames of so many seconds before and after. `blurred`: they say where agents are in
+    the frame after, too. `full`: by field, the strength that is drawn strongest. Raises NoPicture for a cache without what
+    pictures need, or without such a field."""
 
     def __init__(
         self,
@@ -63,6 +64,9 @@ class Gallery:
         full: Mapping[str, float] | None = None,
     ) -> None:
         self.cache, self.manifest, self._cut = cache, cache.manifest, cut
+        self.origin = np.array(cache.manifest.origin)
+        if cut is not None:
+            cut = self._cut = replace(cut, at=cut.at - float(self.origin[cut.axis]))
         missing = [name for name in WANTED if name not in self.manifest.attributes]
         if missing:
             raise NoPicture(f"the cache has no attribute `{missing[0]}`, which pictures need")
@@ -317,6 +321,12 @@ class Gallery:
         lengths = np.asarray(first["pscale"], np.float64)
         lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
         return float(np.median(lengths)) if len(lengths) else None
+
+
+def place_digits(gallery: Gallery) -> str:
+    """How `%` writes a coordinate from the scene's zero point as text: a float32 to its last bit, or with an origin as float64
+    (a millionth of a millimetre at 1000 km)."""
+    return "%.15g" if gallery.origin.any() else "%.9g"
 
 
 def _rows_of(number: int, arrays: Arrays) -> NDArray[np.intp]:

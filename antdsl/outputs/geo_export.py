@@ -2,7 +2,8 @@
 
 The format has no published description; its parts are as open readers take them (`hgeo.py` of cgdougm/HoudiniObj among them):
 a list of keys and values, attributes as `tuples`, `arrays` and tables of `strings` with `indices`. Points have y up, as
-Houdini has it, and `orient` turns +z, along which it lets agents look, to the heading."""
+Houdini has it, and `orient` turns +z, along which it lets agents look, to the heading. Points of a world far from the zero point
+are relative to the global attribute `origin`, in double precision."""
 
 from __future__ import annotations
 
@@ -49,6 +50,8 @@ def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
     whole = [
         _numbers("fps", np.array([1 / gallery.dt])), _numbers("meters_per_unit", np.array([UNIT_MM[manifest.units] / 1000])),
     ]  # fmt: skip
+    if gallery.origin.any():
+        whole.append(_numbers("origin", _upright(gallery.origin[None], manifest.up == "z"), storage="fpreal64"))
     return [
         "fileversion", "18.5.0", "hasindex", False, "pointcount", count, "vertexcount", 0, "primitivecount", 0,
         "info", {"software": f"antdsl {manifest.antdsl}", "scene": manifest.scene, "frame": frame},
@@ -190,13 +193,13 @@ def _upright(vectors: NDArray[Any], z_up: bool) -> Floats:
     return np.stack([found[:, 0], found[:, 2], -found[:, 1]], axis=1) if z_up else found
 
 
-def _numbers(name: str, values: NDArray[Any], kind: str = "") -> list[Any]:
+def _numbers(name: str, values: NDArray[Any], kind: str = "", storage: str = "fpreal32") -> list[Any]:
     """A numeric attribute of (n,) or (n, k) values."""
     whole = values.dtype.kind == "i"
-    storage = "int64" if whole else "fpreal32"
+    storage = "int64" if whole else storage
     size = 1 if values.ndim == 1 else values.shape[1]
     options: Mapping[str, Any] = {"type": {"type": "string", "value": kind}} if kind else {}
-    if not whole:
+    if storage == "fpreal32":
         values = values.astype(np.float32)
     given = ["tuples", values.tolist()] if size > 1 else ["arrays", [values.tolist()]]
     default = ["size", 1, "storage", "int64" if whole else "fpreal64", "values", [0]]

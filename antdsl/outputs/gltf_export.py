@@ -1,7 +1,7 @@
 """A cache as one glTF 2.0 file: each agent a node with the joints of its body, animated; meshes and skins by definition, shared.
 
-Khronos Group, glTF 2.0 Specification, 2021. A node `World` turns and scales the scene into glTF's axes and metres; meshes with a
-skin stand beside it, since their own place does not count."""
+Khronos Group, glTF 2.0 Specification, 2021. A node `World` turns and scales the scene into glTF's axes and metres, and moves it
+by its origin; meshes with a skin stand beside it, since their own place does not count."""
 
 from __future__ import annotations
 

@@ -55,6 +55,9 @@ class Stage:
         world: dict[str, Any] = {"name": "World", "children": [], "scale": [scale] * 3}
         if gallery.manifest.up == "z":
             world["rotation"] = [-_HALF, 0.0, 0.0, _HALF]
+        if gallery.origin.any():
+            x, y, z = (gallery.origin * scale).tolist()
+            world["translation"] = [x, z, -y] if gallery.manifest.up == "z" else [x, y, z]  # JSON: double precision
         self._world = self.writer.add("nodes", world)
         self.scene: dict[str, Any] = {"nodes": [self._world]}
         self._camera()

@@ -16,7 +16,7 @@ from antdsl.outputs.pictures.light import decoded, encoded
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.poses_export import FEWER, NONE, Worn, worn_crowds
 from antdsl.outputs.usd.disk_failures import disk_failures
-from antdsl.outputs.usd.values import ROOT, Out, Samples, box, identifier, mesh, vectors
+from antdsl.outputs.usd.values import ROOT, Out, Samples, box, identifier, mesh, root, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import whole
@@ -34,7 +34,7 @@ def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[s
     frames = list(frames)
     there, notes = _throughout(gallery, frames)
     for frame in frames:
-        write_mesh(numbered(path, frame), list(_posed(gallery, frame, there)))
+        write_mesh(numbered(path, frame), list(_posed(gallery, frame, there)), gallery.origin)
     return notes
 
 
@@ -52,7 +52,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
         stage.SetFramesPerSecond(1 / gallery.dt)
         stage.SetStartTimeCode(frames[0])
         stage.SetEndTimeCode(frames[-1])
-        stage.SetDefaultPrim(geom.Xform.Define(stage, ROOT).GetPrim())
+        stage.SetDefaultPrim(root(stage, gallery.origin).GetPrim())
         out, made = Out(stage), dict[str, tuple[Samples, ...]]()
         for frame in frames:
             for each in _posed(gallery, frame, there):

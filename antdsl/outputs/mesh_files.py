@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.whole import whole_file
 
+Floats = NDArray[np.floating]
 _BLOCK = 1 << 16  # lines that are made at once
 
 
@@ -27,11 +28,14 @@ class Part:
     colours: NDArray[np.floating] | None = None
 
 
-def write_mesh(path: Path, parts: Sequence[Part]) -> None:
+def write_mesh(path: Path, parts: Sequence[Part], origin: NDArray[np.float64]) -> None:
     """Write meshes into one file, one after the other, by its ending: `.ply`, or `.obj`, where each is an object by its name.
-    Normals and colours are written where all parts have them (colours: PLY alone)."""
+    Normals and colours are written where all parts have them (colours: PLY alone). `origin`: what points are relative to; with
+    one they are written in double precision."""
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
-    points = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
+    points: Floats = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
+    if origin.any():
+        points = points + origin
     some = [part.normals for part in parts if part.normals is not None]
     normals = np.concatenate(some).astype(np.float32) if some and len(some) == len(parts) else None
     with whole_file(path) as made:
@@ -45,13 +49,13 @@ def _write_ply(
     file: IO[bytes],
     parts: Sequence[Part],
     starts: NDArray[np.int64],
-    points: NDArray[np.float32],
+    points: Floats,
     normals: NDArray[np.float32] | None,
 ) -> None:
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(part.faces + s for part, s in zip(parts, starts, strict=False))])
     some = [part.colours for part in parts if part.colours is not None]
     colours = np.rint(np.clip(np.concatenate(some), 0, 1) * 255) if some and len(some) == len(parts) else None
-    fields = [(axis, "<f4", "float") for axis in "xyz"]
+    fields = [(axis, "<f8", "double") if points.dtype == np.float64 else (axis, "<f4", "float") for axis in "xyz"]
     fields += [(f"n{axis}", "<f4", "float") for axis in "xyz"] if normals is not None else []
     fields += [(name, "|u1", "uchar") for name in ("red", "green", "blue")] if colours is not None else []
     rows = np.empty(len(points), np.dtype([(name, kind) for name, kind, _ in fields]))
@@ -70,16 +74,17 @@ def _write_obj(
     file: IO[bytes],
     parts: Sequence[Part],
     starts: NDArray[np.int64],
-    points: NDArray[np.float32],
+    points: Floats,
     normals: NDArray[np.float32] | None,
 ) -> None:
     """Numbers of points go on from object to object, as the format has it."""
+    vertex = "v %.15g %.15g %.15g\n" if points.dtype == np.float64 else "v %.9g %.9g %.9g\n"
     for part, start in zip(parts, starts, strict=False):
         rows = slice(start, start + len(part.points))
         file.write(f"o {part.name}\n".encode())
         corner = "%d//%d" if normals is not None else "%d"
         for line, table in (
-            ("v %.9g %.9g %.9g\n", points[rows]),
+            (vertex, points[rows]),
             ("vn %.6g %.6g %.6g\n", None if normals is None else normals[rows]),
             (f"f {corner} {corner} {corner}\n", np.repeat(part.faces + start + 1, 2 if normals is not None else 1, axis=1)),
         ):

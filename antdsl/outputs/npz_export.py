@@ -3,7 +3,8 @@
 frames          int64[F]: their numbers
 rows            int64[F + 1]: the agents of frame k are the rows `rows[k]:rows[k + 1]` of `P`, `id` and all that is of agents
 NAME            any other array of a frame, end to end, and NAME.rows int64[F + 1] the same for it
-about           uint8: a JSON text: units, up, fps, species with their states, clips and machines, arrays of agents
+about           uint8: a JSON text: units, up, origin (what places are relative to), fps, species with their states, clips and
+                machines, arrays of agents
 """
 
 from __future__ import annotations
@@ -64,5 +65,6 @@ def _about(gallery: Gallery, agents: list[str]) -> dict[str, Any]:
     species = [each.model_dump(mode="json", include={"name", "machines", "clips", "playing"}) for each in manifest.species]
     return {
         "antdsl": manifest.antdsl, "scene": manifest.scene, "seed": manifest.seed, "units": manifest.units, "up": manifest.up,
+        "origin": manifest.origin,
         "fps": manifest.fps, "agents": agents, "species": species,
     }  # fmt: skip

@@ -3,7 +3,7 @@
 For each species K:
 
     K.id int64[r], K.rows int64[F + 1]   whose each row is; frame k has the rows `rows[k]:rows[k + 1]`
-    K.place float64[r, 4, 4]             from the space of the body to the scene
+    K.place float64[r, 4, 4]             from the space of the body to the scene, from its zero point
     K.world, K.local float32[r, J, 4, 4] of each joint, in the space of the body and in that of its parent
     K.channels float32[r, C]
     frames int64[F]
@@ -64,7 +64,7 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
             size += len(crowd.position) * (len(worn.definition.rig.names) * 128 + 200)
             if size > _MOST:
                 raise NoExport(f"poses of so many agents and frames take more than {_MOST >> 30} GiB", FEWER)
-            _add(rows, crowd, worn)
+            _add(rows, crowd, worn, gallery.origin)
     arrays: dict[str, NDArray[Any]] = {"frames": np.array(frames, np.int64)}
     about = {}
     for name, rows in found.items():
@@ -87,7 +87,8 @@ def worn_crowds(picture: Picture) -> list[tuple[Worn, Crowd, PosedBody]]:
 
 
 def places(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
-    """Matrices float64[n, 4, 4] from the space of a definition to the scene: what brings each agent into its place."""
+    """Matrices float64[n, 4, 4] from the space of a definition to the scene (from its origin): what brings each agent into its
+    place."""
     found = np.tile(np.eye(4), (len(crowd.position), 1, 1))
     found[:, :3, :3] = rotation(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
     found[:, :3] = found[:, :3] @ body.base()
@@ -95,11 +96,13 @@ def places(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
     return found
 
 
-def _add(rows: _Rows, crowd: Crowd, worn: PosedBody) -> None:
+def _add(rows: _Rows, crowd: Crowd, worn: PosedBody, origin: NDArray[np.float64]) -> None:
     poses = crowd.poses(local=True)
     assert poses.local is not None and crowd.ids is not None
+    place = places(crowd, worn.definition)
+    place[:, :3, 3] += origin
     arrays: dict[str, NDArray[Any]] = {
-        "id": np.asarray(crowd.ids, np.int64), "place": places(crowd, worn.definition), "world": square(poses.world),
+        "id": np.asarray(crowd.ids, np.int64), "place": place, "world": square(poses.world),
         "local": square(poses.local), "channels": np.ascontiguousarray(poses.channels),
     }  # fmt: skip
     for name, array in arrays.items():

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.body_arrays import KeptBodies
@@ -17,6 +18,7 @@ from antdsl.outputs.cache.cache_writer import CacheWriter, Whole, prepare_folder
 from antdsl.outputs.cache.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.cache.hashes import Line
 from antdsl.outputs.cache.manifest import CameraEntry, way_to
+from antdsl.outputs.cache.places import scene_origin
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.looks_of_scene import looks_of
@@ -92,6 +94,8 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
     recording = Recording(shot, folder, world, inputs, static=static_arrays(world, shot.setting))
     recording.spend("bind", began)
     if kept is not None:
+        if kept.cache.manifest.origin != scene_origin(world):
+            raise NothingToResume(f"`{folder}` was written by an antdsl that counts places from another origin")
         _go_on(recording, kept, options)
     if recording.resumed_from is None:
         start_from_cache(shot, recording.world)
@@ -186,7 +190,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         feelers={
             name: feelers_of(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
         },
-        camera=_camera(shot),
+        camera=_camera(shot, world.origin),
         looks=looks_of(model),
     )
     made_with = partial(provenance, name, shot.frames, shot.setting.seed, recording.inputs)
@@ -246,18 +250,22 @@ def _write(recording: Recording, writer: CacheWriter) -> None:
     recording.spend("hand_over", began)
 
 
-def _camera(shot: Shot) -> CameraEntry | Literal["fit"] | None:
+def _camera(shot: Shot, origin: NDArray[np.float64]) -> CameraEntry | Literal["fit"] | None:
     camera = shot.scene.model.camera
     if shot.setting.camera is not None:
-        return _file_camera(shot.setting.camera, 1.0 / shot.setting.unit_mm)
+        return _file_camera(shot.setting.camera, origin, 1.0 / shot.setting.unit_mm)
     if not isinstance(camera, Camera):
         return "fit" if camera == "fit" else None
     unit_mm = shot.scene.model.unit_mm
-    points: list[Any] = [tuple(part / unit_mm for part in millimetres(point, unit_mm)) for point in (camera.at, camera.look_at)]
+    points: list[Any] = [
+        tuple(float(part) / unit_mm for part in np.subtract(millimetres(point, unit_mm), origin))
+        for point in (camera.at, camera.look_at)
+    ]
     return CameraEntry(at=points[0], look_at=points[1], focal=camera.focal.number if camera.focal is not None else None)
 
 
-def _file_camera(camera: CameraData, scale: float) -> CameraEntry:
+def _file_camera(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
     """A camera that a file brought, as it is in the first frame."""
-    at, look_at, up = (tuple(float(v) for v in row) for row in (camera.at[0] * scale, camera.look_at[0] * scale, camera.up[0]))
+    rows = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
+    at, look_at, up = (tuple(float(v) for v in row) for row in rows)
     return CameraEntry(at=at, look_at=look_at, focal=float(camera.focal[0]), up=up, moves=len(camera.at) > 1)  # type: ignore[arg-type]

@@ -29,7 +29,7 @@ def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
         solids = dug.at(frame)
         if not solids:
             raise _NONE
-        write_mesh(numbered(path, frame), [Part(each.name, each.vertices, each.faces) for each in solids])
+        write_mesh(numbered(path, frame), [Part(each.name, each.vertices, each.faces) for each in solids], gallery.origin)
 
 
 def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
@@ -52,7 +52,7 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
             raise NoExport(f"the volume of `{name}` has {points:,} points, more than are written", "write it as a mesh: `.ply`")
         arrays |= {
             f"{name}.distance": volume.dense() * np.float32(scale),
-            f"{name}.origin": (np.asarray(bricks.origin, np.float64) + offset) * scale,
+            f"{name}.origin": (np.asarray(bricks.origin, np.float64) + offset) * scale + gallery.origin,
             f"{name}.cell": np.array(bricks.voxel * scale),
             f"{name}.band": np.array([bricks.least * scale, bricks.most * scale]),
         }

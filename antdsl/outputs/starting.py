@@ -16,6 +16,7 @@ from antdsl.outputs.cache.npz import FILE_BYTES
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, World, restore
 from antdsl.runtime.moving.moving_geometry import pose
+from antdsl.scene.model import UNIT_MM
 from antdsl.scene.paths import PathRefused
 
 _SAME_PLACE = 1e-6  # mm
@@ -75,6 +76,11 @@ def start_from_cache(shot: Shot, world: World) -> None:
     except CacheError:
         raise _missing(shot, folder) from None
     kept = {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}
+    there = np.array(cache.manifest.origin) * UNIT_MM[cache.manifest.units]
+    if "origin" in cache.manifest.model_fields_set and (there != world.origin).any():  # older caches do not say it
+        a, b = (" ".join(f"{x / 1000:.15g}" for x in each) for each in (there, world.origin))
+        words = f"the world of `{start.cache}` has its origin at {a} m, and this scene's world at {b} m"
+        raise _error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes at the same places")
     first, params = world.frame, dict(world.params)
     try:
         restore(world, kept)

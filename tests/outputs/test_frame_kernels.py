@@ -59,10 +59,10 @@ def mixed(population: Population) -> None:
 @pytest.mark.parametrize("attribute", ["P", "v", "orient"])
 def test_arrays_of_a_frame(world: World, attribute: str, monkeypatch: pytest.MonkeyPatch) -> None:
     need_llvmlite()
-    population, origin = world.populations["ant"], np.array([1.0, -2.5, 1e4])
+    population = world.populations["ant"]
     mixed(population)
     shape = (600, 4 if attribute == "orient" else 3)
-    wanted, found = both(monkeypatch, lambda out: write_placed(population, attribute, origin, 0.1, out), shape)
+    wanted, found = both(monkeypatch, lambda out: write_placed(population, attribute, 0.1, out), shape)
     unknown = np.isnan(wanted)  # of what is no number neither the sign nor the rest of the bits says anything
     assert (found.view(np.int32) == wanted.view(np.int32))[~unknown].all() and np.isnan(found[unknown]).all()
     assert np.count_nonzero(~unknown) > 0

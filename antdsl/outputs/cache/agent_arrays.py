@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import compiled
+from antdsl.outputs.cache.places import scene_places
 from antdsl.runtime.world import AXES, Population, World
 
 Arrays = dict[str, NDArray[Any]]
@@ -56,7 +57,7 @@ class AgentArrays:
     def _write(self, world: World, attribute: str, number: int, population: Population, out: NDArray[Any]) -> None:
         """Write an attribute of a species, the one of a number, into its rows of an array."""
         if attribute in ("P", "v", "orient"):
-            write_placed(population, attribute, world.origin, self.scale, out)
+            write_placed(population, attribute, self.scale, out)
         elif attribute == "Cd":
             write_colours(population, self.colours[population.name], out)
         elif attribute == "state":
@@ -73,16 +74,14 @@ class AgentArrays:
             write_numbers(population, attribute, self.factors.get((population.name, attribute), 1.0), out)
 
 
-def write_placed(
-    population: Population, attribute: str, origin: NDArray[np.float64], scale: float, out: NDArray[np.float32]
-) -> None:
+def write_placed(population: Population, attribute: str, scale: float, out: NDArray[np.float32]) -> None:
     """Write `P`, `v` or `orient` of agents by id, [n, 3 or 4]."""
     if compiled.wanted(len(out)):
         from antdsl.outputs.cache import frames_compiled as kernels
 
         ranks = population.ranks()
         if attribute == "P":
-            kernels.places(population.position, ranks, *origin, scale, out)
+            kernels.places(population.position, ranks, scale, out)
         elif attribute == "v":
             kernels.vectors(_columns(population, "velocity"), ranks, scale, out)
         else:
@@ -90,7 +89,7 @@ def write_placed(
         return
     rows = population.in_id_order()
     if attribute == "P":
-        out[:] = (population.position[rows] + origin) * scale
+        out[:] = scene_places(population.position[rows], scale)
     elif attribute == "v":
         out[:] = _vector(population, "velocity", rows) * np.float32(scale)
     else:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics.vectors import dot
+from antdsl.outputs.cache.places import scene_places
 from antdsl.runtime import World, emitted_since
 from antdsl.runtime.moving.capsules import Crowd, Near, find
 
@@ -32,7 +33,7 @@ def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
 
 def _emits(world: World, scale: float) -> Arrays:
     found = emitted_since(world)
-    place = ((found.place + world.origin) * scale).astype(np.float32)
+    place = scene_places(found.place, scale)
     return {"species": found.species, "id": found.id, "P": place, "N": found.normal, "event": found.event}
 
 
@@ -50,7 +51,7 @@ def _contacts(world: World, scale: float) -> Arrays:
     order = np.lexsort((ids[j], species[j], ids[i], species[i]))
     i, j, places, way, gap = i[order], j[order], places[:, order], way[:, order], gap[order]
     return {
-        "species": species[i], "id": ids[i], "P": ((places.T + world.origin) * scale).astype(np.float32),
+        "species": species[i], "id": ids[i], "P": scene_places(places.T, scale),
         "N": way.T.astype(np.float32), "other_species": species[j], "other": ids[j], "depth": (-gap * scale).astype(np.float32),
     }  # fmt: skip
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.leg_ik import PlacedFeet
+from antdsl.outputs.cache.places import scene_places
 from antdsl.runtime.feet.trunk import quaternions
 from antdsl.runtime.world import World
 
@@ -24,9 +25,8 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
     feet = world.feet.get(species)
     if feet is None:
         return {}
-    place = (feet.shown.transpose(1, 2, 0) + world.origin) * scale
     values: dict[str, NDArray[Any]] = {
-        "P": place.astype(np.float32),
+        "P": scene_places(feet.shown.transpose(1, 2, 0), scale),
         "down": feet.down.astype(np.uint8),
         "phase": feet.phase.copy(),
         "rise": feet.rise * np.float32(scale),

@@ -32,6 +32,7 @@ from antdsl.outputs.cache.manifest import (
     SpeciesEntry,
     StateEntry,
 )
+from antdsl.outputs.cache.places import scene_origin, scene_places
 from antdsl.outputs.cache.shown_arrays import layers_worn, shown
 from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
@@ -87,8 +88,7 @@ class FrameMaker:
         for name, field in world.fields.items():
             arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _not_zero(np.asarray(field.values))
             if "places" in field.added:
-                places = field.added["places"][:, :3] + world.origin
-                arrays[f"field.{name}.added"] = (places * self.scale).astype(np.float32)
+                arrays[f"field.{name}.added"] = scene_places(field.added["places"][:, :3], self.scale)
         for name, items in world.items.items():
             for attribute, amount in items.amounts.items():
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
@@ -115,11 +115,9 @@ class FrameMaker:
         moves = world.setting.moves
         arrays: Arrays = {}
         for name in moves.meshes:
-            arrays[f"mesh.{name}.vertices"] = ((vertices_at(world, name, world.frame) + world.origin) * self.scale).astype(
-                np.float32
-            )
+            arrays[f"mesh.{name}.vertices"] = scene_places(vertices_at(world, name, world.frame), self.scale)
         for name, places in moves.items.items():
-            arrays[f"items.{name}.P"] = (moves.points(places, world.frame) * self.scale).astype(np.float32)
+            arrays[f"items.{name}.P"] = ((moves.points(places, world.frame) - world.origin) * self.scale).astype(np.float32)
         speeds = [ground_velocity(world, world.populations[name]) for name in rows]
         if speeds and all(speed is not None for speed in speeds):
             parts = [speed[rows[name]] for name, speed in zip(rows, speeds, strict=True) if speed is not None]
@@ -145,19 +143,19 @@ def _plain_numbers(program: Program) -> set[str]:
 
 
 def static_arrays(world: World, setting: Setting) -> Arrays:
-    """What stands still: meshes, the places of field cells, flows as arrows, in scene units."""
+    """What stands still: meshes, the places of field cells, flows as arrows, in scene units, relative to the origin."""
     scale = 1.0 / setting.unit_mm
     arrays: Arrays = {}
     for name, mesh in {**setting.surfaces, **setting.obstacles}.items():
-        arrays[f"mesh.{name}.vertices"] = mesh.vertices * scale
+        arrays[f"mesh.{name}.vertices"] = (mesh.vertices - world.origin) * scale
         arrays[f"mesh.{name}.faces"] = mesh.faces
     arrays |= start_pieces(world, scale)
     if setting.camera is not None and len(setting.camera.at) > 1:
         for name in ("at", "look_at"):
-            arrays[f"camera.{name}"] = getattr(setting.camera, name) * scale
+            arrays[f"camera.{name}"] = (getattr(setting.camera, name) - world.origin) * scale
         arrays |= {"camera.up": setting.camera.up, "camera.focal": setting.camera.focal}
     for name, field in world.fields.items():
-        arrays[f"field.{name}.P"] = ((_places_at_start(field) + world.origin) * scale).astype(np.float32)
+        arrays[f"field.{name}.P"] = scene_places(_places_at_start(field), scale)
     return arrays | arrows(world, scale)
 
 
@@ -199,6 +197,7 @@ def describe(
         inputs=dict(inputs),
         units=units,  # type: ignore[arg-type]
         up=up,  # type: ignore[arg-type]
+        origin=scene_origin(world),
         fps=f"{setting.fps.numerator}/{setting.fps.denominator}",
         first=first,
         last=last,
@@ -222,7 +221,7 @@ def describe(
             ItemsEntry(
                 name=name,
                 names=tuple(item.name for item in items),
-                position=tuple((x * scale, y * scale, z * scale) for x, y, z in (item.position for item in items)),
+                position=tuple(_scaled(np.subtract(item.position, world.origin), scale) for item in items),
                 radius=tuple(item.radius * scale for item in items),
                 attributes=tuple(world.items[name].amounts) if name in world.items else (),
                 moves=name in setting.moves.items,
@@ -233,6 +232,11 @@ def describe(
         events=event_names(world),
         camera=camera,
     )
+
+
+def _scaled(place: NDArray[np.float64], scale: float) -> tuple[float, float, float]:
+    x, y, z = (place * scale).tolist()
+    return x, y, z
 
 
 def _mesh(

@@ -34,13 +34,13 @@ Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 
 @kernel
-def places(position: Strided2[F64], ranks: Array1[I32], x: F64, y: F64, z: F64, scale: F64, out: Array2[F32]) -> None:
-    """Positions of agents in scene units, each to the place of its rank."""
+def places(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32]) -> None:
+    """Positions of agents in scene units, each to the place of its rank. A zero has no sign."""
     for i in range(ranks.size):
         k = ranks[i]
-        out[k, 0] = np.float32((position[i, 0] + x) * scale)
-        out[k, 1] = np.float32((position[i, 1] + y) * scale)
-        out[k, 2] = np.float32((position[i, 2] + z) * scale)
+        out[k, 0] = np.float32((position[i, 0] + 0.0) * scale)
+        out[k, 1] = np.float32((position[i, 1] + 0.0) * scale)
+        out[k, 2] = np.float32((position[i, 2] + 0.0) * scale)
 
 
 @kernel

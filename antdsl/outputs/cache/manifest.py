@@ -171,7 +171,7 @@ class Manifest(Part):
     """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
     asked for; `events` the names that frames count. `static` is the hash of `static.npz`, None where none was kept; `state_hash`
     the way in which states are hashed, a `STATE_HASH`. `scene_path` leads from the cache's folder to the scene's file, where
-    `way_to` knows one."""
+    `way_to` knows one. All places are relative to `origin` (scene units); caches without it have places from the zero point."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -183,6 +183,7 @@ class Manifest(Part):
     state_hash: int = 1
     units: Literal["mm", "cm", "m"]
     up: Literal["y", "z"]
+    origin: Triple = (0.0, 0.0, 0.0)
     fps: Annotated[str, Field(pattern=r"^[0-9]{1,9}/[0-9]{1,9}$")]
     first: int
     last: int

@@ -43,12 +43,12 @@ class PieceMaker:
             dug |= {brick: (vertices, faces) for brick, vertices, faces in volume.surface()}
             if dug:
                 arrays[f"mesh.{name}.changed"] = np.array(sorted(dug), np.int32)
-                arrays |= _joined(name, dug, world.origin, self.scale)
+                arrays |= _joined(name, dug, self.scale)
         return arrays
 
 
 def start_pieces(world: World, scale: float) -> Arrays:
-    """What stands in static.npz of all solids, which nobody has dug yet."""
+    """What stands in static.npz of all solids, which nobody has dug yet. `offset` (mm) is 0: the manifest has the origin."""
     arrays: Arrays = {}
     for name, volume in world.solids.items():
         bricks = volume.bricks
@@ -56,11 +56,11 @@ def start_pieces(world: World, scale: float) -> Arrays:
             f"solid.{name}.{key}": np.array(value)
             for key, value in {
                 "values": bricks.values[: bricks.used * CUBE], "table": bricks.table, "shape": bricks.shape,
-                "origin": bricks.origin, "voxel": bricks.voxel, "band": (bricks.least, bricks.most), "offset": world.origin,
+                "origin": bricks.origin, "voxel": bricks.voxel, "band": (bricks.least, bricks.most), "offset": np.zeros(3),
             }.items()
         }  # fmt: skip
         pieces = {brick: (vertices, faces) for brick, vertices, faces in volume.surface(changed_only=False)}
-        arrays |= _joined(name, pieces, world.origin, scale)
+        arrays |= _joined(name, pieces, scale)
     return arrays
 
 
@@ -78,11 +78,11 @@ def started(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
     return Volume(bricks)
 
 
-def _joined(name: str, pieces: Mapping[int, Piece], origin: NDArray[np.float64], scale: float) -> Arrays:
+def _joined(name: str, pieces: Mapping[int, Piece], scale: float) -> Arrays:
     order = sorted(pieces)
     vertices, faces = joined([pieces[brick] for brick in order])
     return {
-        f"mesh.{name}.vertices": (vertices + origin) * scale,
+        f"mesh.{name}.vertices": (vertices + 0.0) * scale,
         f"mesh.{name}.faces": faces,
         f"mesh.{name}.bricks": np.repeat(np.array(order, np.int32), [len(pieces[brick][1]) for brick in order]),
     }

@@ -17,7 +17,7 @@ from antdsl.outputs.usd.disk_failures import disk_failures
 from antdsl.outputs.usd.instancers import InstancerWriter
 from antdsl.outputs.usd.moments import Moments
 from antdsl.outputs.usd.skeletons import SkeletonWriter
-from antdsl.outputs.usd.values import BODIES, ROOT, Out
+from antdsl.outputs.usd.values import BODIES, Out, root
 from antdsl.outputs.usd.world import WorldWriter
 from antdsl.outputs.usd.xforms import XformWriter
 from antdsl.scene.geometry.usd import pxr
@@ -157,7 +157,7 @@ def _describe(stage: Any, gallery: Gallery, frames: list[int]) -> None:
     stage.SetStartTimeCode(frames[0])
     stage.SetEndTimeCode(frames[-1])
     stage.SetMetadata("comment", f"antdsl {__version__}: {manifest.scene}, seed {manifest.seed}")
-    world = geom.Xform.Define(stage, ROOT)
+    world = root(stage, gallery.origin)
     pxr("Usd").ModelAPI(world).SetKind("assembly")
     stage.SetDefaultPrim(world.GetPrim())
     stage.CreateClassPrim(BODIES)

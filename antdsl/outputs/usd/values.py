@@ -18,6 +18,14 @@ BODIES = "/bodies"  # classes: what is drawn only where something refers to it
 Array = NDArray[Any]
 
 
+def root(stage: Any, origin: NDArray[np.float64]) -> Any:
+    """The prim that all of a stage is below, moved in double precision by what its places are relative to (scene units)."""
+    world = pxr("UsdGeom").Xform.Define(stage, ROOT)
+    if origin.any():
+        world.AddTranslateOp(pxr("UsdGeom").XformOp.PrecisionDouble, "origin").Set(pxr("Gf").Vec3d(*origin.tolist()))
+    return world
+
+
 class Samples:
     """Values of one attribute over time. One that stays is written where it begins and where it ends, since USD goes evenly from
     sample to sample; with `always` it is written at every time, for readers that take it only at the times of others."""

@@ -59,5 +59,5 @@ class Flows:
         found = arrows(world, 1.0)
         for name in sorted(wanted):
             if f"flow.{name}.P" in found:
-                slot, start = f"flow:{name}", found[f"flow.{name}.P"] - world.origin
-                yield slot, pack(slot, {"from": start.astype(np.float32), "way": found[f"flow.{name}.V"]})
+                slot = f"flow:{name}"
+                yield slot, pack(slot, {"from": found[f"flow.{name}.P"], "way": found[f"flow.{name}.V"]})

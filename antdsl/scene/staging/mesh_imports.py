@@ -18,7 +18,7 @@ from antdsl.source import Span
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
 
-_FAR = 1e7  # mm from the origin; float32 steps are 1 mm there
+_FAR = 1e7  # mm from the zero point: farther out than most scenes are on purpose
 _DEFAULT_WELD = 0.01  # of a voxel: what is finer is lost in voxels anyway
 
 

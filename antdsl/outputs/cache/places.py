@@ -1,0 +1,23 @@
+"""Places in a cache: relative to the origin of the world, which the manifest has in double precision.
+
+Positions far from the zero point would lose precision as float32. A world near the zero point has the origin 0."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.world import World
+
+
+def scene_origin(world: World) -> tuple[float, float, float]:
+    """The origin of a world in scene units."""
+    x, y, z = (world.origin / world.setting.unit_mm).tolist()
+    return x, y, z
+
+
+def scene_places(places: NDArray[np.floating], scale: float) -> NDArray[np.float32]:
+    """Places in mm, relative to the origin of the world, in scene units as float32. `scale`: scene units in a millimetre."""
+    unsigned = places + 0.0  # a zero with a sign would change the bytes of a file
+    found: NDArray[np.float32] = (unsigned * scale).astype(np.float32)
+    return found
