@@ -193,9 +193,15 @@ def test_meshes_over_time_in_usd(cache: Path, tmp_path: Path) -> None:
     [
         (("a.npz", "--ids", "3-5"), "3,8..12"), (("a.npz", "--ids", "5..3"), "3,8..12"),
         (("a.ply", "--as", "solids"), "no solid"),
-        (("a.npz", "--as", "volume"), "no solid"), (("a.glb", "--ids", "900"), "no agent"),
+        (("a.npz", "--as", "volume"), "no solid"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_told(cache: Path, tmp_path: Path, words: tuple[str, ...], told: str) -> None:
     done = run("export", str(cache), "--to", *words, cwd=tmp_path)
     assert done.returncode in (1, 2) and told in done.stderr and not list(tmp_path.iterdir())
+
+
+def test_agents_that_never_live_leave_an_empty_file_and_a_note(cache: Path, tmp_path: Path) -> None:
+    done = run("export", str(cache), "--to", "a.glb", "--ids", "900", cwd=tmp_path)
+    assert done.returncode == 0 and "no agent is there in these frames" in done.stdout + done.stderr
+    assert (tmp_path / "a.glb").is_file()
