@@ -29,12 +29,12 @@ class Part:
 
 def write_mesh(path: Path, parts: Sequence[Part]) -> None:
     """Write meshes into one file, one after the other, by its ending: `.ply`, or `.obj`, where each is an object by its name.
-    Normals and colours are written where all parts have them (colours: PLY alone)."""
+    Normals and colours are written where all parts have them (colours: PLY alone). The file is not synced."""
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
     points = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
     some = [part.normals for part in parts if part.normals is not None]
     normals = np.concatenate(some).astype(np.float32) if some and len(some) == len(parts) else None
-    with whole_file(path) as made:
+    with whole_file(path, sync=False) as made:
         if path.suffix.lower() == ".obj":
             _write_obj(made, parts, starts, points, normals)
         else:
