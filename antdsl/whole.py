@@ -165,7 +165,10 @@ def _placed(part: str, path: Path, sync: bool) -> Iterator[None]:
         with name_failures(path):
             raise
     if sync:
-        sync_folder(Path(path).parent)
+        try:
+            sync_folder(Path(path).parent)
+        except OSError as problem:  # of a folder that may be `.`, which would tell nobody what was written
+            raise OSError(problem.errno, problem.strerror, str(path)) from None
 
 
 def _replace(part: str, path: Path) -> None:
