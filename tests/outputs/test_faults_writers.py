@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from fault_shim import FAULTS, Fault, Faults
+from fault_shim import FAULTS, STYLES, Disk, Fault, Faults
 from fault_shots import BESIDE, MADE, WRITERS, Inline, copied, files, project, ran, same, written
 from kills import kill
 from sampling import sampled
@@ -100,6 +100,35 @@ def test_a_fault_at_every_call_leaves_the_old_file_or_the_new_one(unbroken: Path
     for at in range(count):
         broken(unbroken, tmp_path / "p", name, at, FAULTS[at % len(FAULTS)], whole)
         shutil.rmtree(tmp_path / "p")
+
+
+def lost(unbroken: Path, folder: Path, name: str, disk: Disk, at: int, style: str, whole: dict[str, bytes]) -> None:
+    """After a power loss a file that has its name is whole, and the same command again writes all files."""
+    shutil.copytree(unbroken, folder)
+    disk.loss(at, style, folder / MADE)
+    about = (name, at, style)
+    manifest = folder / MADE / "edited" / "manifest.json"
+    if name != "edit" or manifest.exists():  # an edited cache that is not complete has no manifest
+        for path, data in files(folder, name).items():
+            if "/runs/" not in path and not os.path.basename(path).startswith("."):
+                assert same(name, path, data, whole[path]), (path, *about)
+    code, words = written(folder, name)
+    assert code == 0, (*about, words)
+    found = {path: data for path, data in files(folder, name).items() if not os.path.basename(path).startswith(".")}
+    assert found.keys() == whole.keys(), about
+    for path, data in found.items():
+        assert same(name, path, data, whole[path]), (path, *about)
+
+
+@pytest.mark.parametrize("name", sampled(("csv", "edit", "sweep"), ("edit",)))
+def test_a_power_loss_at_some_calls_leaves_whole_files(unbroken: Path, tmp_path: Path, name: str) -> None:
+    chance, folder = random.Random(name), copied(unbroken, tmp_path / "whole")
+    with Disk(folder / MADE) as disk:
+        assert written(folder, name)[0] == 0
+    whole = files(folder, name)
+    for number, style in enumerate(STYLES):
+        lost(unbroken, tmp_path / f"{number}", name, disk, chance.randrange(len(disk.calls) + 1), style, whole)
+    lost(unbroken, tmp_path / "end", name, disk, len(disk.calls), "nothing", whole)
 
 
 def limited(size: int, work: Callable[[], int]) -> int:
