@@ -107,6 +107,8 @@ def lost(unbroken: Path, folder: Path, name: str, disk: Disk, at: int, style: st
     shutil.copytree(unbroken, folder)
     disk.loss(at, style, folder / MADE)
     about = (name, at, style)
+    if at == len(disk.calls) and name == "edit":  # the command had ended
+        assert files(folder, name) == whole, about
     manifest = folder / MADE / "edited" / "manifest.json"
     if name != "edit" or manifest.exists():  # an edited cache that is not complete has no manifest
         for path, data in files(folder, name).items():
