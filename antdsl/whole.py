@@ -1,8 +1,9 @@
 """Atomic writes: a file gets its name once all of it is written. All files are written, synced and moved by this module.
 
 `sync=True`, the default, brings a file onto the disk before it gets its name, so that a power loss leaves the old file or the
-new one. `sync=False` is for files that are checked against a hash whenever they are read: a damaged one is found and made again,
-so they need not wait for the disk."""
+new one. `sync=False` is for files that need not wait for the disk one by one. Some are checked against a hash whenever they are
+read, so a damaged one is found and made again. Others are many files of one command, which makes them again when it is repeated:
+`sync_files` brings them onto the disk together before the command ends."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ import errno
 import os
 import re
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from io import BufferedWriter, FileIO
 from itertools import islice
@@ -33,9 +34,6 @@ def write_whole(path: Path, data: bytes | Parts, *, sync: bool = True, mode: int
     A reader, also after a crash, sees the old file or all of the new one. An OSError names `path`; the old file stays then.
     `mode`: who may read and write the file, less what the system withholds from new files."""
     with _opened(path, sync, mode) as handle:
-        # The file is emptied before anything is in it, by which ext4 takes it for one that is written anew, and begins to bring
-        # it onto the disk as it is closed: to make sure later that many of them are there takes two thirds of the time.
-        os.ftruncate(handle, 0)
         write_parts(handle, [data] if isinstance(data, bytes) else data)
 
 
@@ -130,6 +128,9 @@ def _opened(path: Path, sync: bool, mode: int) -> Iterator[int]:
     part, handle = _new(path, PART, mode)
     with _placed(part, path, sync):
         try:
+            # The file is emptied before anything is in it, by which ext4 takes it for one that is written anew, and begins to
+            # bring it onto the disk as it is closed: to make sure later that many of them are there takes two thirds of the time.
+            os.ftruncate(handle, 0)
             yield handle
             if sync:
                 os.fsync(handle)
@@ -164,7 +165,10 @@ def _placed(part: str, path: Path, sync: bool) -> Iterator[None]:
         with name_failures(path):
             raise
     if sync:
-        sync_folder(Path(path).parent)
+        try:
+            sync_folder(Path(path).parent)
+        except OSError as problem:  # of a folder that may be `.`, which would tell nobody what was written
+            raise OSError(problem.errno, problem.strerror, str(path)) from None
 
 
 def _replace(part: str, path: Path) -> None:
@@ -234,6 +238,16 @@ def sync_file(path: Path) -> None:
             os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def sync_files(paths: Iterable[Path]) -> None:
+    """Bring files that were written before onto the disk, with their names. Raises OSError."""
+    folders: dict[Path, None] = {}
+    for path in paths:
+        sync_file(path)
+        folders[path.parent] = None
+    for folder in folders:
+        sync_folder(folder)
 
 
 def sync_folder(folder: Path) -> None:

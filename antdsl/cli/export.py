@@ -13,7 +13,7 @@ from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
-from antdsl.whole import make_folder
+from antdsl.whole import make_folder, sync_files
 
 
 @report_failures("the export stopped")
@@ -140,6 +140,8 @@ def export(
             notes = tuple(dict.fromkeys(note for answered in made for note in answered.notes))
         else:
             notes = export.forms[word](gallery, there, to, *options)
+        if word in export.each:
+            sync_files(paths)
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:

@@ -16,7 +16,7 @@ from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
-from antdsl.whole import make_folder
+from antdsl.whole import make_folder, sync_files
 
 if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
@@ -280,6 +280,8 @@ def _by_cluster(
     for answered in answers(where, cache, stills, lambda found, to: tasks(found, wanted, frames, together, to)):
         for frame in answered.task.document["frames"] if fps is None else ():
             say(str(still_path(folder, frame)))
+    if fps is None:
+        sync_files(still_path(folder, frame) for frame in frames)
     if fps is not None:
         _film_of_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps, wanted.width * wanted.height)
         stills.rmdir()
@@ -334,15 +336,19 @@ def _sheet(kept: list[tuple[int, Any]], stills: Stills) -> None:
     path = stills.folder / "sheet.png"
     still(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept]), path)
     say(str(path))
-    say(str(stills.put(*kept[-1])))
+    picture = stills.put(*kept[-1])
+    sync_files([picture])
+    say(str(picture))
 
 
 def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
-    there = 0
+    there, made = 0, []
     for frame, image, new in drawn:
         there += not new
         if new:
-            say(str(stills.put(frame, image)))
+            made.append(stills.put(frame, image))
+            say(str(made[-1]))
+    sync_files(made)
     _skipped(there)
 
 

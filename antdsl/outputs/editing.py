@@ -15,7 +15,7 @@ from antdsl.outputs.cache.lock import FolderLock
 from antdsl.outputs.cache.manifest import way_to, write_manifest
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.smoothing import Oriented, smoothed
-from antdsl.whole import sync_folder, write_whole
+from antdsl.whole import sync_files, write_whole
 
 _NEEDED = ("id", "orient")
 
@@ -38,7 +38,7 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
         static = npz_file(cache.static())
         write_whole(folder / STATIC, static.parts)
         yield from _frames(cache, folder, width)
-        sync_folder(folder / "frames")
+        sync_files(frame_path(folder, number) for number in cache.frames())
         edits = sum(name.startswith("edit ") for name in cache.manifest.inputs)
         inputs = {**cache.manifest.inputs, f"edit {edits + 1}": f"smooth orient:{width}"}
         change = {"static": hash_of_static(static), "inputs": inputs, "scene_path": _way(cache, folder)}

@@ -36,11 +36,11 @@ _MOST = 1e6  # a clip that covers others wholly weighs so much more than they
 def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     """Write a file of points for each frame; `path` without the number, which stands before its ending.
 
-    CacheError for a frame that is damaged, OSError where nothing can be written."""
+    CacheError for a frame that is damaged, OSError where nothing can be written. The files are not synced."""
     for frame in frames:
         arrays = gallery.cache.frame(frame)
         text = json.dumps(_geometry(gallery, frame, arrays), separators=(",", ":"), allow_nan=False)
-        write_whole(numbered(path, frame), (text + "\n").encode("ascii"))
+        write_whole(numbered(path, frame), (text + "\n").encode("ascii"), sync=False)
 
 
 def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:

@@ -57,7 +57,7 @@ class Stills:
         return cls(folder, wanted, cache.lines(), json.dumps(about, sort_keys=True))
 
     def put(self, frame: int, image: Image) -> Path:
-        """Write the picture (h, w, 3) of a frame, whole or not at all."""
+        """Write the picture (h, w, 3) of a frame, whole or not at all. It is not synced."""
         from PIL import Image as PillowImage
         from PIL.PngImagePlugin import PngInfo
 
@@ -65,7 +65,7 @@ class Stills:
         words.add_text(_WORD, self._hash(frame))
         data = io.BytesIO()
         PillowImage.fromarray(image).save(data, "PNG", compress_level=4, pnginfo=words)
-        write_whole(still_path(self.folder, frame), data.getvalue())
+        write_whole(still_path(self.folder, frame), data.getvalue(), sync=False)
         return still_path(self.folder, frame)
 
     def kept(self, frame: int) -> Image | None:

@@ -31,14 +31,14 @@ class Part:
 def write_mesh(path: Path, parts: Sequence[Part], origin: NDArray[np.float64]) -> None:
     """Write meshes into one file, one after the other, by its ending: `.ply`, or `.obj`, where each is an object by its name.
     Normals and colours are written where all parts have them (colours: PLY alone). `origin`: what points are relative to; with
-    one they are written in double precision."""
+    one they are written in double precision. The file is not synced."""
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
     points: Floats = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
     if origin.any():
         points = points + origin
     some = [part.normals for part in parts if part.normals is not None]
     normals = np.concatenate(some).astype(np.float32) if some and len(some) == len(parts) else None
-    with whole_file(path) as made:
+    with whole_file(path, sync=False) as made:
         if path.suffix.lower() == ".obj":
             _write_obj(made, parts, starts, points, normals)
         else:

@@ -55,7 +55,7 @@ def broken(folder: Path, at: int, fault: Fault, unbroken: Path, *words: str) -> 
 
 def test_a_fault_at_some_calls_ends_in_words_and_the_run_goes_on(unbroken: Path, tmp_path: Path) -> None:
     count, chance = len(calls_of_a_run(project(tmp_path / "counted"))), random.Random(20)
-    for number in range(6):
+    for number in range(3):
         assert broken(project(tmp_path / f"{number}"), chance.randrange(count), chance.choice(FAULTS), unbroken)
 
 
@@ -71,7 +71,7 @@ def test_a_fault_at_every_call_ends_in_words_and_the_run_goes_on(unbroken: Path,
 
 def test_a_power_loss_at_some_calls_leaves_what_goes_on(unbroken: Path, tmp_path: Path) -> None:
     disk, chance = recorded(tmp_path / "recorded"), random.Random(20)
-    for number in range(6):
+    for number in range(3):
         lost(disk, chance.randrange(len(disk.calls) + 1), chance.choice(STYLES), tmp_path / f"{number}", unbroken)
 
 
@@ -209,7 +209,7 @@ def allocations(folder: Path) -> int:
 
 def test_a_lack_of_memory_at_some_arrays_ends_in_words_and_the_run_goes_on(unbroken: Path, tmp_path: Path) -> None:
     count, chance = allocations(project(tmp_path / "counted")), random.Random(20)
-    for number in range(4):
+    for number in range(2):
         without_memory(project(tmp_path / f"{number}"), chance.randrange(count), number % 2 == 0, unbroken)
 
 

@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from fault_shim import FAULTS, Fault, Faults
+from fault_shim import FAULTS, STYLES, Disk, Fault, Faults
 from fault_shots import BESIDE, MADE, WRITERS, Inline, copied, files, project, ran, same, written
 from kills import kill
 from sampling import sampled
@@ -23,7 +23,7 @@ from antdsl.cli import _run
 from antdsl.outputs.pictures import film
 from antdsl.sweep.finished_runs import Keeper
 
-SAMPLE = ("csv", "geo", "edit", "stills", "summary", "sweep", "golden", "fmt")
+SAMPLE = ("csv", "geo", "edit", "golden", "fmt")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,9 @@ def broken(unbroken: Path, folder: Path, name: str, at: int, fault: Fault, whole
     about = (name, at, str(fault), calls.hit, words)
     assert code in ((0, 3) if calls.hit else (0,)), about
     if code:
-        assert "error" in words and any(word in words for word in ("again", "--out", "--resume", "goes on", "--to")), about
+        first, hint, *_ = words[words.index("error") :].splitlines()
+        assert any(word in first for word in ("walker.ant`", "walker.svg`", "scene.golden.json`", f"{MADE}`", f"{MADE}/")), about
+        assert any(word in hint for word in ("again", "`--", "--resume", "goes on", "check the name")), about
     for path, data in files(folder, name).items():
         if name != "edit" and "/runs/" not in path and not os.path.basename(path).startswith("."):
             assert data == old.get(path) or same(name, path, data, whole[path]), (path, *about)
@@ -54,8 +56,11 @@ def broken(unbroken: Path, folder: Path, name: str, at: int, fault: Fault, whole
         shutil.rmtree(folder / MADE / "project")  # it writes into empty folders only
     code, words = written(folder, name)
     assert code == 0, (*about, words)
-    assert files(folder, name).keys() == whole.keys(), about
-    for path, data in files(folder, name).items():
+    found = files(folder, name)
+    if (calls.hit or "").startswith("unlink "):  # a file that could not be removed then: the next process removes it
+        found = {path: data for path, data in found.items() if not os.path.basename(path).startswith(".")}
+    assert found.keys() == whole.keys(), about
+    for path, data in found.items():
         assert same(name, path, data, whole[path]), (path, *about)
     return calls.hit
 
@@ -97,6 +102,37 @@ def test_a_fault_at_every_call_leaves_the_old_file_or_the_new_one(unbroken: Path
         shutil.rmtree(tmp_path / "p")
 
 
+def lost(unbroken: Path, folder: Path, name: str, disk: Disk, at: int, style: str, whole: dict[str, bytes]) -> None:
+    """After a power loss a file that has its name is whole, and the same command again writes all files."""
+    shutil.copytree(unbroken, folder)
+    disk.loss(at, style, folder / MADE)
+    about = (name, at, style)
+    if at == len(disk.calls) and name == "edit":  # the command had ended
+        assert files(folder, name) == whole, about
+    manifest = folder / MADE / "edited" / "manifest.json"
+    if name != "edit" or manifest.exists():  # an edited cache that is not complete has no manifest
+        for path, data in files(folder, name).items():
+            if "/runs/" not in path and not os.path.basename(path).startswith("."):
+                assert same(name, path, data, whole[path]), (path, *about)
+    code, words = written(folder, name)
+    assert code == 0, (*about, words)
+    found = {path: data for path, data in files(folder, name).items() if not os.path.basename(path).startswith(".")}
+    assert found.keys() == whole.keys(), about
+    for path, data in found.items():
+        assert same(name, path, data, whole[path]), (path, *about)
+
+
+@pytest.mark.parametrize("name", sampled(("csv", "edit", "sweep"), ("edit",)))
+def test_a_power_loss_at_some_calls_leaves_whole_files(unbroken: Path, tmp_path: Path, name: str) -> None:
+    chance, folder = random.Random(name), copied(unbroken, tmp_path / "whole")
+    with Disk(folder / MADE) as disk:
+        assert written(folder, name)[0] == 0
+    whole = files(folder, name)
+    for number, style in enumerate(STYLES):
+        lost(unbroken, tmp_path / f"{number}", name, disk, chance.randrange(len(disk.calls) + 1), style, whole)
+    lost(unbroken, tmp_path / "end", name, disk, len(disk.calls), "nothing", whole)
+
+
 def limited(size: int, work: Callable[[], int]) -> int:
     """The exit code of work in a process in which no file may grow beyond a size, so that C libraries see a full disk."""
     import resource
@@ -113,7 +149,7 @@ def limited(size: int, work: Callable[[], int]) -> int:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="there is no such limit")
-@pytest.mark.parametrize("name", sampled(("usdc", "usda", "chunks"), ("usda",)))
+@pytest.mark.parametrize("name", sampled(("usdc", "usda", "chunks"), ()))
 def test_usd_on_a_full_disk_is_no_bug_and_leaves_the_old_file(unbroken: Path, tmp_path: Path, name: str) -> None:
     pytest.importorskip("pxr")
     folder = copied(unbroken, tmp_path / "p")

@@ -13,7 +13,7 @@ from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
 from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.cache.zip_parts import Stored
-from antdsl.whole import AppendedFile, sync_file, sync_folder, write_whole
+from antdsl.whole import AppendedFile, sync_files, write_whole
 
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
@@ -57,10 +57,8 @@ class Scribe:
     def sync(self) -> Found:
         """See that all that was written is on the disk."""
         began = time.perf_counter()
-        for path in self._unsynced:
-            sync_file(path)
+        sync_files(self._unsynced)
         self._unsynced.clear()
-        sync_folder(self.folder / "frames")
         self._lines.sync()
         return _spent("sync", began)
 
