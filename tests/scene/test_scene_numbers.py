@@ -15,7 +15,7 @@ import antdsl.scene.model  # noqa: F401 - defines the parts
 from antdsl.cli.new import ground
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, bind, step
-from antdsl.scene import load
+from antdsl.scene.load import load
 from antdsl.scene.parts import Part
 from antdsl.scene.quantities import Quantity
 
