@@ -188,6 +188,7 @@ def stage(
         detail=_detail(scene, camera),
         deviations=staging.deviations,
         imports=mesh_imports(staging, {**surfaces, **obstacles, **{name: solid.mesh for name, solid in solids.items()}}),
+        spans={name: scene.span("world", name) for name in model.world},
     )
     return made, staging.report, staging.hashes
 
