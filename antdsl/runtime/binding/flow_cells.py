@@ -10,6 +10,7 @@ _PIECES = 8  # of a radius or border, where no cell is given
 _ACROSS = 64  # pieces of the ground's extent, where there is no radius either
 _ACROSS_CROWD = 48  # the same, where it is worked out again and again
 _OWN_POINTS = 200_000  # at most, where the cell is not given
+_LEAST = 1e-12  # of the extent
 
 
 def cell_of(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> float:
@@ -35,4 +36,4 @@ def flow_cuts(flow: SpreadFlow | BorderFlow | SolvedFlow, longest: Floats, exten
             raise LatticeTooFine(points)
         if flow.cell is not None or points <= max(_OWN_POINTS, 3 * len(longest)):
             return cuts
-        cell *= 1.3
+        cell = max(1.3 * cell, extent * _LEAST)  # a radius next to 0 has cells of 0
