@@ -13,6 +13,7 @@ import typer
 from antdsl.cli.destinations import default_place, file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
+from antdsl.cli.memory_demand import demand_memory
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.shots import run_shots
@@ -59,6 +60,7 @@ def run(
     summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the cache of an earlier run that was stopped."),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
+    any_memory: bool = typer.Option(False, "--any-memory", help="Start even where the estimate exceeds the memory available."),
     backend: Backend = typer.Option(
         Backend.native,
         "--backend",
@@ -92,15 +94,16 @@ def run(
         if summary is not None or profile:
             flag = "--summary" if summary is not None else "--profile"
             raise typer.BadParameter("this is of one scene that runs here", param_hint=flag)
-        words = {"backend": backend.value, "chunk": chunk, "shuffle_rows": shuffle, "on_fault": on_fault.value}
-        run_shots(scenes, choices, out, {**words, "resume": resume, "force": force}, threads, (scheduler, tls, no_tls), quiet)
+        words: dict[str, object] = {"backend": backend.value, "chunk": chunk, "shuffle_rows": shuffle, "on_fault": on_fault.value}
+        words |= {"resume": resume, "force": force}
+        run_shots(scenes, choices, out, words, threads, (scheduler, tls, no_tls), quiet, any_memory)
         return
     (scene,) = scenes
     file_to_write(summary, "--summary")
     folder = out if out is not None else default_place(scene.resolve().parent, "out", scene.stem)
     if scene.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out")
-    again = _again(scene, out, frames, seed, set_, root, summary)
+    again = _again(scene, out, frames, seed, set_, root, summary, any_memory)
     files, folders = {"--summary": summary}, {"--out": (folder, NAMES)}
     with _setting_up(again), keeping_inputs(files, folders) as inputs:
         inputs.append(scene)
@@ -108,6 +111,8 @@ def run(
     demand(report)
     if shot is None:
         raise Stop(Exit.FINDINGS)
+    if not any_memory:
+        demand_memory([shot])
     from antdsl.runtime import Options
 
     options = Options(
@@ -150,7 +155,14 @@ def at_once(asked: int, quiet: bool = False) -> int:
 
 
 def _again(
-    scene: Path, out: Path | None, frames: str | None, seed: int | None, set_: list[str], root: list[str], summary: Path | None
+    scene: Path,
+    out: Path | None,
+    frames: str | None,
+    seed: int | None,
+    set_: list[str],
+    root: list[str],
+    summary: Path | None,
+    any_memory: bool,
 ) -> str:
     """The command that goes on with a run: all that its results depend on, and where they are."""
     import shlex
@@ -163,7 +175,7 @@ def _again(
         for value in values:
             if value is not None:
                 words += [flag, str(value)]
-    return shlex.join([*words, "--resume"])
+    return shlex.join([*words, *["--any-memory"] * any_memory, "--resume"])
 
 
 @contextmanager

@@ -11,6 +11,7 @@ import typer
 
 from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.memory_demand import demand_memory
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import cluster
 from antdsl.cli.stopping import code_of, stoppable
@@ -31,9 +32,11 @@ def run_shots(
     threads: int,
     where: Where,
     quiet: bool,
+    any_memory: bool,
 ) -> None:
     """Simulate scenes side by side. `out`: the folder for all caches; `options` as `shots.caches.task` has them; `where`: the
-    scheduler, its certificates, and whether it may go without; `threads`: of each, 0 to share out the cores."""
+    scheduler, its certificates, and whether it may go without; `any_memory`: start however much
+    they need; `threads`: of each, 0 to share out the cores."""
     from antdsl.cli.printing.reports import demand
     from antdsl.diagnostics import Report
     from antdsl.executors import Lost, Processes
@@ -66,6 +69,8 @@ def run_shots(
     processes = min(cores(), len(scenes))
     per = threads or max(1, cores() // processes)
     scheduler, tls, no_tls = where
+    if not any_memory and not scheduler:  # a cluster's machines have memory of their own
+        demand_memory([shot for shot in shots if shot is not None], processes)
     files = [path for path in read if path.is_file()]
     running: AbstractContextManager[Executors] = nullcontext(Processes(processes, per))
     if scheduler:

@@ -7,10 +7,11 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
-from pathlib import Path, PurePosixPath
+from pathlib import Path
+
+from antdsl.numerics.control_groups import GROUPS, OWN, group_folders
 
 EACH = 4  # parts of machine code for each of several threads: who comes late, or has slow ones, takes fewer
-_GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")  # Linux
 
 
 @cache
@@ -19,10 +20,10 @@ def cores() -> int:
     (that of a container, say) may use of them, rounded up."""
     there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
-        own = _OWN.read_text(encoding="utf-8", errors="surrogateescape")
+        own = OWN.read_text(encoding="utf-8", errors="surrogateescape")
     except OSError:
         return there
-    return max(1, min([there, *map(math.ceil, allowed(own, _GROUPS))]))
+    return max(1, min([there, *map(math.ceil, allowed(own, GROUPS))]))
 
 
 def allowed(own: str, groups: Path) -> Iterator[float]:
@@ -30,17 +31,11 @@ def allowed(own: str, groups: Path) -> Iterator[float]:
 
     `own`: what Linux tells of the process's groups, a line `number:controllers:path` each; `groups`: the folder that all are in
     (Linux kernel documentation, Control Group v2, `cpu.max`; CFS Bandwidth Control, of the first version)."""
-    for line in own.splitlines():
-        controllers, _, path = line.partition(":")[2].partition(":")
-        if controllers and "cpu" not in controllers.split(","):
-            continue
-        root = groups / "cpu" if controllers else groups
-        parts = [part for part in PurePosixPath(path).parts if part not in ("/", "..")]
-        for folder in (root.joinpath(*parts[:depth]) for depth in range(len(parts) + 1)):
-            with suppress(OSError, ValueError):
-                quota, period = _first(folder) if controllers else _second(folder)
-                if quota > 0 and period > 0:
-                    yield quota / period
+    for folder, is_first in group_folders(own, groups, "cpu"):
+        with suppress(OSError, ValueError):
+            quota, period = _first(folder) if is_first else _second(folder)
+            if quota > 0 and period > 0:
+                yield quota / period
 
 
 def _first(folder: Path) -> tuple[int, int]:

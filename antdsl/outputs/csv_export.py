@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from antdsl.outputs.csv_text import csv_text
 from antdsl.outputs.euler_angles import Angles
 from antdsl.outputs.gallery import Gallery, place_digits
 from antdsl.whole import whole_file
@@ -27,17 +28,18 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     angles = [Angles() for _ in gallery.manifest.species]
     with whole_file(path) as file:
         file.write(f"{HEAD}\n".encode())
+        names = [csv_text([("", each.name)]).replace("%", "%%") for each in gallery.manifest.species]
         for frame in frames:
             arrays = gallery.cache.frame(frame, _READ)
             count = len(arrays["P"])
             which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(count, np.int16)
             numbers = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(count)
-            for number, species in enumerate(gallery.manifest.species):
+            for number, name in enumerate(names):
                 rows = np.flatnonzero(which == number)
                 rows = rows[np.argsort(numbers[rows], kind="stable")]
                 table = np.empty((len(rows), 11))
                 table[:, 0], table[:, 1], table[:, 2:5] = numbers[rows], frame, arrays["P"][rows] + gallery.origin
                 table[:, 5:8] = angles[number].of(numbers[rows], arrays["orient"][rows])
                 table[:, 8:] = arrays["pscale"][rows, None]
-                text = f"{row},{species.name}\n" * len(rows) % tuple(table.ravel().tolist())
+                text = (row + name) * len(rows) % tuple(table.ravel().tolist())
                 file.write(text.encode())

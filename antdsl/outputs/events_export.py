@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import turned
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
 from antdsl.outputs.cache.npz import to_bytes
+from antdsl.outputs.csv_text import csv_text
 from antdsl.outputs.gallery import Gallery, place_digits
 from antdsl.whole import whole_file, write_whole
 
@@ -46,14 +47,16 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     with whole_file(path) as file:
         file.write(f"{HEAD}\n".encode())
         for frame, found in _all(gallery, frames):
-            told = _words(gallery, found)
-            for k, word in enumerate(told):
-                place = ",".join(digits % value for value in found.place[k] + gallery.origin)
-                numbers = ",".join([place, *(f"{value:.9g}" for value in found.normal[k])])
-                other = f"{names[found.other_species[k]]},{found.other[k]},{found.deep[k]:.9g}" if found.other[k] >= 0 else ",,"
-                seconds = (frame - gallery.manifest.first) * gallery.dt
-                row = f"{frame},{seconds:.9g},{found.kind},{names[found.species[k]]},{found.id[k]},{numbers},{word},{other}\n"
-                file.write(row.encode())
+            rows: list[list[object]] = []
+            for k, word in enumerate(_words(gallery, found)):
+                place = [digits % value for value in found.place[k] + gallery.origin]
+                numbers = [*place, *(f"{value:.9g}" for value in found.normal[k])]
+                other = (
+                    [names[found.other_species[k]], found.other[k], f"{found.deep[k]:.9g}"] if found.other[k] >= 0 else [""] * 3
+                )
+                seconds = f"{(frame - gallery.manifest.first) * gallery.dt:.9g}"
+                rows.append([frame, seconds, found.kind, names[found.species[k]], found.id[k], *numbers, word, *other])
+            file.write(csv_text(rows).encode())
     return _missing(gallery, frames)
 
 

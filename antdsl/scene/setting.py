@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.staging.moves import Moves
+from antdsl.source import Span
 
 Point = tuple[float, float, float]
 Contacts = Literal["off", "soft", "hard"]
@@ -255,7 +256,7 @@ class Setting:
     the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
     keep apart. `clips`: of the body of each species, by name; `rooms`: what bodies that come from files take up;
     `legs`: what those that have gaits stand on. `unseen`: things that are not drawn, which no foot stands on.
-    `imports`: by mesh, the report on its file."""
+    `imports`: by mesh, the report on its file. `spans`: where the scene says what each thing of the world is."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -285,6 +286,7 @@ class Setting:
     legs: Mapping[str, LegsData] = field(default_factory=dict)
     unseen: frozenset[str] = frozenset()
     imports: Mapping[str, MeshImport] = field(default_factory=dict)
+    spans: Mapping[str, Span] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:

@@ -4,8 +4,6 @@ What is looked at is the median over seeds of a measure at each point; every poi
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from antdsl.outputs.csv_text import csv_text
 
 HOW = "install it: pip install 'antdsl[sensitivity]'"
 _LEVELS = 4  # of Morris' grid
@@ -145,9 +145,6 @@ def text(analysis: Analysis, found: Sequence[Effect]) -> str:
 
 def as_csv(found: Sequence[Effect]) -> str:
     """One line an effect."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["scene", "measure", "factor", *found[0].columns])
-    for effect in found:
-        writer.writerow([effect.scene, effect.measure, effect.factor, *(f"{value:.9g}" for value in effect.columns.values())])
-    return out.getvalue()
+    head = ["scene", "measure", "factor", *found[0].columns]
+    lines = ([each.scene, each.measure, each.factor, *(f"{value:.9g}" for value in each.columns.values())] for each in found)
+    return csv_text([head, *lines])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,6 +9,7 @@ from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from antdsl.outputs.csv_text import csv_text
 from antdsl.sweep.finished_runs import about
 from antdsl.sweep.jobs import Job
 
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from antdsl.sweep.stopping import Known
 
 Result = tuple[Job, Mapping[str, Any]]
+_HEAD = ("label", "measure", "runs", "happened", "median", "lower_quartile", "upper_quartile", "least", "most")
 NOT_COMPARED = ("seconds", "fps")  # say something about the machine
 
 
@@ -106,13 +106,11 @@ def _plain(value: float) -> float | None:
 
 def as_csv(table: Sequence[Row]) -> str:
     """One line a variation and measure; what never happened is empty."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["label", "measure", "runs", "happened", "median", "lower_quartile", "upper_quartile", "least", "most"])
+    lines: list[list[object]] = [list(_HEAD)]
     for row in table:
         numbers = [_plain(v) for v in (row.median, row.lower, row.upper, row.least, row.most)]
-        writer.writerow([row.label, row.measure, row.runs, row.happened, *("" if n is None else f"{n:.9g}" for n in numbers)])
-    return out.getvalue()
+        lines.append([row.label, row.measure, row.runs, row.happened, *("" if n is None else f"{n:.9g}" for n in numbers)])
+    return csv_text(lines)
 
 
 def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = None) -> bytes | None:
@@ -141,14 +139,12 @@ def runs_csv(results: Sequence[Result], units: Mapping[str, str] | None = None) 
     """One line a run, with its values and all its measures. `units`: of the names whose values are told as numbers."""
     names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED))
     heads = _heads(results, units or {})
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["label", "seed", *heads.values(), *names])
+    lines: list[list[object]] = [["label", "seed", *heads.values(), *names]]
     for job, measures in results:
         given = _given(job, units or {})
         values = [given.get(name, "") for name in heads]
-        writer.writerow([job.label, job.seed, *values, *("" if (v := measures.get(name)) is None else v for name in names)])
-    return out.getvalue()
+        lines.append([job.label, job.seed, *values, *("" if (v := measures.get(name)) is None else v for name in names)])
+    return csv_text(lines)
 
 
 def _heads(results: Sequence[Result], units: Mapping[str, str]) -> dict[str, str]:

@@ -7,12 +7,31 @@ from collections.abc import Iterator
 from antdsl import limits
 from antdsl.syntax.blocks import Line
 from antdsl.syntax.brackets import text_of
-from antdsl.syntax.scan import Scan
+from antdsl.syntax.scan import Scan, Token
+
+Sizes = tuple[int, int, int]
+NOTHING: Sizes = (0, 0, 0)
+
+
+def sizes_of(scanned: Scan, lines: list[Line]) -> Sizes:
+    """How many words, statements and species a text has."""
+    return len(scanned.tokens), sum(1 for _ in _statements(lines)), len(_species(scanned, lines))
+
+
+def together(one: Sizes, other: Sizes) -> Sizes:
+    """The sizes of two parts of a file."""
+    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
+
+
+def is_within(sizes: Sizes) -> bool:
+    """Whether one file may have so much."""
+    words, statements, species = sizes
+    return words <= limits.TOKENS and statements <= limits.STATEMENTS and species <= limits.SPECIES
 
 
 def has_too_many(scanned: Scan, lines: list[Line]) -> bool:
     """Whether a text has more words, statements or species than are allowed, counted before the costly work. Reports it."""
-    species = [line.tokens[0] for line in lines if text_of(scanned, line.tokens[0]) == "species"]
+    species = _species(scanned, lines)
     statements = [line.tokens[0] for line in _statements(lines)]
     counts = ((species, limits.SPECIES, "species"), (statements, limits.STATEMENTS, "statements"))
     for found, most, what in (*counts, (scanned.tokens, limits.TOKENS, "words, numbers and signs")):
@@ -22,6 +41,11 @@ def has_too_many(scanned: Scan, lines: list[Line]) -> bool:
             scanned.error("too-many", words, found[most].start, found[most].end, help)
             return True
     return False
+
+
+def _species(scanned: Scan, lines: list[Line]) -> list[Token]:
+    """The first word of each species."""
+    return [line.tokens[0] for line in lines if text_of(scanned, line.tokens[0]) == "species"]
 
 
 def _statements(lines: list[Line]) -> Iterator[Line]:

@@ -22,7 +22,7 @@ from antdsl.syntax.blocks import Group, Line, Lookup, cut, lookup
 from antdsl.syntax.brackets import pair, text_of
 from antdsl.syntax.builder import Builder, Header, Result
 from antdsl.syntax.depth import deep_places
-from antdsl.syntax.file_limits import has_too_many
+from antdsl.syntax.file_limits import NOTHING, Sizes, has_too_many, is_within, sizes_of
 from antdsl.syntax.mistakes.unexpected_tokens import (
     UnexpectedToken,
     begins_line,
@@ -117,7 +117,8 @@ def parse(source: Source) -> tuple[n.File, Report]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Lines of a file that were read by themselves. `edition` and `help` are there only where the part begins the file."""
+    """Lines of a file that were read by themselves. `edition` and `help` are there only where the part begins the file.
+    `sizes`: how many words, statements and species it has."""
 
     source: Source
     nodes: tuple[Any, ...]
@@ -126,11 +127,12 @@ class Part:
     recovered: tuple[Span, ...]
     edition: n.Number | None = None
     help: n.Text | None = None
+    sizes: Sizes = NOTHING
 
 
 def parse_part(source: Source, rule: str, *, begins: bool = False) -> Part:
     """Read some whole lines of a file by the rule of what is around them: `top`, or `member` inside a species. Braces must be
-    paired in it. `begins`: it is the beginning of the file. Never raises."""
+    paired in it; one with more than a file may have is not read. `begins`: it is the beginning of the file. Never raises."""
     report = Report()
     scanned = scan(source, report)
     tokens = pair(scanned)
@@ -138,11 +140,14 @@ def parse_part(source: Source, rule: str, *, begins: bool = False) -> Part:
         return Part(source, (), report, tuple(scanned.comments), ())
     lines = cut(scanned, tokens)
     scanned.faults.sort()
+    sizes = sizes_of(scanned, lines)
+    if not is_within(sizes):
+        return Part(source, (), report, tuple(scanned.comments), (), sizes=sizes)
     with _lock:
         reading = _Reading(scanned)
         edition, help, lines = reading.beginning(lines) if begins else (None, None, lines)
         nodes = reading.lines(lines, rule)
-        return Part(source, nodes, report, tuple(scanned.comments), reading.recovered(), edition, help)
+        return Part(source, nodes, report, tuple(scanned.comments), reading.recovered(), edition, help, sizes)
 
 
 def _other_language(text: str) -> str | None:

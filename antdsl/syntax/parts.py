@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from antdsl.diagnostics.model import Diagnostic, Fix, Label, Report
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
+from antdsl.syntax.file_limits import NOTHING, is_within, together
 from antdsl.syntax.parser import Part, parse, parse_part
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
 
@@ -120,12 +121,19 @@ class Parts:
         texts = [source.text[cut.start : cut.end] + ("}" if cut.rule == "species" else "") for cut in found]
         before, after = self._same(found, texts)
         last = len(found) - after
-        self._known = [
-            (cut, text, self._known[number][2] if number < before
-             else self._known[number - len(found)][2] if number >= last
-             else self._part(source, cut, text))
-            for number, (cut, text) in enumerate(zip(found, texts, strict=True))
-        ]  # fmt: skip
+        known: list[tuple[Cut, str, Part]] = []
+        sizes = NOTHING
+        for number, (cut, text) in enumerate(zip(found, texts, strict=True)):
+            part = (
+                self._known[number][2] if number < before
+                else self._known[number - len(found)][2] if number >= last
+                else self._part(source, cut, text)
+            )  # fmt: skip
+            known.append((cut, text, part))
+            sizes = together(sizes, part.sizes)
+            if not is_within(sizes):
+                return parse(source)  # which says so, and reads no more of it
+        self._known = known
         parts = [(cut, part) for cut, _, part in self._known]
         said = [d for _, part in parts for d in part.report.diagnostics]
         heads = [part for cut, part in parts if cut.rule == "species"]

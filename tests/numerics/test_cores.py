@@ -56,13 +56,13 @@ def test_no_more_threads_run_than_a_control_group_has_time_for(
 ) -> None:
     told = groups / "own"
     told.write_text(own, encoding="utf-8")
-    monkeypatch.setattr(module, "_OWN", told)
-    monkeypatch.setattr(module, "_GROUPS", groups)
+    monkeypatch.setattr(module, "OWN", told)
+    monkeypatch.setattr(module, "GROUPS", groups)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)), raising=False)
     assert module.cores.__wrapped__() == most
 
 
 def test_without_control_groups_all_cores_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_OWN", tmp_path / "none")
+    monkeypatch.setattr(module, "OWN", tmp_path / "none")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
     assert module.cores.__wrapped__() == 3

@@ -15,7 +15,7 @@ import antdsl.scene.model  # noqa: F401 - defines the parts
 from antdsl.cli.new import ground
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, bind, step
-from antdsl.scene import load
+from antdsl.scene.load import load
 from antdsl.scene.parts import Part
 from antdsl.scene.quantities import Quantity
 
@@ -26,13 +26,13 @@ EXTREMES = (
 PROGRAM = """ant 1
 use steering
 world { surface ground; surface hills; obstacle rock; curve line; items food { load = 3 }; flow drift; flow away; flow rim
-  flow guide; flow brush; map paint }
+  flow guide; flow brush; flow home; map paint }
 field trail on ground { half_life 3 s; diffuse 4 mm^2/s; cell 4 mm }
 species walker {
   param pace = 20 mm/s in 5 mm/s .. 50 mm/s
   size 4 mm
   max_speed pace
-  state stroll { steer wander(swing: 60 deg) + along(drift) + along(away) + along(rim) + along(guide) + along(brush)
+  state stroll { steer wander(swing: 60 deg) + along(drift) + along(away) + along(rim) + along(guide) + along(brush) + along(home)
     deposit trail 4 /s }
   layers { separate(radius: 8 mm); state }
 }
@@ -48,17 +48,19 @@ contacts: hard
 world:
   ground: {mesh: ground.ply, at: [1, 2, 3], rotate: [4, 5, 6], scale: 1.5, keys: {1: {at: [7, 8, 9], rotate: [10, 11, 12]}}}
   hills: {height: hills.png, extent: [50 mm, 60 mm], scale: 5 mm, offset: 1 mm, at: [0, -90, 1], rotate: [1, 2, 3]}
-  rock: {mesh: ball.ply, at: [10, 3, 10], rotate: [1, 2, 3], scale: 0.5}
+  rock: {mesh: ball.ply, at: [10, 3, 10], rotate: [1, 2, 3], scale: 0.5, weld: 0.01 mm}
   line: {curve: line.json, at: [1, 2, 3]}
   food: {crumb: {at: [30, 0, 20], on: ground, radius: 3 mm, load: 7, keys: {1: {at: [5, 6, 7]}}}}
   drift: {tangent: line, strength: 0.5, radius: 40 mm, cell: 9 mm, gather: 2}
   away: {away: [30, 0, 20], strength: 0.5, radius: 40 mm, cell: 9 mm}
   rim: {border: ground, within: 30 mm, strength: 0.5, cell: 9 mm}
+  home: {toward: [30, 0, 20], strength: 0.5, radius: 40 mm, cell: 9 mm}
   guide: {solved: [30, 0, 20], slope: 2, room: 3 mm, maps: {paint: 2}, crowding: 3, every: 2 s, cell: 9 mm, strength: 0.5}
   brush: {painted: brush.npz, on: ground, strength: 0.5}
   paint: {painted: paint.npz, on: ground, strength: 0.5}
 crowd:
   - {species: walker, from: walker.ant, count: 20, place: {on: ground, around: [1, 2, 3], radius: 60 mm, apart: 5 mm, seed: 9}}
+  - {species: walker, from: walker.ant, count: 2, place: {on: ground, inside: [1, 9, 3]}}
   - species: walker
     from: walker.ant
     count: 3
@@ -71,7 +73,7 @@ lod: {near: 100 mm, far: 200 mm}
 output: {checkpoint: 50}
 """
 # Read by the validators of MeshThing, CurveThing and ItemThing, from files whose reading takes seconds.
-ELSEWHERE = {("UsdThing", name) for name in ("at", "rotate", "scale", "voxel")} | {
+ELSEWHERE = {("UsdThing", name) for name in ("at", "rotate", "scale", "voxel", "weld")} | {
     ("UsdEach", "radius"), ("MeshThing", "voxel"), ("StartFrom", "frame"), ("HeightThing", "layer"),
 }  # fmt: skip
 NUMBER = re.compile(r"(?<![\w.#])-?\d+(?:\.\d+)?(?![\w.]*\.(?:ply|png|npz|json|ant))")

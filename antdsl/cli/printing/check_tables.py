@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from antdsl import limits
 from antdsl.diagnostics.places import safe
 from antdsl.program.cost import Part, costs
 from antdsl.program.kinds import Kind
@@ -139,24 +138,9 @@ def import_table(files: Sequence[Path], choices: Choices) -> Iterator[str]:
 
 def work_table(file: Path, shot: Shot) -> Iterator[str]:
     """What the world of a scene and its crowd have to allocate: counts and bytes, estimated before anything is made."""
-    from antdsl.plan.register_bytes import memory
-    from antdsl.runtime.binding.world_work import world_work
-    from antdsl.scene.matching import const_base
+    from antdsl.cli.memory_demand import size_text, work_of
 
-    sizes = {name: sum(memory(species).values()) for name, species in shot.plan.species.items()}
-    fields = {
-        name: (declared.surfaces, const_base(declared.cell, shot.scene))
-        for name, declared in shot.program.fields.items()
-        if isinstance(declared.cell, Const)
-    }
-    works = world_work(shot.setting, fields, sizes)
-    yield f"{file}: about {_size(sum(work.bytes for work in works))} for the world and its crowd"
-    rows = [(work.thing, f"{work.number:,} {work.parts}", _size(work.bytes)) for work in works]
+    works = work_of(shot)
+    yield f"{file}: about {size_text(sum(work.bytes for work in works))} for the world and its crowd"
+    rows = [(work.thing, f"{work.number:,} {work.parts}", size_text(work.bytes)) for work in works]
     yield from _aligned([("thing", "work", "memory"), *rows])
-
-
-def _size(bytes: int) -> str:
-    for unit, words in ((limits.GIB, "GiB"), (limits.MIB, "MiB"), (limits.KIB, "KiB")):
-        if bytes >= unit:
-            return f"{bytes / unit:,.1f} {words}"
-    return f"{bytes} bytes"

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.casting.curves import resampled
 from antdsl.diagnostics import Report
-from antdsl.fields.face_points import Lattice, LatticeTooFine, cuts_for, slots_of, welded
+from antdsl.fields.face_points import Lattice, LatticeTooFine, welded
 from antdsl.fields.flow import Flow, Map, Source, falling, laid, nearest, spread
 from antdsl.fields.path_cost import Land
 from antdsl.fields.solved import Grounds, Solved, least_cost
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.protocol import Flags, Floats, Index, Meshes
+from antdsl.runtime.binding.flow_cells import cell_of, flow_cuts
 from antdsl.runtime.binding.reuse import Built
 from antdsl.runtime.moving.obstacles import mesh_of
 from antdsl.scene.setting import BorderFlow, FlowData, Painted, SolvedFlow, SpreadFlow, Target
@@ -26,10 +27,6 @@ from antdsl.scene.setting import BorderFlow, FlowData, Painted, SolvedFlow, Spre
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
-_PIECES = 8  # of a radius or border, where no cell is given
-_ACROSS = 64  # pieces of the ground's extent, where there is no radius either
-_ACROSS_CROWD = 48  # the same, where it is worked out again and again
-_OWN_POINTS = 200_000  # at most, where the cell is not given
 _ROOM_COST = 8.0  # beside an obstacle a mm costs so much more
 _SUNK = 0.05  # voxels that ground may lie under the surface of a solid and still be crossed
 _LIFT = 0.25  # of an edge: how high over the ground obstacles are looked for between two points
@@ -67,7 +64,7 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
         report.error(
             "flow-too-fine",
             f"flow `{name}` would be worked out in about {why.needed:,} points; {limits.FLOW_POINTS:,} are allowed",
-            None,
+            world.setting.spans.get(name),
             "give it a larger `cell`, or a smaller `radius`",
         )
 
@@ -152,20 +149,9 @@ def _lengths(world: World) -> tuple[Floats, Floats]:
     return np.sqrt((edges * edges).sum(axis=2)).max(axis=0), corners.mean(axis=1)
 
 
-def _lattice(world: World, chosen: Flags, cell: float | None, own_cell: float) -> Lattice:
-    """A lattice whose points lie at most `cell` mm apart on the chosen faces; without one, at most `own_cell`, or more where that
-    would be too many. LatticeTooFine where a given cell is."""
-    longest = np.where(chosen, _lengths(world)[0], 0.0)
-    if cell is not None:
-        cuts = cuts_for(longest, cell)
-        if slots_of(cuts) > limits.FLOW_POINTS:
-            raise LatticeTooFine(slots_of(cuts))
-        return Lattice.of(cuts)
-    while True:
-        cuts = cuts_for(longest, own_cell)
-        if slots_of(cuts) <= max(_OWN_POINTS, 3 * len(longest)):
-            return Lattice.of(cuts)
-        own_cell *= 1.3
+def _lattice(world: World, chosen: Flags, flow: SpreadFlow | BorderFlow | SolvedFlow) -> Lattice:
+    """A lattice as fine as a flow asks for on the chosen faces. LatticeTooFine where its cell is too small."""
+    return Lattice.of(flow_cuts(flow, np.where(chosen, _lengths(world)[0], 0.0), _meshes(world).extent))
 
 
 def _places(world: World, lattice: Lattice) -> tuple[Index, Floats]:
@@ -202,12 +188,10 @@ def _spread(world: World, flow: SpreadFlow) -> Flow:
     if world.ground.meshes is None:
         return Flow(Lattice.of(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
     chosen = near = _chosen(world, flow.on)
-    own = _meshes(world).extent / _ACROSS
     if flow.radius is not None:
         longest, middle = _lengths(world)
         near = chosen & (nearest(target, middle)[0] <= flow.radius + longest)
-        own = flow.radius / _PIECES
-    lattice = _lattice(world, near, flow.cell, own)
+    lattice = _lattice(world, near, flow)
     face, place = _places(world, lattice)
     vectors = np.zeros_like(place)
     asked = np.flatnonzero(near[face])
@@ -224,7 +208,7 @@ def _border(world: World, flow: BorderFlow) -> Flow:
     edge = two - one
     length = np.sqrt((edge * edge).sum(axis=1))
     longest, middle = _lengths(world)
-    cell = flow.cell or flow.within / _PIECES
+    cell = cell_of(flow, _meshes(world).extent)
     pieces = np.clip(np.ceil(2 * length / cell), 1, 4096).astype(np.int64)
     which = np.repeat(np.arange(len(half)), pieces)
     part = (np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[which]
@@ -235,7 +219,7 @@ def _border(world: World, flow: BorderFlow) -> Flow:
     target = Target(rim, np.zeros(len(rim)))
     if len(rim):
         near &= nearest(target, middle)[0] <= flow.within + longest
-    lattice = _lattice(world, near, flow.cell, cell)
+    lattice = _lattice(world, near, flow)
     face, place = _places(world, lattice)
     vectors = np.zeros_like(place)
     asked = np.flatnonzero(near[face]) if len(rim) else np.empty(0, np.int64)
@@ -258,9 +242,7 @@ def _border(world: World, flow: BorderFlow) -> Flow:
 
 def _solved(world: World, flow: SolvedFlow) -> Flow:
     chosen = _chosen(world, flow.on)
-    own = _meshes(world).extent / (_ACROSS_CROWD if flow.crowding else _ACROSS)
-    own = min(own, flow.room / 2 if flow.room else own)
-    lattice = _lattice(world, chosen, flow.cell, own)
+    lattice = _lattice(world, chosen, flow)
     grounds = _grounds(world, lattice, chosen)
     start, first = _goal(world, flow, grounds)
     every = max(1, ceil(flow.every / world.dt - 1e-9))

@@ -137,7 +137,9 @@ def _solids(setting: Setting, origin: NDArray[np.float64], built: Built) -> dict
         mesh = _moved(solid.mesh, origin)
         made = built.once_deep("solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel))
         if isinstance(made, Unusable):
-            report.error("bad-mesh", f"the mesh of the solid `{name}` cannot be dug: {made.message}", None, made.help)
+            report.error(
+                "bad-mesh", f"the mesh of the solid `{name}` cannot be dug: {made.message}", setting.spans.get(name), made.help
+            )
         else:
             found[name] = made
     if not report.ok:

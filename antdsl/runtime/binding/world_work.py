@@ -8,14 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl import limits
-from antdsl.fields.face_points import cuts_for, slots_of
-from antdsl.scene.setting import FlowData, MeshData, Painted, Setting, SolvedFlow, SpreadFlow
+from antdsl.fields.face_points import Floats, LatticeTooFine, slots_of
+from antdsl.runtime.binding.flow_cells import flow_cuts
+from antdsl.scene.geometry.meshes import mesh_area
+from antdsl.scene.setting import MeshData, Painted, Setting
 
 _FACE = 200  # bytes of a face with its vertices, links, normals and tree
 _VOXEL = 8  # of a distance, and of what a voxel is
 _CELL = 48  # of a field: two float32, its place, its neighbours
 _POINT = 64  # of a flow: a place and a vector in float64, its cost
-_ACROSS, _PIECES = 64, 8  # parts of the extent, of a radius or of a border, where a flow names no cell
 
 
 class Work(NamedTuple):
@@ -55,41 +56,35 @@ def _meshes(setting: Setting) -> Iterator[Work]:
 
 def _fields(setting: Setting, fields: Mapping[str, tuple[tuple[str, ...], float]]) -> Iterator[Work]:
     for name, (surfaces, edge) in fields.items():
-        area = sum(_area(setting.surfaces[each]) for each in surfaces if each in setting.surfaces)
+        area = sum(mesh_area(setting.surfaces[each]) for each in surfaces if each in setting.surfaces)
         yield _work(f"field {name}", area / edge / edge, "cells at least", _CELL)
 
 
-def _area(mesh: MeshData) -> float:
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    across = np.cross(b - a, c - a)
-    return float(np.sqrt((across * across).sum(axis=1)).sum() / 2)
-
-
 def _flows(setting: Setting) -> Iterator[Work]:
+    longest = {name: _longest(mesh) for name, mesh in setting.surfaces.items()} if setting.flows else {}
+    extent = _extent(setting)
     for name, flow in setting.flows.items():
-        if isinstance(flow, Painted):
+        if isinstance(flow, Painted) or not longest:
             continue
-        meshes = [setting.surfaces[each] for each in (flow.on or setting.surfaces) if each in setting.surfaces]
-        count = sum(slots_of(cuts_for(_longest(mesh), _cell(flow, mesh))) for mesh in meshes if len(mesh.faces))
-        yield _work(f"flow {name}", min(count, limits.FLOW_POINTS), "points at most", _POINT)
+        edges = np.concatenate([each if not flow.on or of in flow.on else np.zeros_like(each) for of, each in longest.items()])
+        try:
+            count = slots_of(flow_cuts(flow, edges, extent))
+        except LatticeTooFine:  # which binding refuses
+            count = limits.FLOW_POINTS
+        yield _work(f"flow {name}", count, "points at most", _POINT)
 
 
-def _cell(flow: FlowData, mesh: MeshData) -> float:
-    if isinstance(flow, Painted):
-        return np.inf
-    if flow.cell is not None:
-        return flow.cell
-    if isinstance(flow, SpreadFlow) and flow.radius is not None:
-        return flow.radius / _PIECES
-    if isinstance(flow, SpreadFlow | SolvedFlow):
-        return float(np.ptp(mesh.vertices, axis=0).max()) / _ACROSS
-    return flow.within / _PIECES
+def _extent(setting: Setting) -> float:
+    """The longest side (mm) of the box around all surfaces."""
+    boxes = [[mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)] for mesh in setting.surfaces.values() if len(mesh.vertices)]
+    corners = np.concatenate(boxes) if boxes else np.zeros((1, 3))
+    return float(np.ptp(corners, axis=0).max())
 
 
-def _longest(mesh: MeshData) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _longest(mesh: MeshData) -> Floats:
     corners = mesh.vertices[mesh.faces]
     edges = corners[:, [1, 2, 0]] - corners
-    longest: np.ndarray[tuple[int, ...], np.dtype[np.float64]] = np.sqrt((edges * edges).sum(axis=2)).max(axis=1)
+    longest: Floats = np.sqrt((edges * edges).sum(axis=2)).max(axis=1) if len(corners) else np.zeros(0)
     return longest
 
 

@@ -240,3 +240,11 @@ def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     np.minimum.at(first, number, np.arange(len(vertices)))  # the first in the file, whatever the library's numbers
     made = vertices[first[number]]
     return made, int((made != vertices).any(axis=1).sum())
+
+
+@once_a_mesh
+def mesh_area(mesh: MeshData) -> float:
+    """The area of all faces, mm²."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    across = np.cross(b - a, c - a)
+    return float(np.sqrt((across * across).sum(axis=1)).sum() / 2)

@@ -24,7 +24,7 @@ from antdsl.scene.document import Key
 from antdsl.scene.geometry.closed import check_sides
 from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, sound, within_reach
+from antdsl.scene.geometry.meshes import RawMesh, mesh_area, placed, read_mesh, sound, within_reach
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base
@@ -39,7 +39,6 @@ from antdsl.scene.model import (
 )
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.staging.cached import once_a_mesh
 from antdsl.scene.staging.item_placement import check_crowds, items_of
 from antdsl.scene.staging.mesh_imports import close_solid, mesh_imports, report_losses, weld_thing
 from antdsl.scene.staging.moves import MeshMoves, Moves
@@ -188,6 +187,7 @@ def stage(
         detail=_detail(scene, camera),
         deviations=staging.deviations,
         imports=mesh_imports(staging, {**surfaces, **obstacles, **{name: solid.mesh for name, solid in solids.items()}}),
+        spans={name: scene.span("world", name) for name in model.world},
     )
     return made, staging.report, staging.hashes
 
@@ -320,7 +320,7 @@ def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) ->
         edge = const_base(declared.cell, staging.scene)
         if edge <= 0:
             continue
-        area = sum(_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
+        area = sum(mesh_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
         place = declared.surfaces[0] if declared.surfaces else ""
         # a plane that lies aslant touches up to 1.7 times the voxels of its area; one each for the area is the least
         labels = (Label(declared.cell.span, "the cell's size"),)
@@ -364,13 +364,6 @@ def _some_length(expression: Expr, staging: Staging) -> float | None:
         elif isinstance(part, Op):
             stack.extend(reversed(part.args))
     return None
-
-
-@once_a_mesh
-def _area(mesh: stage_of.MeshData) -> float:
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    across = np.cross(b - a, c - a)
-    return float(np.sqrt((across * across).sum(axis=1)).sum() / 2)
 
 
 def _refuse_if_many(

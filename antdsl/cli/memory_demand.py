@@ -1,0 +1,67 @@
+"""Whether there is memory for a run: an estimate from counts, held against what is available, before anything is made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from antdsl import limits
+from antdsl.cli.exits import Exit, Stop
+
+if TYPE_CHECKING:
+    from antdsl.pipeline import Shot
+    from antdsl.runtime.binding.world_work import Work
+    from antdsl.source import Span
+
+_SHARE = 0.8  # of what is available; the rest is for frames, kernels and other programs
+_NAMED = 3  # things that a message names
+
+
+def work_of(shot: Shot) -> list[Work]:
+    """What the world of a shot and its crowd have to allocate."""
+    from antdsl.plan.register_bytes import memory
+    from antdsl.program.model import Const
+    from antdsl.runtime.binding.world_work import world_work
+    from antdsl.scene.matching import const_base
+
+    sizes = {name: sum(memory(species).values()) for name, species in shot.plan.species.items()}
+    fields = {
+        name: (declared.surfaces, const_base(declared.cell, shot.scene))
+        for name, declared in shot.program.fields.items()
+        if isinstance(declared.cell, Const)
+    }
+    return world_work(shot.setting, fields, sizes)
+
+
+def demand_memory(shots: Sequence[Shot], at_once: int = 1) -> None:
+    """End the command where the `at_once` largest shots need more than 80 % of the memory that is available. Stop names the
+    largest things, at the place of the largest in its scene."""
+    from antdsl.numerics.memory import available_memory
+
+    there = available_memory()
+    works = sorted(((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(work_of, shots))), reverse=True)
+    needed = sum(each for each, *_ in works[:at_once])
+    if there is None or not works or needed <= _SHARE * there:
+        return
+    _, k, work = works[0]
+    largest = sorted(work, key=lambda each: -each.bytes)[:_NAMED]
+    names = ", ".join(f"{each.thing} {size_text(each.bytes)} ({each.number:,} {each.parts})" for each in largest if each.bytes)
+    words = f"this needs about {size_text(needed)}, and 80 % of what is available are {size_text(int(_SHARE * there))}: {names}"
+    hint = "use larger cells or voxels, a lighter mesh or fewer agents; to try it all the same, add `--any-memory`"
+    raise Stop(Exit.INPUT_OUTPUT, f"error: {_place(shots[k], largest[0])}: {words}", hint)
+
+
+def _place(shot: Shot, work: Work) -> Span:
+    """Where the scene, or its program, says what needs so much."""
+    kind, _, name = work.thing.partition(" ")
+    if kind == "field":
+        return shot.program.fields[name].span
+    return shot.scene.span("crowd") if kind == "species" else shot.scene.span("world", name)
+
+
+def size_text(bytes: int) -> str:
+    """So many bytes in the largest unit that fits."""
+    for unit, words in ((limits.GIB, "GiB"), (limits.MIB, "MiB"), (limits.KIB, "KiB")):
+        if bytes >= unit:
+            return f"{bytes / unit:,.1f} {words}"
+    return f"{bytes} bytes"

@@ -1,0 +1,27 @@
+"""Rows of CSV (RFC 4180) whose text cells no spreadsheet program takes for a formula."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Sequence
+from types import SimpleNamespace
+
+_FORMULA = frozenset("=+-@\t\r\n＝＋－＠")  # a cell that begins so is a formula in some spreadsheet program
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)")
+
+
+def safe_cell(value: object) -> object:
+    """A value as it stands in a cell. Text that begins like a formula, or with an apostrophe, gets an apostrophe in front of it.
+    Removing one leading apostrophe restores it. Numbers stay, those that are written as text too."""
+    if not isinstance(value, str) or _NUMBER.fullmatch(value):
+        return value
+    return f"'{value}" if value.startswith("'") or value.lstrip(" ")[:1] in _FORMULA else value
+
+
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Rows as lines that end in a line feed, cells with commas, quotes or line ends in quotes."""
+    lines: list[str] = []
+    writer = csv.writer(SimpleNamespace(write=lines.append))  # ends a line in CR LF, and so puts cells with either in quotes
+    writer.writerows([safe_cell(value) for value in row] for row in rows)
+    return "".join(f"{line[:-2]}\n" for line in lines)

@@ -1,0 +1,62 @@
+"""A run that needs more memory than there is ends before it begins, at a place in the scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import commands
+import pytest
+
+import antdsl.numerics.memory as available
+from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.memory_demand import demand_memory, work_of
+from antdsl.pipeline import Shot, open_scene
+
+SCENES = {
+    "species walker": ("count: 200", "count: 4000000"),
+    "surface ground": ("count: 200", "count: 1"),
+}
+
+
+def shot_of(folder: Path, *change: str) -> Shot:
+    if not folder.exists():
+        assert commands.run("new", str(folder), cwd=folder.parent).returncode == 0
+    scene = folder / "scene.yaml"
+    scene.write_text(scene.read_text().replace(*change))
+    shot, report = open_scene(scene)
+    assert shot is not None, report
+    return shot
+
+
+@pytest.mark.parametrize("thing", SCENES)
+def test_the_largest_thing_is_named_at_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thing: str) -> None:
+    shot = shot_of(tmp_path / "project", *SCENES[thing])
+    needed = sum(work.bytes for work in work_of(shot))
+    monkeypatch.setattr(available, "available_memory", lambda: int(needed / 0.8) + 1)
+    demand_memory([shot])
+    monkeypatch.setattr(available, "available_memory", lambda: None)
+    demand_memory([shot])
+    monkeypatch.setattr(available, "available_memory", lambda: int(needed / 0.8) - 1)
+    with pytest.raises(Stop) as stop:
+        demand_memory([shot])
+    assert stop.value.code == Exit.INPUT_OUTPUT and "--any-memory" in stop.value.hint
+    place, _, words = stop.value.message.removeprefix("error: ").partition(": this needs about ")
+    assert place.rsplit(":", 2)[0].endswith("scene.yaml") and words.partition(": ")[2].startswith(thing)
+
+
+def test_scenes_at_once_count_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shot = shot_of(tmp_path / "project", "", "")
+    needed = sum(work.bytes for work in work_of(shot))
+    monkeypatch.setattr(available, "available_memory", lambda: int(needed / 0.8) + 1)
+    demand_memory([shot, shot, shot], 1)
+    with pytest.raises(Stop):
+        demand_memory([shot, shot, shot], 2)
+
+
+def test_any_memory_starts_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shot_of(tmp_path / "project", "count: 200", "count: 2")
+    monkeypatch.setattr(available, "available_memory", lambda: 1)
+    words = ("run", "project/scene.yaml", "--frames", "1..1", "--backend", "numpy")
+    done = commands.run(*words, cwd=tmp_path)
+    assert done.returncode == 3 and "scene.yaml:" in done.stderr and not (tmp_path / "project" / "out").exists()
+    assert commands.run(*words, "--any-memory", cwd=tmp_path).returncode == 0
