@@ -21,7 +21,7 @@ from commands import run
 
 from antdsl import __version__
 from antdsl.executors import Task, Worker, run_tasks
-from antdsl.executors.machine import sources
+from antdsl.outputs.provenance import sources
 
 RUNS = 40
 
