@@ -218,7 +218,7 @@ ROWS = {
         "an error",
         (
             "outputs/test_cache.py::test_only_the_written_form_of_a_name_is_a_frame",
-            "runtime/test_object_cache.py::test_the_code_of_another_program_is_not_loaded",
+            "machine_code/test_object_cache.py::test_the_code_of_another_program_is_not_loaded",
         ),
     ),
     "C6": Row(

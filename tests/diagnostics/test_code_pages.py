@@ -263,7 +263,7 @@ def test_every_meaning_of_every_word_has_its_sample() -> None:
 
 AROUND = """ant 1
 use steering
-world { surface ground; obstacle stones; curve path; items food { load = 0 }; items nest { load = 0 } }
+world { surface ground; obstacle stones; curve path; flow drift; items food { load = 0 }; items nest { load = 0 } }
 field trail on ground { cell 4 mm; half_life 8 s }
 species rabbit { load = 0 }
 species forager {

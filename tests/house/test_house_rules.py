@@ -127,6 +127,7 @@ OWN_FILES = {
     "outputs/writer/process_memory.py": "what the system tells about memory",
     "preview/serving/pages.py": "the page that comes with antdsl",
     "numerics/cores.py": "what the system tells about processor time",
+    "numerics/memory.py": "what the system tells about memory",
     "cli/printing/messages.py": "the null device",
     "scene/paths.py": "folders, part by part",
     "reader/child.py": "the null device, pipes that it was given",

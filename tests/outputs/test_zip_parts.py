@@ -13,6 +13,7 @@ import pytest
 
 from antdsl.outputs.cache import npz, zip_parts
 from antdsl.outputs.cache.zip_parts import NotStored, Stored, form_of, read_headers, stored
+from antdsl.whole import write_whole
 
 MEMBERS = [
     ("frame.npy", b"head", np.int64(7).tobytes()), ("P.npy", b"a head of its own", bytes(range(256)) * 40),
@@ -92,12 +93,12 @@ def test_the_rest_of_a_member_is_not_copied() -> None:
 @pytest.mark.parametrize("most", [1, 3, 1000])
 def test_parts_are_written_whole(once: int | None, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`once`: bytes that the system takes at once; None where it takes no parts."""
-    monkeypatch.setattr(npz, "_AT_ONCE", most)
+    monkeypatch.setattr("antdsl.whole._AT_ONCE", most)
     if once is None:
         monkeypatch.delattr(os, "writev", raising=False)
     else:
         monkeypatch.setattr(os, "writev", lambda file, some: os.write(file, b"".join(some)[:once]), raising=False)
-    npz.write_whole(tmp_path / "a.npz", parts(), sync=True)
+    write_whole(tmp_path / "a.npz", parts(), sync=True)
     assert (tmp_path / "a.npz").read_bytes() == b"".join(parts())
-    npz.write_whole(tmp_path / "a.npz", b"shorter", sync=False)
+    write_whole(tmp_path / "a.npz", b"shorter", sync=False)
     assert (tmp_path / "a.npz").read_bytes() == b"shorter" and [p.name for p in tmp_path.iterdir()] == ["a.npz"]

@@ -70,8 +70,8 @@ def test_only_private_files_of_keys_are_read(tmp_path: Path) -> None:
     place.unlink()
     os.mkfifo(place)
     assert (found := Returning.of(SCENE, 1, folder)) is not None and found.before == ()
-    folder.chmod(0o755)
-    assert Returning.of(SCENE, 1, folder) is None, "a folder that others look into keeps nothing"
+    folder.chmod(0o777)
+    assert Returning.of(SCENE, 1, folder) is None, "a folder that others may write to keeps nothing"
 
 
 def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import zipfile
 from collections.abc import Callable
 from fractions import Fraction
@@ -89,7 +90,8 @@ def test_no_message_says_whether_a_file_outside_exists(form: str, inside: bool, 
             text = FORMS[form](f"{start}{name}.usda")
             (folder / "a.usda").write_text(text)
             (folder / "a.usdz").write_bytes(zipped({"top.usda": text}))
-            messages.add(refused(folder, "a.usdz" if inside else "a.usda").replace(f"{name}.usda", "NAME"))
+            # a long path is cut, with or without its name
+            messages.add(re.sub("`[^`]*`", "PATH", refused(folder, "a.usdz" if inside else "a.usda"), count=1))
         assert len(messages) == 1, messages
 
 

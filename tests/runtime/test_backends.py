@@ -95,6 +95,7 @@ def test_every_operation_is_covered():
         "gap.widest",
         "contact",
         "clip.value",
+        "flow.reachable",  # tests/fields/test_reachable.py
     }  # tests/specs/test_specs.py, tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py,
     wanted = set(ir.OPS) - elsewhere  # tests/runtime/test_meaning_others.py, tests/runtime/test_collisions.py
     wanted |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py

@@ -104,5 +104,5 @@ def test_what_is_no_number_is_refused_where_it_is_set(name: str, value: str) -> 
     birth = "min_speed 1 mm/s" if name == "min_speed" else ""
     if name == "max_turn" and value != "zero / zero":
         pytest.skip("an endless `max_turn` is no limit")
-    with pytest.raises(FaultStop, match=rf"test.ant:\d+:13: .*`{name}` is not finite"):
+    with pytest.raises(FaultStop, match=rf"test.ant:\d+:23: .*`{name}` is not finite"):
         shown(name, f"({value}) * 1 {UNITS[name]}", birth, steps=5)

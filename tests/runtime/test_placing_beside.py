@@ -36,8 +36,8 @@ PLACE = "{on: ground, around: apple, radius: 20 mm}"
         ("{on: ground, around: apple, radius: 20 mm, by: area}", False),
         ("{on: ground, around: [0, 900, 0], radius: 20 mm, by: area}", True),
         ("{around: [0, 900, 0], radius: 1000 mm, by: area}", False),
-        ("{on: ground, around: [0, 1.0e+30, 0], radius: 1.0e+20 mm, by: area}", True),
-        ("{on: ground, around: [1.0e+30, 0, 0], radius: 20 mm}", True),
+        ("{on: ground, around: [0, 1.0e+9, 0], radius: 1.0e+8 mm, by: area}", True),
+        ("{on: ground, around: [1.0e+9, 0, 0], radius: 20 mm}", True),
     ],
 )
 def test_a_disc_beside_all_surfaces(folder: Path, place: str, beside: bool) -> None:  # noqa: F811

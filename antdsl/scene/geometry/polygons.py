@@ -90,7 +90,7 @@ def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     an area."""
     low = rings.min(axis=1, keepdims=True)
     extent = np.maximum((rings.max(axis=1, keepdims=True) - low).max(axis=2, keepdims=True), 1e-300)
-    unit = (rings - low) / 2.0 ** np.ceil(np.log2(extent))  # a power of two: nothing is rounded
+    unit = (rings - low) / np.ldexp(1.0, np.frexp(extent)[1])  # a power of two: nothing is rounded
     following = np.roll(unit, -1, axis=1)
     normal = np.stack(
         [

@@ -102,7 +102,7 @@ ROWS = [
     ground("Y17 a negative zero", "at: [-0.0, 0, 0]", ""),
     ground("Y17 a subnormal number", "at: [5e-324, 0, 0]", ""),
     ground("Y17 19 digits", "at: [0.1234567890123456789, 0, 0]", ""),
-    ground("Y17 1e308", "at: [1e308, 0, 0]", "bad-mesh"),
+    ground("Y17 1e308", "at: [1e308, 0, 0]", "wrong-value", "too large"),
     *(ground(f"Y17 {value}", f"at: [{value}, 0, 0]", "wrong-value", "representable") for value in ("1e400", "1e-400")),
     ground("Y18 a scale of 1e12", "scale: 1e12", "wrong-value"),
     ground("Y18 a scale of 0", "scale: 0", "wrong-value"),
