@@ -130,14 +130,17 @@ def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_load
     assert row[-3:-1] == ["", ""]
 
 
-def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pytest.MonkeyPatch) -> None:
     need_llvmlite()
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.chdir(tmp_path)  # a folder within it is not trusted
+
+    def no_key(*, create: bool) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("antdsl.machine_code.signing.signer", no_key)
     found = measure(Job("node", 60, ("native",), turns=1, steps=1))
     assert found.set_up.code and found.set_up.kept is None
     (line,) = told(Result((found,)))
-    assert line.startswith("native: compiled code is not kept in") and "in the working directory" in line
+    assert line.startswith("native: compiled code is not stored in") and "there is none (Permission denied)" in line
 
 
 def test_where_there_is_no_machine_code_that_is_told_with_the_times(

@@ -282,6 +282,7 @@ def test_the_set_up_tells_wrong_words_and_what_failed(tmp_path: Path) -> None:
 def test_the_command_that_goes_on_names_all_that_results_depend_on() -> None:
     from antdsl.cli.run import _again
 
-    found = _again(Path("a b/scene.yaml"), Path("o"), "1..9", 0, ["x.y=1mm", "x.z=2"], ["lib=d"])
-    assert found == "antdsl run 'a b/scene.yaml' --frames 1..9 --seed 0 --set x.y=1mm --set x.z=2 --root lib=d --out o --resume"
-    assert _again(Path("s.yaml"), None, None, None, [], []) == "antdsl run s.yaml --resume"
+    found = _again(Path("a b/scene.yaml"), Path("o"), "1..9", 0, ["x.y=1mm", "x.z=2"], ["lib=d"], Path("t.json"), True)
+    words = "--frames 1..9 --seed 0 --set x.y=1mm --set x.z=2 --root lib=d --out o --summary t.json --any-memory --resume"
+    assert found == f"antdsl run 'a b/scene.yaml' {words}"
+    assert _again(Path("s.yaml"), None, None, None, [], [], None, False) == "antdsl run s.yaml --resume"
