@@ -13,5 +13,10 @@ def lsp() -> None:
     demand(ready())
     from antdsl.lsp.server import start
 
-    if not start():
+    try:
+        ended_well = start()
+    except OSError as problem:
+        words = (problem.strerror or str(problem)).lower()
+        raise Stop(Exit.INPUT_OUTPUT, f"error: cannot write to standard output: {words}") from None
+    if not ended_well:
         raise Stop(Exit.FINDINGS)  # as the protocol has it: an exit without a shutdown

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 from collections.abc import Callable
@@ -28,6 +29,7 @@ from antdsl.lsp.scene_help import complete_scene
 from antdsl.lsp.text import path_of, uri_of
 from antdsl.lsp.words import SCENE_HELP
 from antdsl.lsp.workspace import Document, Workspace
+from antdsl.whole import write_parts
 
 T = TypeVar("T")
 _log = logging.getLogger(__name__)
@@ -327,10 +329,32 @@ def _format(ls: Server, params: lsp.DocumentFormattingParams) -> list[lsp.TextEd
     return protocol.text_edits(document, edits) if document is not None and edits is not None else None
 
 
+class _Output(io.RawIOBase):
+    """Messages to the editor. After the first that cannot be written no more is: an error about it could not be written either,
+    nor an error about that. `problem`: why; None where all were written, or where the editor is gone."""
+
+    def __init__(self, handle: int) -> None:
+        self._handle: int | None = handle
+        self.problem: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        if self._handle is not None:
+            try:
+                write_parts(self._handle, [bytes(data)])
+            except OSError as problem:
+                self._handle = None
+                self.problem = None if isinstance(problem, BrokenPipeError) else problem
+        return len(data)
+
+
 def start() -> bool:
-    """Talk with an editor over standard input and output until it says goodbye; False if it left without asking to shut down."""
+    """Talk with an editor over standard input and output until it says goodbye; False if it left without asking to shut down.
+    OSError where messages could not be written."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")  # to standard error
-    with os.fdopen(os.dup(0), "rb") as reader, os.fdopen(os.dup(1), "wb") as writer:
+    output = _Output(os.dup(1))
+    with os.fdopen(os.dup(0), "rb") as reader:
         os.dup2(2, 1)  # nothing that a library prints can get between the messages
-        server.start_io(reader, writer)
+        server.start_io(reader, output)  # type: ignore[arg-type]
+    if output.problem is not None:
+        raise output.problem
     return not server.left_early
