@@ -122,7 +122,7 @@ def test_hostile_text_is_refused_at_its_place_and_at_once(bad: bytes, code: str)
     assert scene is None
     assert report.errors[0].code in code.split(), report.errors
     assert all(d.span is not None for d in report.errors)
-    assert time.process_time() - began < 1.0
+    assert time.process_time() - began < 5.0  # ten times what it takes, for a busy machine
 
 
 def test_a_byte_order_mark_and_crlf_are_accepted() -> None:
