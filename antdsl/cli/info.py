@@ -11,6 +11,7 @@ import typer
 
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import print_result
+from antdsl.diagnostics.model import printable
 
 if TYPE_CHECKING:
     from antdsl.outputs.cache.cache_reader import Cache
@@ -30,7 +31,7 @@ def info(
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     for line in describe(found):
-        print_result("".join(c if c.isprintable() else "\ufffd" for c in line))  # the manifest may be a stranger's
+        print_result(printable(line))  # the manifest may be a stranger's
     if verify:
         _verify(found)
 

@@ -12,9 +12,9 @@ from antdsl.source import Span
 Severity = Literal["error", "warning"]
 
 
-def printable(text: str) -> str:
-    """The text with every character that does not print, such as NUL or ESC, replaced by U+FFFD. Line ends stay."""
-    return "".join(c if c.isprintable() or c == "\n" else "\ufffd" for c in text)
+def printable(text: str, keep: str = "") -> str:
+    """The text with every character that does not print, such as NUL or ESC, replaced by U+FFFD, but for those in `keep`."""
+    return "".join(c if c.isprintable() or c in keep else "\ufffd" for c in text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Diagnostic:
         for name in ("message", "help"):
             text = getattr(self, name)
             if text is not None and not text.isprintable():
-                object.__setattr__(self, name, printable(text))
+                object.__setattr__(self, name, printable(text, keep="\n"))
 
 
 def _key(diagnostic: Diagnostic) -> tuple[str | int, ...]:

@@ -20,6 +20,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Final
 
 from antdsl.bounded import NotRegular, open_regular, read_bounded, read_handle
+from antdsl.diagnostics.model import printable
 from antdsl.limits import MIB
 from antdsl.machine_code import signing
 from antdsl.user_folders import cache_folder
@@ -234,4 +235,4 @@ def _words(problem: OSError | ValueError) -> str:
 
 
 def _shown(path: Path) -> str:
-    return "`" + "".join(c if c.isprintable() else "\ufffd" for c in str(path)) + "`"
+    return "`" + printable(str(path)) + "`"

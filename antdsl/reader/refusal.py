@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from antdsl.diagnostics.model import printable
+
 _CHARACTERS = 2000
 
 
@@ -38,5 +40,5 @@ class Refusal(Exception):
 
 def shown(text: str) -> str:
     """A text of the process as it can stand in a message: printable, and not too long."""
-    line = "".join(c if c.isprintable() else "\ufffd" for c in text[: _CHARACTERS + 1])
+    line = printable(text[: _CHARACTERS + 1])
     return line if len(line) <= _CHARACTERS else line[: _CHARACTERS - 1] + "…"

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.diagnostics.model import printable
 from antdsl.scene.geometry.polygons import strip_triangles
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -121,7 +122,7 @@ class Gltf:
         found = holder.get("name")
         if not isinstance(found, str) or not found.strip():
             return otherwise
-        return "".join(c if c.isprintable() else "\ufffd" for c in found[:200])
+        return printable(found[:200])
 
     # ---- arrays
 

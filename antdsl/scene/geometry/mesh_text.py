@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.diagnostics.model import printable
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -43,7 +44,7 @@ class MeshError(Exception):
 def shown(word: bytes, most: int = 20) -> str:
     """A word of a foreign file, as it can stand in a message."""
     text = word[:most].decode("ascii", "replace")
-    return "".join(c if c.isprintable() else "\ufffd" for c in text)
+    return printable(text)
 
 
 def check_count(count: int, most: int, what: str) -> None:

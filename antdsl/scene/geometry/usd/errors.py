@@ -7,6 +7,7 @@ import re
 from functools import cache
 from typing import Any
 
+from antdsl.diagnostics.model import printable
 from antdsl.reader.refusal import Refusal
 
 
@@ -22,7 +23,7 @@ def words_of(problem: Exception) -> str:
     found = re.findall(r"in file \S+ : '(.*?)'\s*(?:\n|$)", str(problem), re.DOTALL)
     line = " ".join((found[-1] if found else type(problem).__name__).split())
     line = re.sub(r"\bpxrInternal\w*::(?:\w+::)*", "", line)  # names inside of USD's own code
-    line = "".join(c if c.isprintable() else "\ufffd" for c in line)
+    line = printable(line)
     return line if len(line) <= 200 else line[:197] + "…"
 
 

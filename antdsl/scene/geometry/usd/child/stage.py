@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.diagnostics.model import printable
 from antdsl.scene.geometry.matrices import after
 from antdsl.scene.geometry.usd.child.layer import opened_layer
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
@@ -159,7 +160,7 @@ def _to_scene(factor: float, own: str, up: str) -> Floats:
 
 
 def _first_words(text: str, folder: str) -> str:
-    line = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.replace(folder + os.sep, "").split()))
+    line = printable(" ".join(text.replace(folder + os.sep, "").split()))
     return line if len(line) <= 160 else line[:157] + "…"
 
 
