@@ -17,6 +17,17 @@ def printable(text: str, keep: str = "") -> str:
     return "".join(c if c.isprintable() or c in keep else "\ufffd" for c in text)
 
 
+_QUOTED = 160  # characters of a quoted value; a line of a terminal or two
+_LINE = 1500
+_LONG_VALUE = re.compile(f"`([^`]{{{_QUOTED}}})[^`]+`")
+
+
+def shorten_values(text: str) -> str:
+    """The text with long quoted values cut, and cut itself where that is not enough: files of strangers have values of any length."""
+    text = _LONG_VALUE.sub(r"`\1…`", text)
+    return text if len(text) <= _LINE else text[: _LINE - 1] + "…"
+
+
 @dataclass(frozen=True, slots=True)
 class Label:
     """A second place that belongs to a complaint, with the words that say why."""
@@ -46,11 +57,15 @@ class Diagnostic:
     fix: Fix | None = None
 
     def __post_init__(self) -> None:
-        # Messages quote files of strangers; a control character must not reach a terminal or a page.
+        # Messages quote files of strangers; a control character or a page of text must not reach a terminal.
         for name in ("message", "help"):
             text = getattr(self, name)
-            if text is not None and not text.isprintable():
-                object.__setattr__(self, name, printable(text, keep="\n"))
+            if text is None:
+                continue
+            if not text.isprintable():
+                object.__setattr__(self, name, text := printable(text, keep="\n"))
+            if len(text) > _QUOTED:
+                object.__setattr__(self, name, shorten_values(text))
 
 
 def _key(diagnostic: Diagnostic) -> tuple[str | int, ...]:

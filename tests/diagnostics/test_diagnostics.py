@@ -190,3 +190,12 @@ def test_codes_are_kebab_case_unique_and_in_order() -> None:
 )
 def test_nearest_name(word: str, names: list[str], found: str | None) -> None:
     assert nearest_name(word, names) == found == nearest_name(word, reversed(names))
+
+
+@pytest.mark.parametrize("text", ["`{}` has an unknown unit", "`{}` and ``", "{} without quotes"])
+def test_messages_cut_long_values(text: str) -> None:
+    found = Diagnostic("wrong-value", text.format("m" * 9000), None, help=text.format("k" * 9000))
+    assert len(found.message) <= 1500 and len(found.help or "") <= 1500 and "…" in found.message
+    assert found.message.split("…")[-1] == ("" if "without" in text else text.partition("{}")[2])
+    short = Diagnostic("wrong-value", text.format("m" * 100), None)
+    assert short.message == text.format("m" * 100)

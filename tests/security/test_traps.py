@@ -151,6 +151,14 @@ def modules_of_python() -> frozenset[str]:
     return frozenset(done.stdout.split())
 
 
+@cache
+def installed_package() -> Path:
+    """The folder of the package under test, which lies outside the environment where that was installed to be edited."""
+    code = "import importlib.util; print(importlib.util.find_spec('antdsl').origin)"
+    done = subprocess.run([str(PYTHON), "-P", "-c", code], capture_output=True, text=True, check=True)
+    return Path(done.stdout.strip()).parent
+
+
 def trapped_project(place: Path, cache_folder: Path | None, how: str = "script") -> TrappedProject:
     return TrappedProject(place, cache_folder, frozenset() if how in ("script", "safe") else modules_of_python())
 
@@ -216,7 +224,7 @@ def may_change(path: str, case: Case, project: TrappedProject) -> bool:
         own / ".cache/antdsl",
     ]
     folders += [own / ".local/state/antdsl", Path(os.environ.get("ANTDSL_NATIVE_CACHE", "/nowhere"))]
-    stored = path.startswith(str(PYTHON.parents[1])) and "/__pycache__/" in path
+    stored = path.startswith((str(PYTHON.parents[1]), str(installed_package()))) and "/__pycache__/" in path
     return stored or path.startswith(SYSTEM) or any(below(path, folder) is not None for folder in folders)
 
 
