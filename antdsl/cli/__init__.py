@@ -38,6 +38,7 @@ from antdsl.cli import (  # noqa: E402
 from antdsl.cli.exits import Exit, Stop, is_out_of_memory  # noqa: E402
 from antdsl.cli.failures import failure  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
+from antdsl.diagnostics.model import printable  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
 COMMANDS = (
@@ -140,9 +141,20 @@ def _run() -> int:
         return _command()
 
 
+def _require_text(words: list[str]) -> None:
+    """Names of files go into manifests, tables and stages, which are UTF-8: refuse a name that is not before any work."""
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            shown = printable(os.fsencode(word).decode(errors="backslashreplace"))
+            raise Stop(Exit.USAGE, f"error: the name `{shown}` is not UTF-8", "rename the file or folder") from None
+
+
 def _command() -> int:
     try:
         try:
+            _require_text(sys.argv[1:])
             app(standalone_mode=True, prog_name="antdsl")
         except SystemExit as leave:
             return leave.code if isinstance(leave.code, int) else Exit.FINE

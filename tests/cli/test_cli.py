@@ -105,6 +105,8 @@ def test_strict_makes_warnings_errors_and_explain_says_what_a_code_means(folder:
         (["info", "."], 3, "is no cache"),
         (["render", "none"], 3, "is no cache"),
         (["march"], 2, "march"),
+        (["run", "x\udcff.yaml"], 2, "`x\\xff.yaml` is not UTF-8"),
+        (["export", "out/scene", "--to", "x\udcff\x1b.csv"], 2, "`x\\xff\ufffd.csv` is not UTF-8"),
     ],
 )  # fmt: skip
 def test_mistakes_end_in_words_and_their_exit_code(
