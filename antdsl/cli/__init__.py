@@ -35,8 +35,8 @@ from antdsl.cli import (  # noqa: E402
     sweep,
     test,
 )
-from antdsl.cli.exits import Exit, Stop, is_out_of_memory  # noqa: E402
-from antdsl.cli.failures import failure  # noqa: E402
+from antdsl.cli.exits import Exit, Stop  # noqa: E402
+from antdsl.cli.failures import failure, machine_failure  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 from antdsl.diagnostics.model import printable  # noqa: E402
 
@@ -168,12 +168,10 @@ def _command() -> int:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
     except Exception as problem:
-        if is_out_of_memory(problem):
-            problem = MemoryError()
-        if isinstance(problem, OSError | MemoryError):
-            found = failure(problem)
-            print(found.message, found.hint, sep="\n", file=sys.stderr)
-            return found.code
+        if (found := machine_failure(problem)) is not None:
+            end = failure(found)
+            print(end.message, end.hint, sep="\n", file=sys.stderr)
+            return end.code
         import traceback
 
         traceback.print_exc()

@@ -6,7 +6,7 @@ import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import Exit, Stop, is_out_of_memory
 
 AGAIN = "run the same command again"
 _FIRST = {
@@ -24,10 +24,20 @@ def report_failures(what: str, again: str = AGAIN) -> Iterator[None]:
     """End the command with exit code 3 where the disk or memory fails. `what` could not be done; `again`: how to continue."""
     try:
         yield
-    except BrokenPipeError:  # the reader of standard output is gone: that is not the disk
+    except (BrokenPipeError, Stop):  # the reader of standard output is gone: that is not the disk
         raise
-    except (OSError, MemoryError) as problem:
-        raise failure(problem, what, again) from None
+    except Exception as problem:
+        found = machine_failure(problem)
+        if found is None:
+            raise
+        raise failure(found, what, again) from None
+
+
+def machine_failure(problem: Exception) -> OSError | MemoryError | None:
+    """The error as one of the disk or of memory, whatever library reports it; None where it is of neither."""
+    if is_out_of_memory(problem):
+        return MemoryError()
+    return problem if isinstance(problem, OSError) else None
 
 
 def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) -> Stop:

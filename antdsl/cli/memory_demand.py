@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import typer
+
 from antdsl import limits
 from antdsl.cli.exits import Exit, Stop
 
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.binding.world_work import Work
     from antdsl.source import Span
 
+ANY_MEMORY: bool = typer.Option(False, "--any-memory", help="Start even where the estimate exceeds the memory available.")
 _SHARE = 0.8  # of what is available; the rest is for frames, kernels and other programs
 _NAMED = 3  # things that a message names
 
@@ -33,21 +36,24 @@ def work_of(shot: Shot) -> list[Work]:
     return world_work(shot.setting, fields, sizes)
 
 
-def demand_memory(shots: Sequence[Shot], at_once: int = 1) -> None:
-    """End the command where the `at_once` largest shots need more than 80 % of the memory that is available. Stop names the
-    largest things, at the place of the largest in its scene."""
+def demand_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> None:
+    """End the command where the `at_once` largest runs need more than 80 % of the memory that is available; each shot is run
+    `runs` times. Stop names the largest things, at the place of the largest in its scene."""
     from antdsl.numerics.memory import available_memory
 
     there = available_memory()
     works = sorted(((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(work_of, shots))), reverse=True)
-    needed = sum(each for each, *_ in works[:at_once])
+    needed = sum([each for each, *_ in works for _ in range(min(runs, at_once))][:at_once])
     if there is None or not works or needed <= _SHARE * there:
         return
     _, k, work = works[0]
     largest = sorted(work, key=lambda each: -each.bytes)[:_NAMED]
     names = ", ".join(f"{each.thing} {size_text(each.bytes)} ({each.number:,} {each.parts})" for each in largest if each.bytes)
-    words = f"this needs about {size_text(needed)}, and 80 % of what is available are {size_text(int(_SHARE * there))}: {names}"
-    hint = "use larger cells or voxels, a lighter mesh or fewer agents; to try it all the same, add `--any-memory`"
+    words = (
+        f"this needs at least {size_text(needed)}, and 80 % of what is available are {size_text(int(_SHARE * there))}: {names}"
+    )
+    fewer = ", fewer agents or fewer `--jobs`" if at_once > 1 and runs > 1 else " or fewer agents"
+    hint = f"use larger cells or voxels, a lighter mesh{fewer}; to try it all the same, add `--any-memory`"
     raise Stop(Exit.INPUT_OUTPUT, f"error: {_place(shots[k], largest[0])}: {words}", hint)
 
 

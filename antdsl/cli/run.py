@@ -13,7 +13,7 @@ import typer
 from antdsl.cli.destinations import default_place, file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
-from antdsl.cli.memory_demand import demand_memory
+from antdsl.cli.memory_demand import ANY_MEMORY, demand_memory
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.shots import run_shots
@@ -60,7 +60,7 @@ def run(
     summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the cache of an earlier run that was stopped."),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
-    any_memory: bool = typer.Option(False, "--any-memory", help="Start even where the estimate exceeds the memory available."),
+    any_memory: bool = ANY_MEMORY,
     backend: Backend = typer.Option(
         Backend.native,
         "--backend",

@@ -13,6 +13,7 @@ import typer
 from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import report_failures
+from antdsl.cli.memory_demand import ANY_MEMORY, demand_memory
 from antdsl.cli.printing.messages import notes, say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster, demand_scheduler
 from antdsl.cli.stopping import code_of, stoppable
@@ -95,11 +96,12 @@ def sweep(
     tls: Path = TLS,
     no_tls: bool = NO_TLS,
     plots: bool = typer.Option(True, "--plots/--no-plots", help="Draw the table too, where matplotlib is installed."),
+    any_memory: bool = ANY_MEMORY,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
     from antdsl.cli.printing.reports import demand
-    from antdsl.cli.sweep_words import asked_before, nothing, study_of, widths_of
+    from antdsl.cli.sweep_words import asked_before, nothing, scene_shots, study_of, widths_of
     from antdsl.executors import Lost, Processes
     from antdsl.numerics.cores import cores
     from antdsl.scene.paths import sought
@@ -156,6 +158,8 @@ def sweep(
         )
     processes = min(jobs or cores(), max(todo, 1))
     threads = max(1, cores() // processes)
+    if todo and not any_memory and not scheduler:  # a cluster's machines have memory of their own
+        demand_memory(scene_shots(study, asked), processes, len(made))
     failed: list[Outcome] = []
     files = [path for path in read if path.is_file()]
     where = (

@@ -12,6 +12,7 @@ from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
+    from antdsl.pipeline import Shot
     from antdsl.sweep import Job
     from antdsl.sweep.asked import Asked
     from antdsl.sweep.stopping import Width
@@ -81,6 +82,15 @@ def study_of(asked: Asked) -> tuple[Study, list[Job], Report]:
     made, findings = jobs(run, numbers, **about)
     report.extend(findings)
     return Study(chosen, tuple(scenes), tuple(run)), made, report
+
+
+def scene_shots(study: Study, asked: Asked) -> list[Shot]:
+    """Each scene of a sweep, opened with the values that it has itself; their runs have others, and the same things."""
+    from antdsl.cli.arguments import grants
+    from antdsl.pipeline import Choices, open_scene
+
+    found = (open_scene(scene, Choices(grants(asked.root)), thorough=False)[0] for scene in study.scenes)
+    return [shot for shot in found if shot is not None]
 
 
 def _demand_words(report: Report) -> None:

@@ -23,7 +23,7 @@ _LONG_VALUE = re.compile(f"`([^`]{{{_QUOTED}}})[^`]+`")
 
 
 def shorten_values(text: str) -> str:
-    """The text with long quoted values cut, and cut itself where that is not enough: files of strangers have values of any length."""
+    """The text with long quoted values cut, and cut itself where that is not enough."""
     text = _LONG_VALUE.sub(r"`\1…`", text)
     return text if len(text) <= _LINE else text[: _LINE - 1] + "…"
 

@@ -40,7 +40,7 @@ def test_the_largest_thing_is_named_at_its_place(tmp_path: Path, monkeypatch: py
     with pytest.raises(Stop) as stop:
         demand_memory([shot])
     assert stop.value.code == Exit.INPUT_OUTPUT and "--any-memory" in stop.value.hint
-    place, _, words = stop.value.message.removeprefix("error: ").partition(": this needs about ")
+    place, _, words = stop.value.message.removeprefix("error: ").partition(": this needs at least ")
     assert place.rsplit(":", 2)[0].endswith("scene.yaml") and words.partition(": ")[2].startswith(thing)
 
 
@@ -51,6 +51,10 @@ def test_scenes_at_once_count_together(tmp_path: Path, monkeypatch: pytest.Monke
     demand_memory([shot, shot, shot], 1)
     with pytest.raises(Stop):
         demand_memory([shot, shot, shot], 2)
+    demand_memory([shot], 2)
+    with pytest.raises(Stop, match="at least") as stop:
+        demand_memory([shot], 2, runs=5)
+    assert "--jobs" in stop.value.hint
 
 
 def test_any_memory_starts_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,3 +64,6 @@ def test_any_memory_starts_all_the_same(tmp_path: Path, monkeypatch: pytest.Monk
     done = commands.run(*words, cwd=tmp_path)
     assert done.returncode == 3 and "scene.yaml:" in done.stderr and not (tmp_path / "project" / "out").exists()
     assert commands.run(*words, "--any-memory", cwd=tmp_path).returncode == 0
+    words = ("sweep", "project/scene.yaml", "--frames", "1..1", "--seeds", "1", "--no-plots")
+    done = commands.run(*words, cwd=tmp_path)
+    assert done.returncode == 3 and "scene.yaml:" in done.stderr and "--any-memory" in done.stderr

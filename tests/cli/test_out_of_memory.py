@@ -15,7 +15,8 @@ import pytest
 from children import child_environment
 
 from antdsl.cli import app
-from antdsl.cli.exits import is_out_of_memory
+from antdsl.cli.exits import Stop, is_out_of_memory
+from antdsl.cli.failures import report_failures
 
 
 class ArrayMemoryError(MemoryError):
@@ -37,6 +38,19 @@ def test_no_memory_is_exit_code_3_and_no_bug(tmp_path: Path, problem: Exception)
     with patch.object(type(app), "__call__", side_effect=problem):
         done = commands.run("doctor", cwd=tmp_path)
     assert done.returncode == 3 and done.stderr.startswith("error: out of memory")
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda each: f"{type(each).__name__} {each}")
+def test_no_memory_while_writing_says_how_to_continue(problem: Exception) -> None:
+    with pytest.raises(Stop) as stop, report_failures("the export stopped", "go on with: antdsl run"):
+        raise problem
+    assert stop.value.code == 3 and stop.value.message.startswith("error: out of memory")
+    assert stop.value.hint.endswith("go on with: antdsl run")
+
+
+def test_errors_that_are_bugs_stay_errors_while_writing() -> None:
+    with pytest.raises(KeyError), report_failures("the export stopped"):
+        raise KeyError("x")
 
 
 def test_an_error_that_follows_is_out_of_memory_too() -> None:

@@ -141,6 +141,6 @@ def work_table(file: Path, shot: Shot) -> Iterator[str]:
     from antdsl.cli.memory_demand import size_text, work_of
 
     works = work_of(shot)
-    yield f"{file}: about {size_text(sum(work.bytes for work in works))} for the world and its crowd"
+    yield f"{file}: at least {size_text(sum(work.bytes for work in works))} for the world and its crowd"
     rows = [(work.thing, f"{work.number:,} {work.parts}", size_text(work.bytes)) for work in works]
     yield from _aligned([("thing", "work", "memory"), *rows])
