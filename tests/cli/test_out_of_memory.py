@@ -8,6 +8,7 @@ import resource
 import subprocess
 import sys
 from pathlib import Path
+from types import FunctionType
 from unittest.mock import patch
 
 import commands
@@ -61,6 +62,34 @@ def test_an_error_that_follows_is_out_of_memory_too() -> None:
             raise ValueError("no array") from cause
     except ValueError as problem:
         assert is_out_of_memory(problem)
+
+
+def test_an_error_that_was_handled_is_not() -> None:
+    try:
+        try:
+            raise MemoryError
+        except MemoryError:
+            raise ValueError("no array") from None
+    except ValueError as problem:
+        assert not is_out_of_memory(problem)
+
+
+def test_only_a_process_that_is_not_started_is_out_of_memory_for_a_lack_of_resources() -> None:
+    def start() -> None:
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    for module in ("subprocess", "multiprocessing.popen_fork", "antdsl.checking"):
+        with pytest.raises(BlockingIOError) as found:
+            FunctionType(start.__code__, {**globals(), "__name__": module})()
+        assert is_out_of_memory(found.value)
+    reads, writes = os.pipe()
+    os.set_blocking(reads, False)
+    with pytest.raises(BlockingIOError) as found:
+        os.read(reads, 1)
+    os.close(reads)
+    os.close(writes)
+    assert found.value.errno == errno.EAGAIN and not is_out_of_memory(found.value)
+    assert is_out_of_memory(RuntimeError("Resource temporarily unavailable")), "a C++ library that gets no thread"
 
 
 @pytest.mark.parametrize("problem", [RuntimeError("wrong"), ValueError("std::bad_alloc is a word"), KeyError("x"), None])
