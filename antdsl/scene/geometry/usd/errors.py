@@ -11,6 +11,7 @@ from typing import Any
 from antdsl.diagnostics.model import printable
 from antdsl.reader.refusal import Refusal
 
+_NO_MEMORY = ("failed to map segment", "annot allocate memory")  # what loaders of libraries say without memory
 _SESSION = re.compile(r",@anon:0x[0-9a-fA-F]+:[^@]*-session\.\w+@")  # a layer that USD adds to each stage
 _ADDRESS = re.compile(r"(?:\banon:0x[0-9a-fA-F]+:?)|(?: ?<0x[0-9a-fA-F]+>)")
 
@@ -47,6 +48,8 @@ def pxr(module: str) -> Any:
     try:
         return import_module(f"pxr.{module}")
     except ImportError as problem:
+        if any(words in str(problem) for words in _NO_MEMORY):
+            raise MemoryError(str(problem)) from None
         why = "" if getattr(problem, "name", "") in ("pxr", f"pxr.{module}") else f", which cannot be loaded ({problem})"
         raise missing_extra(why) from None
 
