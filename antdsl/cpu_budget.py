@@ -6,10 +6,12 @@ import math
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 _owner = 0  # the process that has a budget, 0 for none
+_end = 0.0  # the processor time of this process at which it is spent; the system's timer adds a tick each time that it is set
 _SOON = 1e-6
 
 
@@ -21,17 +23,17 @@ class CpuBudgetSpent(BaseException):
 def cpu_budget(seconds: float) -> Iterator[None]:
     """Raise CpuBudgetSpent within, once this process and what was charged have used so much processor time; 0 is no limit. Main
     thread only, and not on Windows, which has no such timer. A library that is at work ends its call first."""
-    global _owner
+    global _owner, _end
     if not seconds or not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def end(number: int, frame: object) -> None:
+    def stop(number: int, frame: object) -> None:
         raise CpuBudgetSpent
 
-    previous = signal.signal(signal.SIGPROF, end)
+    previous = signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, seconds)
-    _owner = os.getpid()
+    _owner, _end = os.getpid(), time.process_time() + seconds
     try:
         yield
     finally:
@@ -42,16 +44,18 @@ def cpu_budget(seconds: float) -> Iterator[None]:
 
 def remaining() -> float:
     """Seconds of the budget that are left; infinite where there is no budget."""
-    return signal.getitimer(signal.ITIMER_PROF)[0] if _owner == os.getpid() else math.inf
+    return max(_end - time.process_time(), 0.0) if _owner == os.getpid() else math.inf
 
 
 def charge(seconds: float) -> None:
     """Take processor time of another process from the budget. CpuBudgetSpent where nothing is left, in the main thread."""
-    left = remaining()
-    if left == math.inf:
+    global _end
+    if _owner != os.getpid():
         return
-    if left > seconds:
-        signal.setitimer(signal.ITIMER_PROF, left - seconds)
+    _end -= seconds
+    left = remaining()
+    if left > 0.0:
+        signal.setitimer(signal.ITIMER_PROF, max(left, _SOON))
     elif threading.current_thread() is threading.main_thread():
         signal.setitimer(signal.ITIMER_PROF, 0)
         raise CpuBudgetSpent

@@ -84,7 +84,7 @@ class _Process:
 
     def end(self) -> tuple[int, float]:
         """Kill it; its exit status, and what `new_seconds` would be."""
-        self.process.kill()
+        self.kill()
         for pipe in (self.requests, self.answers):
             with suppress(OSError):
                 pipe.close()
@@ -93,6 +93,12 @@ class _Process:
             self.process.returncode = os.waitstatus_to_exitcode(status)
             return self.process.returncode, self._add(used.ru_utime + used.ru_stime)
         return self.process.wait(), 0.0
+
+    def kill(self) -> None:
+        """Kill it. A child that is dead already stays, unlike with the method of Popen: its end says how much time it took."""
+        if self.process.returncode is None:
+            with suppress(OSError):
+                os.kill(self.process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
 
     def _add(self, total: float) -> float:
         before, self._seconds = self._seconds, max(self._seconds, total)
@@ -199,7 +205,7 @@ class Reader:
         except (EndOfMessages, BrokenPipeError):
             status = self._end()
             if status == _OVERDUE and left <= seconds:
-                cpu_budget.charge(left)  # the budget ended it, not the limit of a request
+                cpu_budget.charge(math.inf)  # the budget ended it, not the limit of a request
             raise _death(running, status, late.is_set(), memory) from None
         except ProtocolError:
             self._end()
@@ -285,7 +291,7 @@ def _deadline(running: _Process, seconds: float, late: threading.Event | None = 
     def stop() -> None:
         if late is not None:
             late.set()
-        running.process.kill()
+        running.kill()
 
     timer = threading.Timer(seconds, stop)
     timer.daemon = True
@@ -297,8 +303,8 @@ def _deadline(running: _Process, seconds: float, late: threading.Event | None = 
 
 
 def _death(running: _Process, status: int, is_late: bool, memory: int) -> ReaderFailure:
-    """Why a child ended without an answer to a request that may take so much memory. Raises MemoryError where this process may not
-    give it as much."""
+    """Why a child ended without an answer to a request that may take so much memory. Raises MemoryError where this process may
+    not give it as much."""
     if is_late or status == _OVERDUE:
         words = "cannot be read: it takes too long to be read"
         return ReaderFailure(words, _LIGHTER, is_lasting=not is_late, is_heavy=True)
@@ -350,8 +356,7 @@ def ask(
     files alone; after a request took too much time or memory, all others about them fail until the next scene.
 
     Refusal where the child says why it does not read something, ReaderFailure where it gives no answer, MemoryError where this
-    process may not give it enough, CpuBudgetSpent where the budget of a check is spent, which the child's time counts for. The
-    answer is from a process that is not trusted."""
+    process may not give it enough, CpuBudgetSpent where the budget of a check is spent. No answer is trusted."""
     return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest, files=files)
 
 

@@ -263,8 +263,8 @@ def _exact_name(folder: int, part: str, shown: str) -> None:
 
 
 def _is_exact(folder: int, part: str) -> bool:
-    """Whether a file has this name, by two looks at the disk, so that a folder of thousands of files is not listed for each. False
-    where that cannot be said: there is none, or the same name in the other case is there too."""
+    """Whether a file has this name, without a list of a folder that may have thousands. False where that cannot be said: there is
+    none, or the same name in the other case is there too."""
     other = "".join(c.swapcase() if c.isascii() else c for c in part)
     if other == part:
         return False

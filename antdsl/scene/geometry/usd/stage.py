@@ -94,8 +94,8 @@ def open_stage(
     purpose: str = "render",
     closures: dict[str, Closure | UsdError] | None = None,
 ) -> UsdStage:
-    """A file opened for what is at and below a prim path. `closures` stores files that were collected before, by name, or why they
-    cannot be.
+    """A file opened for what is at and below a prim path. `closures` stores files that were collected before, by name, or why
+    they cannot be.
 
     Frame f is USD's time code f · timeCodesPerSecond / fps: equal where the rates are. UsdError when the file or anything it is
     made of may not be opened, there is no such prim, or the system has no sandbox and the person does not trust USD files."""
