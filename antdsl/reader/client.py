@@ -196,7 +196,7 @@ class Reader:
         except OSError as problem:
             words = "cannot be read: the process that reads it cannot be started"
             raise ReaderFailure(words, "run `antdsl doctor`", is_lasting=False) from problem
-        late = threading.Event()
+        late, before = threading.Event(), self._seconds
         try:
             with _deadline(running, limits.READER_WALL_SECONDS + 4 * seconds, late):
                 running.greeted()
@@ -206,7 +206,9 @@ class Reader:
             status = self._end()
             if status == _OVERDUE and left <= seconds:
                 cpu_budget.charge(math.inf)  # the budget ended it, not the limit of a request
-            raise _death(running, status, late.is_set(), memory) from None
+            failure = _death(running, status, late.is_set(), memory)
+            failure.is_heavy |= self._seconds - before > limits.READER_SECONDS / 2
+            raise failure from None
         except ProtocolError:
             self._end()
             raise ReaderFailure(_SENSELESS, _DAMAGED) from None
@@ -313,7 +315,7 @@ def _death(running: _Process, status: int, is_late: bool, memory: int) -> Reader
     if running.active is None:
         words = "cannot be read: the process that reads it ends when it starts"
         return ReaderFailure(words, "run `antdsl doctor`", is_lasting=False)
-    words = "it brings down the library that reads it, as files do that are damaged or nested without end"
+    words = "it brings down the library that reads it, as files do that are damaged, too large or nested without end"
     return ReaderFailure(f"cannot be read: {words}", _DAMAGED)
 
 
