@@ -6,6 +6,7 @@ import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import inf
 
 from antdsl import limits
 from antdsl.cli.exits import Exit, Stop, is_out_of_memory
@@ -55,12 +56,10 @@ def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) 
 def limit_threads() -> None:
     """Where the address space of this process is limited, keep NumPy's library of linear algebra, which is not loaded yet, from
     threads that take some of it each: it ends the process when it gets none. Stop where one thread would not find room."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return
-    most, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if most == resource.RLIM_INFINITY:
+    from antdsl.numerics.memory import address_space
+
+    most = address_space()
+    if most == inf:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if most < limits.COMMAND_MEMORY:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from antdsl import cpu_budget, limits
+from antdsl.numerics.memory import address_space
 from antdsl.reader import PREPARED, READERS, confinement
 from antdsl.reader.private_folder import PrivateFolder
 from antdsl.reader.protocol import Arrays, EndOfMessages, Message, ProtocolError, read_message, write_message
@@ -147,7 +148,7 @@ class Reader:
                     return running.greeted()
             except (OSError, ProtocolError) as problem:
                 self._end()
-                if _address_space() < limits.READER_MEMORY:
+                if address_space() < limits.READER_MEMORY:
                     raise MemoryError("the process that reads foreign files has no memory to start") from None
                 raise ReaderFailure("the process that reads foreign files cannot be started") from problem
 
@@ -310,7 +311,7 @@ def _death(running: _Process, status: int, is_late: bool, memory: int) -> Reader
     if is_late or status == _OVERDUE:
         words = "cannot be read: it takes too long to be read"
         return ReaderFailure(words, _LIGHTER, is_lasting=not is_late, is_heavy=True)
-    if status == _KILLED or _address_space() < memory:
+    if status == _KILLED or address_space() < memory:
         return _no_memory(memory)
     if running.active is None:
         words = "cannot be read: the process that reads it ends when it starts"
@@ -322,19 +323,9 @@ def _death(running: _Process, status: int, is_late: bool, memory: int) -> Reader
 def _no_memory(needed: int) -> ReaderFailure:
     """The failure of a request for want of memory; raises MemoryError where the limit of this process is the cause, not that of
     the request."""
-    if _address_space() < needed:
+    if address_space() < needed:
         raise MemoryError("the process that reads foreign files has no memory")
     return ReaderFailure("cannot be read: it takes too much memory", _LIGHTER, is_heavy=True)
-
-
-def _address_space() -> float:
-    """Bytes of address space that this process and those that it starts may have."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return math.inf
-    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return math.inf if soft == resource.RLIM_INFINITY else soft
 
 
 _reader = Reader()

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 from cases.hostile.usd import GOOD, HEAD
@@ -18,6 +19,7 @@ from antdsl.reader import client
 from antdsl.reader.client import Reader, ReaderFailure
 from antdsl.scene import Roots
 from antdsl.scene.geometry import usd
+from antdsl.scene.geometry.usd.errors import pxr
 
 SPIN = """import sys, json, struct, time, os, resource
 def send(document):
@@ -198,3 +200,36 @@ def test_a_file_that_cannot_be_collected_is_collected_once(
         messages.add((found.value.code, str(found.value), found.value.help, found.value.key))
         monkeypatch.setattr(client, "ask", lambda *_, **__: pytest.fail("asked again"))
     assert len(messages) == 1
+
+
+@pytest.mark.parametrize("does", ["os.abort()", "os.kill(os.getpid(), 9)", "send({'failure': 'memory'})"])
+def test_a_small_limit_of_the_person_is_out_of_memory_and_no_fault_of_the_file(
+    does: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    program(does, monkeypatch, tmp_path)
+    monkeypatch.setattr(client, "address_space", lambda: 1 << 30)
+    with pytest.raises(MemoryError):
+        client.ask("image", {}, digest="a", files="x")
+    assert not reader._failures and not reader._heavy
+    monkeypatch.setattr(client, "address_space", lambda: float("inf"))
+    with pytest.raises(ReaderFailure):
+        client.ask("image", {}, digest="a", files="x")
+
+
+def test_a_reader_that_cannot_start_for_want_of_memory(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "child.py").write_text("")
+    monkeypatch.setattr(client, "_PROGRAM", tmp_path / "child.py")
+    with pytest.raises(ReaderFailure):
+        client.active_layers()
+    monkeypatch.setattr(client, "address_space", lambda: 1 << 28)
+    with pytest.raises(MemoryError):
+        client.active_layers()
+
+
+def test_a_library_that_cannot_be_mapped_is_out_of_memory() -> None:
+    words = "libusd_usd.so: failed to map segment from shared object"
+    pxr.cache_clear()
+    with patch("importlib.import_module", side_effect=ImportError(words)), pytest.raises(MemoryError):
+        pxr("Usd")
+    with patch("importlib.import_module", side_effect=ImportError("undefined symbol")), pytest.raises(usd.UsdError):
+        pxr("Usd")
