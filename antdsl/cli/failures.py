@@ -48,6 +48,8 @@ def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) 
     if isinstance(problem, MemoryError):
         words = "error: out of memory; fewer agents, larger cells or a lighter mesh need less"
         return Stop(Exit.INPUT_OUTPUT, words, f"once there is more, {again}")
+    if problem.errno == errno.ENOENT and not problem.filename and not _has_working_directory():
+        return Stop(Exit.INPUT_OUTPUT, "error: the working directory was removed", f"change to another folder, then {again}")
     place = f": `{problem.filename}`" if problem.filename else ""
     words = f"error: {what}{': ' if what else ''}{(problem.strerror or str(problem)).lower()}{place}"
     return Stop(Exit.INPUT_OUTPUT, words, f"{advice(problem)} {again}")
@@ -66,6 +68,14 @@ def limit_threads() -> None:
         needed, have = (f"{size / limits.MIB:,.0f} MiB" for size in (limits.COMMAND_MEMORY, most))
         words = f"error: out of memory: this process may have {have} of address space, and needs {needed}"
         raise Stop(Exit.INPUT_OUTPUT, words, f"allow more (`ulimit -v`), then {AGAIN}")
+
+
+def _has_working_directory() -> bool:
+    try:
+        os.getcwd()
+    except OSError:
+        return False
+    return True
 
 
 def advice(problem: OSError) -> str:
