@@ -6,14 +6,14 @@ import gc
 import os
 import signal
 import sys
-import threading
 import traceback
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from antdsl.bounded import real_path
+from antdsl.cpu_budget import CpuBudgetSpent, cpu_budget
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.transfer import decode_reports, encode_reports
 from antdsl.files import sources
@@ -44,30 +44,6 @@ class Checked:
         self.programs |= other.programs
         known = {source.path for source in self.sources}
         self.sources += [source for source in other.sources if source.path not in known]
-
-
-class CpuBudgetSpent(BaseException):
-    """Checking a file has taken more processor time than it may. No handler of Exception may swallow this."""
-
-
-@contextmanager
-def cpu_budget(seconds: float) -> Iterator[None]:
-    """Raise CpuBudgetSpent within, once this process has used so much processor time; 0 is no limit. Main thread only, and not
-    on Windows, which has no such timer. A library that is at work ends its call first."""
-    if not seconds or not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def end(number: int, frame: object) -> None:
-        raise CpuBudgetSpent
-
-    previous = signal.signal(signal.SIGPROF, end)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.signal(signal.SIGPROF, previous)
 
 
 def check_all(

@@ -4,6 +4,7 @@ Every stage gives `(result, Report)`; a result is None where its errors leave no
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -165,7 +166,7 @@ def _read_scene(
     if scene is None:
         return None, None, loaded, report
     if data is None:  # an editor's text is read without the meshes of its world
-        _prepare_reader(scene)
+        _begin_reading(scene)
     scene = scene.changed(frames=choices.frames, seed=choices.seed)
     for number, line in enumerate(scene.model.crowd):
         if line.source not in {other.source for other in scene.model.crowd[:number]}:
@@ -182,8 +183,13 @@ def _read_scene(
     return scene, program, loaded, report
 
 
-def _prepare_reader(scene: Scene) -> None:
-    """Have the reader load USD while the programs are checked, where the scene has things out of USD files."""
+def _begin_reading(scene: Scene) -> None:
+    """Tell the reader that another scene begins, and have it load USD while the programs are checked, where the scene has things
+    out of USD files."""
+    if "antdsl.reader.client" in sys.modules:
+        from antdsl.reader import client
+
+        client.begin_scene()
     if any(getattr(thing, "usd", None) for thing in (*scene.model.world.values(), scene.model.camera)):
         from antdsl.reader import client
 

@@ -36,7 +36,7 @@ from antdsl.cli import (  # noqa: E402
     test,
 )
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
-from antdsl.cli.failures import failure, machine_failure  # noqa: E402
+from antdsl.cli.failures import failure, limit_threads, machine_failure  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 from antdsl.diagnostics.model import printable  # noqa: E402
 
@@ -99,6 +99,7 @@ def _root(
     ),
 ) -> None:
     """Crowds of animals from text: write behaviour in .ant files, simulate them on real ground."""
+    limit_threads()
 
 
 def main() -> None:

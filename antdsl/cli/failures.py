@@ -6,7 +6,9 @@ import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import inf
 
+from antdsl import limits
 from antdsl.cli.exits import Exit, Stop, is_out_of_memory
 
 AGAIN = "run the same command again"
@@ -51,6 +53,21 @@ def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) 
     place = f": `{problem.filename}`" if problem.filename else ""
     words = f"error: {what}{': ' if what else ''}{(problem.strerror or str(problem)).lower()}{place}"
     return Stop(Exit.INPUT_OUTPUT, words, f"{advice(problem)} {again}")
+
+
+def limit_threads() -> None:
+    """Where the address space of this process is limited, keep NumPy's library of linear algebra, which is not loaded yet, from
+    threads that take some of it each: it ends the process when it gets none. Stop where one thread would not find room."""
+    from antdsl.numerics.memory import address_space
+
+    most = address_space()
+    if most == inf:
+        return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if most < limits.COMMAND_MEMORY:
+        needed, have = (f"{size / limits.MIB:,.0f} MiB" for size in (limits.COMMAND_MEMORY, most))
+        words = f"error: out of memory: this process may have {have} of address space, and needs {needed}"
+        raise Stop(Exit.INPUT_OUTPUT, words, f"allow more (`ulimit -v`), then {AGAIN}")
 
 
 def _has_working_directory() -> bool:

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+from math import inf
 from pathlib import Path
 
 from antdsl.numerics.control_groups import GROUPS, OWN, group_folders
 
 _SYSTEM = Path("/proc/meminfo")
+
+
+def address_space() -> float:
+    """Bytes of address space that this process, and each one that it starts, may have; infinite without a limit."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return inf
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return inf if most == resource.RLIM_INFINITY else most
 
 
 def available_memory() -> int | None:

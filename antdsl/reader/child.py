@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from contextlib import suppress
 from importlib import import_module
 from typing import Any
@@ -40,7 +41,7 @@ def main() -> None:
             return
         sandbox.limit_request(int(request.document["seconds"]), int(request.document["memory"]))
         document, arrays, is_last = _answer(request)
-        protocol.write_message(answers, document, arrays)
+        protocol.write_message(answers, document | {"cpu": time.process_time()}, arrays)
         if is_last:
             return
 

@@ -6,17 +6,21 @@ from __future__ import annotations
 
 import atexit
 import json
+import math
 import os
+import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-from antdsl import limits
+from antdsl import cpu_budget, limits
+from antdsl.numerics.memory import address_space
 from antdsl.reader import PREPARED, READERS, confinement
 from antdsl.reader.private_folder import PrivateFolder
 from antdsl.reader.protocol import Arrays, EndOfMessages, Message, ProtocolError, read_message, write_message
@@ -31,11 +35,12 @@ CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig", "bad-u
 
 class ReaderFailure(Exception):
     """The reader gave no answer: it died, took too long or too much memory, sent something else, or cannot be started. The text
-    says so in words that fit after the name of a file; `help` says what to do. `is_lasting`: the same request fails again."""
+    says so in words that fit after the name of a file; `help` says what to do. `is_lasting`: the same request fails again.
+    `is_heavy`: it took too much time or memory, so that other requests about the same files would too."""
 
-    def __init__(self, message: str, help: str | None = None, *, is_lasting: bool = True) -> None:
+    def __init__(self, message: str, help: str | None = None, *, is_lasting: bool = True, is_heavy: bool = False) -> None:
         super().__init__(message)
-        self.help, self.is_lasting = help, is_lasting
+        self.help, self.is_lasting, self.is_heavy = help, is_lasting, is_heavy
 
 
 class _Process:
@@ -56,6 +61,7 @@ class _Process:
         assert self.process.stdin is not None and self.process.stdout is not None
         self.requests, self.answers = self.process.stdin, self.process.stdout
         self.active: dict[str, int] | None = None
+        self._seconds = 0.0
 
     def greeted(self) -> dict[str, int]:
         """Which layers confine it, as it said at its start."""
@@ -67,13 +73,37 @@ class _Process:
             self.active = {name: said[name] for name in names}
         return self.active
 
-    def end(self) -> int:
-        """Kill it; its exit status."""
-        self.process.kill()
+    def new_seconds(self, reported: object = None) -> float:
+        """Seconds of CPU that it has taken since the last call. Those that it `reported` count where the system does not tell."""
+        total = self._seconds
+        try:
+            total = time.clock_gettime(~self.process.pid << 3 | 2)  # Linux: the number of the clock of a process
+        except (AttributeError, OSError):
+            if isinstance(reported, float) and math.isfinite(reported):
+                total = reported
+        return self._add(total)
+
+    def end(self) -> tuple[int, float]:
+        """Kill it; its exit status, and what `new_seconds` would be."""
+        self.kill()
         for pipe in (self.requests, self.answers):
             with suppress(OSError):
                 pipe.close()
-        return self.process.wait()
+        if self.process.returncode is None and hasattr(os, "wait4"):
+            _, status, used = os.wait4(self.process.pid, 0)
+            self.process.returncode = os.waitstatus_to_exitcode(status)
+            return self.process.returncode, self._add(used.ru_utime + used.ru_stime)
+        return self.process.wait(), 0.0
+
+    def kill(self) -> None:
+        """Kill it. A child that is dead already stays, unlike with the method of Popen: its end says how much time it took."""
+        if self.process.returncode is None:
+            with suppress(OSError):
+                os.kill(self.process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+
+    def _add(self, total: float) -> float:
+        before, self._seconds = self._seconds, max(self._seconds, total)
+        return self._seconds - before
 
     def forget(self) -> None:
         """Close this process's ends of the pipes: the child belongs to the process that this one was forked from."""
@@ -93,6 +123,16 @@ class Reader:
         self._running: _Process | None = None
         self._folder: PrivateFolder | None = None
         self._failures: OrderedDict[str, tuple[str, str | None]] = OrderedDict()  # messages and help
+        self._heavy: dict[str, tuple[str, str | None]] = {}  # the same, by `files`
+        self._seconds, self._allowed = 0.0, float(limits.READER_SECONDS_A_SCENE)  # of CPU, for this scene
+        self._known: set[str] = set()  # `files` of this scene
+
+    def begin_scene(self) -> None:
+        """As the function `begin_scene`."""
+        with self._lock:
+            self._heavy.clear()
+            self._known.clear()
+            self._seconds, self._allowed = 0.0, float(limits.READER_SECONDS_A_SCENE)
 
     def folder(self) -> Path:
         """A new folder whose files the child may open; OSError."""
@@ -108,16 +148,24 @@ class Reader:
                     return running.greeted()
             except (OSError, ProtocolError) as problem:
                 self._end()
+                if address_space() < limits.READER_MEMORY:
+                    raise MemoryError("the process that reads foreign files has no memory to start") from None
                 raise ReaderFailure("the process that reads foreign files cannot be started") from problem
 
-    def ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str) -> Message:
+    def ask(
+        self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str, files: str
+    ) -> Message:
         """As the function `ask`."""
         with self._lock:
-            if digest and digest in self._failures:
-                raise ReaderFailure(*self._failures[digest])
+            if files and files not in self._known:
+                self._known.add(files)
+                self._allowed += size / limits.READER_BYTES_A_SECOND
+            self._refuse(digest, files)
             try:
                 return self._ask(kind, document, arrays, size, seconds)
             except ReaderFailure as why:
+                if files and why.is_heavy:
+                    self._heavy[files] = (str(why), why.help)
                 if digest and why.is_lasting:
                     self._failures[digest] = (str(why), why.help)
                     if len(self._failures) > _REMEMBERED:
@@ -125,34 +173,55 @@ class Reader:
                 raise
             except Refusal:
                 raise
-            except BaseException:  # interrupted between a request and its answer
-                self._end()
+            except BaseException:  # interrupted between a request and its answer, or no memory or time is left
+                self._end(is_counted=False)
                 raise
+
+    def _refuse(self, digest: str, files: str) -> None:
+        """ReaderFailure for a request that failed before, and for each one where the scene has taken all time that it may."""
+        for failures, key in ((self._failures, digest), (self._heavy, files)):
+            if key and key in failures:
+                raise ReaderFailure(*failures[key])
+        if self._seconds > self._allowed:
+            words = f"cannot be read: the files of this scene took more than {self._allowed:,.0f} s of processor time to be read"
+            raise ReaderFailure(words, "use lighter files, or fewer of them", is_lasting=False)
 
     def _ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int) -> Message:
         assert kind in READERS
         seconds += limits.READER_SECONDS + size // limits.READER_BYTES_A_SECOND
+        left = cpu_budget.remaining()
         memory = min(limits.READER_MEMORY + limits.READER_MEMORY_A_BYTE * size, limits.READER_MEMORY_MOST)
-        said = {**document, "kind": kind, "seconds": seconds, "memory": memory}
+        said = {**document, "kind": kind, "seconds": seconds if left > seconds else math.ceil(left), "memory": memory}
         try:
             running = self._start()
         except OSError as problem:
             words = "cannot be read: the process that reads it cannot be started"
             raise ReaderFailure(words, "run `antdsl doctor`", is_lasting=False) from problem
-        late = threading.Event()
+        late, before = threading.Event(), self._seconds
         try:
             with _deadline(running, limits.READER_WALL_SECONDS + 4 * seconds, late):
                 running.greeted()
                 write_message(running.requests, said, arrays)
                 answer = read_message(running.answers, limits.READER_BYTES)
         except (EndOfMessages, BrokenPipeError):
-            raise _death(running, self._end(), late.is_set()) from None
+            status = self._end()
+            if status == _OVERDUE and left <= seconds:
+                cpu_budget.charge(math.inf)  # the budget ended it, not the limit of a request
+            failure = _death(running, status, late.is_set(), memory)
+            failure.is_heavy |= self._seconds - before > limits.READER_SECONDS / 2
+            raise failure from None
         except ProtocolError:
             self._end()
             raise ReaderFailure(_SENSELESS, _DAMAGED) from None
-        return self._judged(answer)
+        self._count(running.new_seconds(answer.document.get("cpu")))
+        return self._judged(answer, memory)
 
-    def _judged(self, answer: Message) -> Message:
+    def _count(self, seconds: float) -> None:
+        """Take processor time of the child from what this scene may use, and from the budget of the check."""
+        self._seconds += seconds
+        cpu_budget.charge(seconds)
+
+    def _judged(self, answer: Message, memory: int) -> Message:
         said = answer.document
         if isinstance(said.get("answer"), dict):
             return Message(said["answer"], answer.arrays)
@@ -162,7 +231,7 @@ class Reader:
                 raise refusal
         if said.get("failure") == "memory":
             self._end()
-            raise ReaderFailure("cannot be read: it takes too much memory", "use a lighter file, or a part of it")
+            raise _no_memory(memory)
         if said.get("failure") == "exception":
             raise ReaderFailure("cannot be read: it is damaged", _DAMAGED)
         self._end()
@@ -189,9 +258,13 @@ class Reader:
                 Finalize(None, self.end, exitpriority=1)
         return self._folder
 
-    def _end(self) -> int:
+    def _end(self, *, is_counted: bool = True) -> int:
+        """End the child, and count what it took; its exit status."""
         running, self._running = self._running, None
-        return 0 if running is None else running.end()
+        status, seconds = (0, 0.0) if running is None else running.end()
+        if is_counted:
+            self._count(seconds)
+        return status
 
     def end(self) -> None:
         """End the child and remove the private folder."""
@@ -208,6 +281,9 @@ class Reader:
 
 
 _DAMAGED = "export it again"
+_LIGHTER = "use a lighter file, or a part of it"
+_OVERDUE = -getattr(signal, "SIGXCPU", 1 << 20)  # exit statuses
+_KILLED = -getattr(signal, "SIGKILL", 1 << 20)  # by the system, which has no memory left
 _SENSELESS = "cannot be read: the process that reads it gave an answer that makes no sense"
 
 
@@ -218,7 +294,7 @@ def _deadline(running: _Process, seconds: float, late: threading.Event | None = 
     def stop() -> None:
         if late is not None:
             late.set()
-        running.process.kill()
+        running.kill()
 
     timer = threading.Timer(seconds, stop)
     timer.daemon = True
@@ -229,18 +305,27 @@ def _deadline(running: _Process, seconds: float, late: threading.Event | None = 
         timer.cancel()
 
 
-def _death(running: _Process, status: int, is_late: bool) -> ReaderFailure:
-    """Why a child ended without an answer."""
-    import signal
-
-    if is_late or status == -getattr(signal, "SIGXCPU", 0):
+def _death(running: _Process, status: int, is_late: bool, memory: int) -> ReaderFailure:
+    """Why a child ended without an answer to a request that may take so much memory. Raises MemoryError where this process may
+    not give it as much."""
+    if is_late or status == _OVERDUE:
         words = "cannot be read: it takes too long to be read"
-        return ReaderFailure(words, "use a lighter file, or a part of it", is_lasting=not is_late)
+        return ReaderFailure(words, _LIGHTER, is_lasting=not is_late, is_heavy=True)
+    if status == _KILLED or address_space() < memory:
+        return _no_memory(memory)
     if running.active is None:
         words = "cannot be read: the process that reads it ends when it starts"
         return ReaderFailure(words, "run `antdsl doctor`", is_lasting=False)
-    words = "it brings down the library that reads it, as files do that are damaged or nested without end"
+    words = "it brings down the library that reads it, as files do that are damaged, too large or nested without end"
     return ReaderFailure(f"cannot be read: {words}", _DAMAGED)
+
+
+def _no_memory(needed: int) -> ReaderFailure:
+    """The failure of a request for want of memory; raises MemoryError where the limit of this process is the cause, not that of
+    the request."""
+    if address_space() < needed:
+        raise MemoryError("the process that reads foreign files has no memory")
+    return ReaderFailure("cannot be read: it takes too much memory", _LIGHTER, is_heavy=True)
 
 
 _reader = Reader()
@@ -248,15 +333,29 @@ atexit.register(lambda: _reader.end())
 
 
 def ask(
-    kind: str, document: Mapping[str, Any], arrays: Arrays | None = None, *, size: int = 0, seconds: int = 0, digest: str = ""
+    kind: str,
+    document: Mapping[str, Any],
+    arrays: Arrays | None = None,
+    *,
+    size: int = 0,
+    seconds: int = 0,
+    digest: str = "",
+    files: str = "",
 ) -> Message:
     """The answer to a request of READERS.
 
     `size`: bytes of the files that it is about, which give it more time and memory. `seconds`: CPU time that it may take in
-    addition. `digest`: a hash of all that the answer depends on; a request that failed is not made again. Refusal where the child
-    says why it does not read something, ReaderFailure where it gives no answer. The answer is from a process that is not trusted.
-    """
-    return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest)
+    addition. `digest`: a hash of all that the answer depends on; a request that failed is not made again. `files`: a hash of the
+    files alone; after a request took too much time or memory, all others about them fail until the next scene.
+
+    Refusal where the child says why it does not read something, ReaderFailure where it gives no answer, MemoryError where this
+    process may not give it enough, CpuBudgetSpent where the budget of a check is spent. No answer is trusted."""
+    return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest, files=files)
+
+
+def begin_scene() -> None:
+    """What is requested from here on is for another scene, which has the whole of `limits.READER_SECONDS_A_SCENE`."""
+    _reader.begin_scene()
 
 
 def prepare(format: str) -> None:

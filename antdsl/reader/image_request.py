@@ -45,7 +45,7 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: in
     said = {"format": format, "modes": [mode for mode in modes if mode in MODES], "pixels": pixels}
     digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
     try:
-        answer = client.ask("image", said, {"data": np.frombuffer(data, np.uint8)}, size=len(data), digest=digest)
+        answer = client.ask("image", said, {"data": np.frombuffer(data, np.uint8)}, size=len(data), digest=digest, files=digest)
         return _checked(answer, said["modes"], pixels)
     except Refusal as why:
         raise ImageError(f"cannot be read as {format} ({why})") from None

@@ -19,7 +19,7 @@ class PrivateFolder:
 
     def __init__(self) -> None:
         remove_stale()
-        self._whole = Path(tempfile.mkdtemp(prefix=_PREFIX))
+        self._whole = Path(os.path.abspath(tempfile.mkdtemp(prefix=_PREFIX)))  # the child has another working directory
         self._process = os.getpid()
         self._lock = _locked(self._whole / _LOCK, os.O_CREAT)
         self.path = self._whole / _FILES

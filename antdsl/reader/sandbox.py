@@ -68,8 +68,9 @@ def _lower(name: str, most: int, *, hard: bool = False) -> None:
     which = getattr(resource, name, None)
     if which is None:
         return
-    _, upper = resource.getrlimit(which)
-    value = most if upper == resource.RLIM_INFINITY else min(most, upper)
+    own, upper = resource.getrlimit(which)
+    present = own if hard else upper  # once they are lowered for good, no request goes beyond what the person allows
+    value = most if present == resource.RLIM_INFINITY else min(most, present)
     try:
         resource.setrlimit(which, (value, value if hard else upper))
     except (ValueError, OSError):  # macOS refuses a limit of the address space

@@ -251,6 +251,8 @@ def _names_below(root: Path, parts: tuple[str, ...], shown: str) -> list[str]:
 
 def _exact_name(folder: int, part: str, shown: str) -> None:
     """Refuse a name that differs by case from the file's own: a file system blind to case would find it, another would not."""
+    if _is_exact(folder, part):
+        return
     names = os.listdir(folder)
     if part not in names:
         alike = sorted(name for name in names if name.lower() == part.lower())
@@ -258,6 +260,25 @@ def _exact_name(folder: int, part: str, shown: str) -> None:
             raise PathRefused(
                 "no-such-file", f"there is no file `{shown}`; `{alike[0]}` differs by case only", f"write `{alike[0]}`"
             )
+
+
+def _is_exact(folder: int, part: str) -> bool:
+    """Whether a file has this name, without a list of a folder that may have thousands. False where that cannot be said: there is
+    none, or the same name in the other case is there too."""
+    other = "".join(c.swapcase() if c.isascii() else c for c in part)
+    if other == part:
+        return False
+    try:
+        os.stat(part, dir_fd=folder, follow_symlinks=False)
+    except OSError:
+        return False
+    try:
+        os.stat(other, dir_fd=folder, follow_symlinks=False)
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _why_not(problem: OSError, folder: int | str, shown: str) -> PathRefused:

@@ -8,10 +8,12 @@ import resource
 import subprocess
 import sys
 from pathlib import Path
+from types import FunctionType
 from unittest.mock import patch
 
 import commands
 import pytest
+from cases.hostile.usd import GOOD
 from children import child_environment
 
 from antdsl.cli import app
@@ -63,6 +65,34 @@ def test_an_error_that_follows_is_out_of_memory_too() -> None:
         assert is_out_of_memory(problem)
 
 
+def test_an_error_that_was_handled_is_not() -> None:
+    try:
+        try:
+            raise MemoryError
+        except MemoryError:
+            raise ValueError("no array") from None
+    except ValueError as problem:
+        assert not is_out_of_memory(problem)
+
+
+def test_only_a_process_that_is_not_started_is_out_of_memory_for_a_lack_of_resources() -> None:
+    def start() -> None:
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    for module in ("subprocess", "multiprocessing.popen_fork", "antdsl.checking"):
+        with pytest.raises(BlockingIOError) as found:
+            FunctionType(start.__code__, {**globals(), "__name__": module})()
+        assert is_out_of_memory(found.value)
+    reads, writes = os.pipe()
+    os.set_blocking(reads, False)
+    with pytest.raises(BlockingIOError) as found:
+        os.read(reads, 1)
+    os.close(reads)
+    os.close(writes)
+    assert found.value.errno == errno.EAGAIN and not is_out_of_memory(found.value)
+    assert is_out_of_memory(RuntimeError("Resource temporarily unavailable")), "a C++ library that gets no thread"
+
+
 @pytest.mark.parametrize("problem", [RuntimeError("wrong"), ValueError("std::bad_alloc is a word"), KeyError("x"), None])
 def test_other_errors_are_not(problem: Exception | None) -> None:
     assert not is_out_of_memory(problem)
@@ -72,15 +102,43 @@ def test_other_errors_are_not(problem: Exception | None) -> None:
 @pytest.mark.parametrize("mebibytes", [250, 350, 500, 700, 1000, 1500, 2500])
 def test_a_run_with_little_memory_ends_with_a_message(tmp_path: Path, mebibytes: int) -> None:
     assert commands.run("new", "project", cwd=tmp_path).returncode == 0
-    size = mebibytes << 20
-    done = subprocess.run(
-        [sys.executable, "-m", "antdsl", "run", "project/scene.yaml", "--frames", "1..3", "--threads", "2"],
-        cwd=tmp_path,
-        env=child_environment(OPENBLAS_NUM_THREADS="2"),
-        capture_output=True,
-        text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (size, size)),
+    done = limited(
+        tmp_path, mebibytes, "run", "project/scene.yaml", "--frames", "1..3", "--threads", "2", OPENBLAS_NUM_THREADS="2"
     )
     assert done.returncode in (0, 3), done.stderr[-2000:]
     assert "bug in antdsl" not in done.stderr
     assert done.returncode == 0 or "error: " in done.stderr
+
+
+@pytest.mark.parametrize("command", [("check", "x.yaml"), ("run", "x.yaml")])
+def test_too_little_address_space_is_refused_before_libraries_end_the_process(tmp_path: Path, command: tuple[str, ...]) -> None:
+    done = limited(tmp_path, 150, *command)
+    assert done.returncode == 3 and done.stderr.startswith("error: out of memory: this process may have 150 MiB of address space")
+    assert limited(tmp_path, 150, "--version").returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mebibytes", [256, 390, 680, 1200])
+def test_a_sound_usd_file_is_never_damaged_for_want_of_memory(tmp_path: Path, mebibytes: int) -> None:
+    pytest.importorskip("pxr")
+    assert commands.run("new", "project", cwd=tmp_path).returncode == 0
+    scene = tmp_path / "project" / "scene.yaml"
+    text = scene.read_text()
+    assert "{mesh: ground.ply}" in text
+    scene.write_text(text.replace("{mesh: ground.ply}", "{usd: ground.usda, prim: /ground}"))
+    (tmp_path / "project" / "ground.usda").write_text(GOOD)
+    done = limited(tmp_path, mebibytes, "check", "project/scene.yaml")
+    assert (done.returncode == 0) or (done.returncode == 3 and "error: out of memory" in done.stderr), done.stdout + done.stderr
+
+
+def limited(folder: Path, mebibytes: int, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """A command whose address space has a limit."""
+    size = mebibytes << 20
+    return subprocess.run(
+        [sys.executable, "-m", "antdsl", *words],
+        cwd=folder,
+        env=child_environment(**variables),
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (size, size)),
+    )

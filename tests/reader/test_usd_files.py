@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import tempfile
 import zipfile
 from collections.abc import Callable
 from fractions import Fraction
@@ -22,6 +23,7 @@ from antdsl.reader.protocol import Message
 from antdsl.scene import Roots
 from antdsl.scene.geometry import usd
 from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.usd.errors import plain_words
 from antdsl.scene.geometry.usd.package import PackageError, layers_of, packed
 
 NAMED = HEAD.replace("(\n", '(\n    defaultPrim = "ground"\n', 1)
@@ -175,6 +177,64 @@ def test_a_package_that_is_not_plain_is_refused() -> None:
         for entry in archive.infolist():
             start = entry.header_offset + 30 + len(entry.filename) + len(entry.extra)
             assert start % 64 == 0 and again[start : start + 1] in (b"#", b"x")
+
+
+# ---- messages
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("b\\c.usda", r"the path `b\c.usda` has a backslash (named by `a.usda`)"),
+        ("gone.usda", "there is no file `gone.usda` (named by `a.usda`)"),
+        ("B.usda", "there is no file `B.usda`; `b.usda` differs by case only (named by `a.usda`)"),
+        ("b.usda?a=1", "`b.usda?a=1`, named by `a.usda`, is not one of .usd, .usda, .usdc, .usdz"),
+        ("b.png", "`b.png`, named by `a.usda`, is not one of .usd, .usda, .usdc, .usdz"),
+        ("file:///b.usda", "`file:///b.usda`, named by `a.usda`, is an address, not a file"),
+    ],
+)
+def test_a_message_says_which_layer_names_a_file(path: str, words: str, folder: Path) -> None:
+    (folder / "b.usda").write_text(GOOD)
+    (folder / "a.usda").write_text(refers(path))
+    assert refused(folder, "a.usda") == words
+
+
+CYCLE = 'class "A" (\ninherits = </B>\n)\n{\n}\nclass "B" (\ninherits = </A>\n)\n{\n}\ndef "ground" (\ninherits = </A>\n)\n{\n}\n'
+
+
+def test_messages_of_usd_are_the_same_in_each_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / "inner.usda").write_text(NAMED + CYCLE)
+    (folder / "outer.usda").write_text(refers("inner.usda"))
+    (folder / "text.usda").write_text(f'{NAMED}def "ground" (\nreferences = \n')
+    for name in ("inner.usda", "outer.usda", "text.usda"):
+        messages = set()
+        for _ in range(2):
+            monkeypatch.setattr(client, "_reader", client.Reader())  # another folder, and other addresses
+            messages.add(refused(folder, name))
+            client.end_reader()
+        assert len(messages) == 1, messages
+        assert "0x" not in str(messages) and "session" not in str(messages) and "antdsl-reader" not in str(messages)
+    (folder / "inner.usda").write_text(NAMED + CYCLE)
+    assert "@inner.usda@</A> which inherits from: @inner.usda@</B>" in refused(folder, "inner.usda")
+
+
+def test_words_of_usd_have_no_address() -> None:
+    words = plain_words(
+        "@/tmp/x/sub/a.usda@,@anon:0x5565f6d2:a-session.usda@</m>\n on @anon:0x7f:b.usda@ <0x55a0> @anon:0x1@", "/tmp/x"
+    )
+    assert words == "@sub/a.usda@</m> on @b.usda@ @@"
+
+
+def test_a_relative_folder_for_temporary_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / "a.usda").write_text(GOOD)
+    monkeypatch.chdir(folder)
+    for place in (".", "temporary"):
+        (folder / place).mkdir(exist_ok=True)
+        monkeypatch.setattr(tempfile, "tempdir", place)
+        monkeypatch.setattr(client, "_reader", client.Reader())
+        assert len(read(folder, "a.usda").raw.faces) == 2
+        client.end_reader()
+        assert not list((folder / place).glob("antdsl-reader-*"))
 
 
 # ---- answers

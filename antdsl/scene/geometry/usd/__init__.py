@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from antdsl.scene.geometry.usd.answers import (
         UsdCamera,
         UsdMesh,
-        UsdPoints,
         read_usd_camera,
         read_usd_curve,
         read_usd_mesh,
@@ -22,13 +21,15 @@ if TYPE_CHECKING:
     )
     from antdsl.scene.geometry.usd.closure import Closure
     from antdsl.scene.geometry.usd.errors import UsdError, pxr
+    from antdsl.scene.geometry.usd.points import UsdPoints
     from antdsl.scene.geometry.usd.stage import UsdStage, open_stage
 
 __all__ = [
     "Closure", "UsdCamera", "UsdError", "UsdMesh", "UsdPoints", "UsdStage",
     "open_stage", "pxr", "read_usd_camera", "read_usd_curve", "read_usd_mesh", "read_usd_points",
 ]  # fmt: skip
-_MODULES = {"Closure": "closure", "UsdError": "errors", "pxr": "errors", "UsdStage": "stage", "open_stage": "stage"}
+_MODULES = {"Closure": "closure", "UsdError": "errors", "UsdPoints": "points", "pxr": "errors", "UsdStage": "stage",
+            "open_stage": "stage"}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

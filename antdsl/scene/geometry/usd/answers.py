@@ -14,6 +14,7 @@ from antdsl import limits
 from antdsl.reader.protocol import Message, ProtocolError
 from antdsl.scene.geometry.meshes import RawMesh, sound
 from antdsl.scene.geometry.usd.errors import UsdError
+from antdsl.scene.geometry.usd.points import UsdPoints
 from antdsl.scene.geometry.usd.stage import UsdStage
 from antdsl.scene.staging.moves import MeshMoves
 
@@ -31,22 +32,6 @@ class UsdMesh:
     moves: MeshMoves | None
     values: Mapping[str, Floats]
     passed_over: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UsdPoints:
-    """`places` (frames, n, 3) in mm, one frame where all stand still. `radius` (n,) in mm, nan where the file says nothing.
-    `values`: primvars and user properties with one number a point, by name, in the file's units, nan where a point has none;
-    `texts`: user properties that are words, "" where there is none. `ahead` (n, 3): where each one's own +x leads at the first
-    frame, nan for points, which face no way. `unit`: the file's unit of length in mm."""
-
-    names: tuple[str, ...]
-    places: Floats
-    radius: Floats
-    values: Mapping[str, Floats]
-    texts: Mapping[str, tuple[str, ...]]
-    ahead: Floats
-    unit: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

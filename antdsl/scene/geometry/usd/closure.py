@@ -85,7 +85,7 @@ class Closure:
     def _path(self, text: str, by: Place | None) -> str:
         """The full path of a file by the name that a scene would give it, judged as text only."""
         if not text.lower().endswith(KINDS):
-            raise UsdError("bad-usd", f"`{_cut(text)}` is not one of {', '.join(KINDS)}", None, "usd")
+            raise UsdError("bad-usd", f"`{_cut(text)}`{_naming(by)} is not one of {', '.join(KINDS)}", None, "usd")
         try:
             return os.path.abspath(self._roots.path(text))
         except PathRefused as refused:
@@ -209,14 +209,17 @@ class Closure:
 
 
 def _refused(why: PathRefused, by: Place | None) -> UsdError:
-    return UsdError(why.code, f"{why}{_naming(by)}", why.help, "usd")
+    return UsdError(why.code, f"{why} (named by {_layer(by)})" if by else str(why), why.help, "usd")
 
 
 def _naming(place: Place | None) -> str:
-    if place is None:
-        return ""
+    """Which layer names a file, in words between the file's name and what is wrong with it."""
+    return f", named by {_layer(place)}," if place else ""
+
+
+def _layer(place: Place) -> str:
     name = posixpath.basename(place[1]) or os.path.basename(place[0])
-    return f", named by `{shown(name[:_SHOWN])}`,"
+    return f"`{shown(name[:_SHOWN])}`"
 
 
 def _cut(text: str) -> str:

@@ -61,6 +61,7 @@ class UsdStage:
                 size=self.closure.size,
                 seconds=len(self.frames) // _FRAMES_A_SECOND,
                 digest=digest.hexdigest(),
+                files=self.closure.digest,
             )
         except client.ReaderFailure as why:
             raise self.failed(str(why), why.help) from None
@@ -91,17 +92,24 @@ def open_stage(
     frames: Sequence[int],
     fps: Fraction,
     purpose: str = "render",
-    closures: dict[str, Closure] | None = None,
+    closures: dict[str, Closure | UsdError] | None = None,
 ) -> UsdStage:
-    """A file opened for what is at and below a prim path. `closures` stores files that were collected before, by name.
+    """A file opened for what is at and below a prim path. `closures` stores files that were collected before, by name, or why
+    they cannot be.
 
     Frame f is USD's time code f · timeCodesPerSecond / fps: equal where the rates are. UsdError when the file or anything it is
     made of may not be opened, there is no such prim, or the system has no sandbox and the person does not trust USD files."""
     _check_sandbox(text)
     stored = {} if closures is None else closures
     if text not in stored:
-        stored[text] = Closure(roots, text)
-    stage = UsdStage(stored[text], prim, up, frames, fps, purpose)
+        try:
+            stored[text] = Closure(roots, text)
+        except UsdError as why:
+            stored[text] = why
+    closure = stored[text]
+    if isinstance(closure, UsdError):
+        raise UsdError(closure.code, str(closure), closure.help, closure.key)
+    stage = UsdStage(closure, prim, up, frames, fps, purpose)
     stage.ask("usd-stage")
     return stage
 

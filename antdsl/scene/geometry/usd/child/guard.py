@@ -29,7 +29,7 @@ def guarded(read: Callable[[Message], Answer]) -> Callable[[Message], Answer]:
         except MeshError as why:
             raise Refusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
         except pxr("Tf").ErrorException as why:
-            raise Refusal("bad-usd", words_of(why), None, "prim", "exception") from why
+            raise Refusal("bad-usd", words_of(why, str(request.document["folder"])), None, "prim", "exception") from why
         except UnicodeDecodeError as why:  # a name or a text of the file that USD passes on as it is
             raise Refusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from why
 

@@ -56,7 +56,7 @@ def _opened(path: str, folder: str, text: str) -> Any:
         if layer is not None:
             return layer
     except pxr("Tf").ErrorException as problem:
-        why = words_of(problem).replace(path, text).replace(folder + os.sep, "")
+        why = words_of(problem, folder).replace(os.path.relpath(path, folder), text)
     except UnicodeDecodeError:  # USD's own words repeat what is no text
         why = "it has bytes that are no UTF-8 text"
     raise UsdError("bad-usd", f"`{text}` cannot be read as USD: {why}", "export it again", "usd")

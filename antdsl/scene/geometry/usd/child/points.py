@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,25 +12,13 @@ from antdsl.scene.geometry.matrices import applied, scale
 from antdsl.scene.geometry.usd.child.shapes import BAKE, check_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.points import UsdPoints
 
 _USER = "userProperties"  # the namespace into which Blender, Maya and others export what users gave an object
 _KINDS_TOLD = 12
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PointArrays:
-    """As `UsdPoints` of `answers`."""
-
-    names: tuple[str, ...]
-    places: Floats
-    radius: Floats
-    values: dict[str, Floats]
-    texts: dict[str, tuple[str, ...]]
-    ahead: Floats
-    unit: float
-
-
-def point_arrays(stage: OpenStage, kind: str | None = None) -> PointArrays:
+def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     """The points of all Points prims at or below the prim; where there are none, its children that have a place, one each. With a
     `kind` all prims below it instead, however deep, whose `userProperties:kind` is that word."""
     geom = pxr("UsdGeom")
@@ -57,7 +44,7 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> PointArrays:
     again = {name for name in names if names.count(name) > 1} if len(names) <= 1000 else set()
     keys = sorted({key for part in parts for key in part.values})
     words = sorted({key for part in parts for key in part.texts})
-    return PointArrays(
+    return UsdPoints(
         names=tuple(f"{name}_{number}" if name in again else name for number, name in enumerate(names)),
         places=places,
         radius=np.concatenate([part.radius for part in parts]),
@@ -74,7 +61,7 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> PointArrays:
     )
 
 
-def _cloud(stage: OpenStage, prim: Any) -> PointArrays:
+def _cloud(stage: OpenStage, prim: Any) -> UsdPoints:
     points = pxr("UsdGeom").Points(prim)
     attribute, path = points.GetPointsAttr(), prim.GetPath()
     moving = len(stage.times) > 1 and attribute.ValueMightBeTimeVarying()
@@ -93,7 +80,7 @@ def _cloud(stage: OpenStage, prim: Any) -> PointArrays:
     width = np.broadcast_to(widths, count) if len(widths) in (1, count) and count else np.full(count, np.nan)
     names = tuple(_names(prim, count))
     values = _numbers(stage, prim, count)
-    return PointArrays(names, places, width / 2 * one, values, {}, np.full((count, 3), np.nan), scale(stage.to_scene))
+    return UsdPoints(names, places, width / 2 * one, values, {}, np.full((count, 3), np.nan), scale(stage.to_scene))
 
 
 def _names(prim: Any, count: int) -> list[str]:
@@ -146,7 +133,7 @@ def _of_kind(stage: OpenStage, kind: str) -> list[Any]:
     raise UsdError("no-such-prim", f'nothing below `{where}` has `{_USER}:kind = "{kind}"`', help, "kind")
 
 
-def _empty(stage: OpenStage, prim: Any) -> PointArrays:
+def _empty(stage: OpenStage, prim: Any) -> UsdPoints:
     """A prim that is nothing but a place: an Xform, a locator, an empty of Blender."""
     ways = stage.matrices(prim, stage.travels(prim))
     values = _numbers(stage, prim, 1)
@@ -160,6 +147,6 @@ def _empty(stage: OpenStage, prim: Any) -> PointArrays:
             values[name] = np.full(1, float(value))
         elif isinstance(value, str) and len(value) <= limits.NAME_CHARACTERS:
             texts[name] = (value,)
-    return PointArrays(
+    return UsdPoints(
         (prim.GetName(),), ways[:, None, :, 3], np.full(1, np.nan), values, texts, ways[:1, :, 0], scale(stage.to_scene)
     )

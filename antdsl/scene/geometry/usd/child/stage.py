@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.diagnostics.model import printable
 from antdsl.scene.geometry.matrices import after
 from antdsl.scene.geometry.usd.child.layer import opened_layer
-from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.errors import UsdError, plain_words, pxr
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import Message
@@ -123,7 +122,7 @@ def _opened(path: str, folder: str, text: str, prim: str, up: str, purpose: str,
         raise _no_such_prim(top, text, place, bool(found))
     problems = stage.GetCompositionErrors()
     if problems:
-        raise UsdError("bad-usd", f"`{text}` does not hold together: {_first_words(str(problems[0]), folder)}", None, "usd")
+        raise UsdError("bad-usd", f"`{text}` does not hold together: {plain_words(str(problems[0]), folder)}", None, "usd")
     _count_prims(stage, text, prim)
     rate = float(stage.GetTimeCodesPerSecond())
     factor = float(geom.GetStageMetersPerUnit(stage)) * 1000.0
@@ -157,11 +156,6 @@ def _to_scene(factor: float, own: str, up: str) -> Floats:
     for row, (column, sign) in enumerate(rows):
         matrix[row, column] = sign * factor
     return matrix
-
-
-def _first_words(text: str, folder: str) -> str:
-    line = printable(" ".join(text.replace(folder + os.sep, "").split()))
-    return line if len(line) <= 160 else line[:157] + "…"
 
 
 def _no_such_prim(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:

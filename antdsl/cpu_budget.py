@@ -1,0 +1,63 @@
+"""The processor time that a piece of work may take, that of other processes which work for it included."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_owner = 0  # the process that has a budget, 0 for none
+_end = 0.0  # the processor time of this process at which it is spent; the system's timer adds a tick each time that it is set
+_SOON = 1e-6
+
+
+class CpuBudgetSpent(BaseException):
+    """A piece of work has taken more processor time than it may. No handler of Exception may swallow this."""
+
+
+@contextmanager
+def cpu_budget(seconds: float) -> Iterator[None]:
+    """Raise CpuBudgetSpent within, once this process and what was charged have used so much processor time; 0 is no limit. Main
+    thread only, and not on Windows, which has no such timer. A library that is at work ends its call first."""
+    global _owner, _end
+    if not seconds or not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: object) -> None:
+        raise CpuBudgetSpent
+
+    previous = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    _owner, _end = os.getpid(), time.process_time() + seconds
+    try:
+        yield
+    finally:
+        _owner = 0
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, previous)
+
+
+def remaining() -> float:
+    """Seconds of the budget that are left; infinite where there is no budget."""
+    return max(_end - time.process_time(), 0.0) if _owner == os.getpid() else math.inf
+
+
+def charge(seconds: float) -> None:
+    """Take processor time of another process from the budget. CpuBudgetSpent where nothing is left, in the main thread."""
+    global _end
+    if _owner != os.getpid():
+        return
+    _end -= seconds
+    left = remaining()
+    if left > 0.0:
+        signal.setitimer(signal.ITIMER_PROF, max(left, _SOON))
+    elif threading.current_thread() is threading.main_thread():
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        raise CpuBudgetSpent
+    else:
+        signal.setitimer(signal.ITIMER_PROF, _SOON)  # the timer tells the main thread

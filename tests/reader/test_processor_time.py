@@ -1,0 +1,235 @@
+"""The reader's processor time counts for the budget of a check, and a file that took too much is not tried again."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from fractions import Fraction
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+from cases.hostile.usd import GOOD, HEAD
+
+from antdsl import cpu_budget, limits
+from antdsl.cpu_budget import CpuBudgetSpent
+from antdsl.reader import client
+from antdsl.reader.client import Reader, ReaderFailure
+from antdsl.scene import Roots
+from antdsl.scene.geometry import usd
+from antdsl.scene.geometry.usd.errors import pxr
+
+SPIN = """import sys, json, struct, time, os, resource
+def send(document):
+    text = json.dumps({"document": document, "arrays": []}).encode()
+    os.write(1, struct.pack("<4sQ", b"ant1", len(text)) + text)
+def spin(seconds):
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
+send({"active": {"rlimits": 1, "landlock": 1, "seccomp": 1}})
+while os.read(0, 1 << 20):
+    spin(0.1)
+"""
+
+
+@pytest.fixture
+def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
+    made = Reader()
+    monkeypatch.setattr(client, "_reader", made)
+    yield made
+    made.end()
+
+
+def program(does: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    file = tmp_path / "child.py"
+    file.write_text(f"{SPIN}    {does}\n")
+    monkeypatch.setattr(client, "_PROGRAM", file)
+
+
+def test_what_is_charged_ends_a_budget() -> None:
+    cpu_budget.charge(1e9)  # without a budget nothing happens
+    with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(1000):
+        for _ in range(1000):
+            cpu_budget.charge(0.5)
+        assert 0 < cpu_budget.remaining() < 500.01, "setting the timer adds nothing"
+        cpu_budget.charge(501)
+        raise AssertionError("the budget is spent")
+    assert cpu_budget.remaining() == float("inf")
+
+
+# The child spins for 0.1 s, whatever it says of it; where it dies, the system tells the time.
+@pytest.mark.parametrize(
+    "does", ["send({'answer': {}, 'cpu': 0.0})", "os.abort()", "send({'failure': 'exception'})", "send({'what': 1})"]
+)
+def test_the_time_of_the_reader_is_charged(does: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    program(does, monkeypatch, tmp_path)
+    with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(1000):
+        cpu_budget.charge(cpu_budget.remaining() - 100)
+        before = reader._seconds
+        with suppress(ReaderFailure):
+            client.ask("image", {})
+        assert reader._seconds - before >= 0.1
+        used = 100 - cpu_budget.remaining()
+        assert used >= 0.1
+        cpu_budget.charge(cpu_budget.remaining() - 0.01)
+        client.ask("image", {})
+
+
+def test_a_request_gets_no_more_time_than_the_budget_has(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    program("send({'answer': {}})", monkeypatch, tmp_path)
+    said: list[dict[str, int]] = []
+    write = client.write_message
+    monkeypatch.setattr(
+        client, "write_message", lambda file, document, arrays: (said.append(document), write(file, document, arrays))
+    )
+    client.ask("image", {}, seconds=1000)
+    with cpu_budget.cpu_budget(500):
+        client.ask("image", {}, seconds=1000)
+    assert said[0]["seconds"] == 1000 + limits.READER_SECONDS and said[1]["seconds"] <= 500
+
+
+def test_a_child_that_the_budget_ended_is_no_failure_of_the_file(
+    reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    program("os.kill(os.getpid(), 24)", monkeypatch, tmp_path)  # SIGXCPU
+    with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(4):
+        client.ask("image", {}, digest="a", files="b")
+    assert not reader._failures and not reader._heavy
+
+
+# A library whose memory runs out may crash: what took time before it crashed is too heavy as well.
+@pytest.mark.parametrize(
+    "does", ["os.kill(os.getpid(), 24)", "os.kill(os.getpid(), 9)", "send({'failure': 'memory'})", "spin(0.6), os.abort()"]
+)
+def test_files_that_took_too_much_are_not_tried_again(
+    does: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    program(does, monkeypatch, tmp_path)
+    monkeypatch.setattr(limits, "READER_SECONDS", 1)
+    with pytest.raises(ReaderFailure) as first:
+        client.ask("image", {}, digest="a", files="x")
+    with monkeypatch.context() as patch:
+        patch.setattr(reader, "_start", lambda *_: pytest.fail("started again"))
+        with pytest.raises(ReaderFailure) as second:
+            client.ask("image", {}, digest="b", files="x")
+        assert str(second.value) == str(first.value) and second.value.help == first.value.help
+    for digest, files in (("b", "y"), ("c", "")):  # other files are
+        with pytest.raises(ReaderFailure):
+            client.ask("image", {}, digest=digest, files=files)
+    client.begin_scene()
+    program("send({'answer': {}})", monkeypatch, tmp_path)
+    client.ask("image", {}, digest="d", files="x")  # another scene may ask for less of them
+    with pytest.raises(ReaderFailure):
+        client.ask("image", {}, digest="a", files="x")
+
+
+def test_a_crash_is_about_one_request_alone(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    program("os.abort()", monkeypatch, tmp_path)
+    with pytest.raises(ReaderFailure):
+        client.ask("image", {}, digest="a", files="x")
+    program("send({'answer': {}})", monkeypatch, tmp_path)
+    client.ask("image", {}, digest="b", files="x")
+
+
+def test_a_scene_has_so_much_time_and_the_next_one_again(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    program("send({'answer': {}})", monkeypatch, tmp_path)
+    monkeypatch.setattr(limits, "READER_SECONDS_A_SCENE", 0.05)
+    client.begin_scene()
+    client.ask("image", {}, digest="a", files="x")
+    with pytest.raises(ReaderFailure, match="the files of this scene took more than"):
+        client.ask("image", {}, digest="b", files="y")
+    client.begin_scene()
+    client.ask("image", {}, digest="b", files="y", size=limits.READER_BYTES_A_SECOND * 1000)
+    client.ask("image", {}, digest="c", files="y")  # large files have more of it
+
+
+def test_a_dead_child_still_says_how_much_time_it_took(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    program("os.abort()", monkeypatch, tmp_path)
+    running = reader._start()
+    running.requests.write(b"x")
+    running.requests.flush()
+    while os.waitid(os.P_PID, running.process.pid, os.WEXITED | os.WNOWAIT) is None:
+        time.sleep(0.01)
+    assert running.end()[1] >= 0.1
+
+
+def heavy(folder: Path, levels: int = 20) -> None:
+    """A file of few lines whose prims are composed with two of the next one each."""
+    pytest.importorskip("pxr")
+    text = GOOD
+    for number in range(levels):
+        children = "".join(f'def "{name}" (\nreferences = </r{number + 1}>\n)\n{{\n}}\n' for name in "ab")
+        text += f'def "r{number}"\n{{\n{children}}}\n'
+    (folder / "heavy.usda").write_text(f'{text}def "r{levels}"\n{{\n}}\n')
+
+
+def test_prims_of_a_heavy_file_are_refused_at_once(reader: Reader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    heavy(tmp_path)
+    monkeypatch.setattr(limits, "READER_SECONDS", 0)
+    closures: dict[str, usd.Closure | usd.UsdError] = {}
+
+    def read(prim: str) -> usd.UsdMesh:
+        stage = usd.open_stage(
+            Roots(tmp_path, {}), "heavy.usda", prim, up="y", frames=range(1, 2), fps=Fraction(24), closures=closures
+        )
+        return usd.read_usd_mesh(stage)
+
+    assert len(read("/ground").raw.faces) == 2
+    with pytest.raises(usd.UsdError, match="takes too long to be read"):
+        read("/r0")
+    used = reader._seconds
+    for number in range(1, 10):
+        with pytest.raises(usd.UsdError, match=f"`/r{number}` of `heavy.usda` cannot be read: it takes too long to be read"):
+            read(f"/r{number}")
+    assert reader._seconds == used, "no more time is taken"
+
+
+def test_a_file_that_cannot_be_collected_is_collected_once(
+    reader: Reader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pxr")
+    (tmp_path / "a.usda").write_text(HEAD.replace("(\n", "(\n    subLayers = [@gone.usda@]\n", 1))
+    closures: dict[str, usd.Closure | usd.UsdError] = {}
+    messages = set()
+    for _ in range(3):
+        with pytest.raises(usd.UsdError) as found:
+            usd.open_stage(Roots(tmp_path, {}), "a.usda", "/m", up="y", frames=[1], fps=Fraction(24), closures=closures)
+        messages.add((found.value.code, str(found.value), found.value.help, found.value.key))
+        monkeypatch.setattr(client, "ask", lambda *_, **__: pytest.fail("asked again"))
+    assert len(messages) == 1
+
+
+@pytest.mark.parametrize("does", ["os.abort()", "os.kill(os.getpid(), 9)", "send({'failure': 'memory'})"])
+def test_a_small_limit_of_the_person_is_out_of_memory_and_no_fault_of_the_file(
+    does: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    program(does, monkeypatch, tmp_path)
+    monkeypatch.setattr(client, "address_space", lambda: 1 << 30)
+    with pytest.raises(MemoryError):
+        client.ask("image", {}, digest="a", files="x")
+    assert not reader._failures and not reader._heavy
+    monkeypatch.setattr(client, "address_space", lambda: float("inf"))
+    with pytest.raises(ReaderFailure):
+        client.ask("image", {}, digest="a", files="x")
+
+
+def test_a_reader_that_cannot_start_for_want_of_memory(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "child.py").write_text("")
+    monkeypatch.setattr(client, "_PROGRAM", tmp_path / "child.py")
+    with pytest.raises(ReaderFailure):
+        client.active_layers()
+    monkeypatch.setattr(client, "address_space", lambda: 1 << 28)
+    with pytest.raises(MemoryError):
+        client.active_layers()
+
+
+def test_a_library_that_cannot_be_mapped_is_out_of_memory() -> None:
+    words = "libusd_usd.so: failed to map segment from shared object"
+    pxr.cache_clear()
+    with patch("importlib.import_module", side_effect=ImportError(words)), pytest.raises(MemoryError):
+        pxr("Usd")
+    with patch("importlib.import_module", side_effect=ImportError("undefined symbol")), pytest.raises(usd.UsdError):
+        pxr("Usd")
