@@ -11,6 +11,7 @@ import numpy as np
 from antdsl.scene import setting as stage_of
 from antdsl.scene.geometry.closed import border_edges, open_solid_edges
 from antdsl.scene.geometry.import_notes import MeshImport
+from antdsl.scene.geometry.live_faces import has_area, has_live_face
 from antdsl.scene.geometry.meshes import RawMesh, welded
 from antdsl.scene.model import HeightThing, MeshThing, UsdThing
 from antdsl.source import Span
@@ -80,6 +81,33 @@ def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid:
     help = "close its holes, so that it has an inside; where only gaps between vertices are open, write `weld: 0.1 mm` or more"
     staging.report.error("bad-mesh", words, place, help)
     return solid
+
+
+def check_live(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
+    """An error for each surface of which no face is ground, as the ground itself has it: nobody could stand on it."""
+    if not surfaces:
+        return
+    used = [mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in surfaces.values()]
+    low, high = (edge([edge(places, axis=0) for places in used], axis=0) for edge in (np.min, np.max))
+    extent = float((high - low).max())
+    for name, mesh in surfaces.items():
+        if has_live_face(mesh.vertices, mesh.faces, extent):
+            continue
+        shown, span = mesh_place(staging, name)
+        if has_area(*(mesh.vertices[mesh.faces[:, k]] for k in range(3))).any():
+            words = f"the mesh `{shown}` is less than a millionth as wide as all surfaces together ({extent:.3g} mm)"
+            help = "check its `units` and `scale`, or leave it out"
+        else:
+            words = f"the mesh `{shown}` has only faces that are as thin as lines, on which nobody can stand"
+            help = "make it wider in the program that made the mesh"
+        staging.report.error("bad-mesh", words, span, help)
+
+
+def mesh_place(staging: Staging, name: str) -> tuple[str, Span | None]:
+    """What messages call the mesh of a thing, and where the scene names it."""
+    value = staging.scene.model.world[name]
+    key = next(key for key in ("mesh", "height", "prim") if hasattr(value, key))
+    return str(value.path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.span("world", name, key)
 
 
 def mesh_imports(staging: Staging, meshes: Mapping[str, stage_of.MeshData]) -> dict[str, MeshImport]:

@@ -40,7 +40,7 @@ from antdsl.scene.model import (
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.item_placement import check_crowds, items_of
-from antdsl.scene.staging.mesh_imports import close_solid, mesh_imports, report_losses, weld_thing
+from antdsl.scene.staging.mesh_imports import check_live, close_solid, mesh_imports, report_losses, weld_thing
 from antdsl.scene.staging.moves import MeshMoves, Moves
 from antdsl.scene.staging.stage_crowd import length, place, point, walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flows
@@ -115,6 +115,7 @@ def stage(
     staging = Staging(scene, program)
     model = scene.model
     surfaces = _meshes(staging, "surface")
+    check_live(staging, surfaces)
     obstacles = _meshes(staging, "obstacle")
     for name, mesh in obstacles.items():
         check_sides(staging, name, mesh)
