@@ -222,26 +222,6 @@ def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))
 
 
-def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
-    """Vertices (n, 3) of which those nearer to each other than `tolerance`, or joined by others between them, lie where the
-    first of them does; and how many were moved. Their numbers stay as they are."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
-    order, new, which = different(vertices)
-    points = vertices[order[new]]
-    pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
-    if not len(pairs):
-        return vertices, 0
-    graph = coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(len(points), len(points)))
-    number = connected_components(graph, directed=False)[1][which]
-    first = np.full(int(number.max()) + 1, len(vertices))
-    np.minimum.at(first, number, np.arange(len(vertices)))  # the first in the file, whatever the library's numbers
-    made = vertices[first[number]]
-    return made, int((made != vertices).any(axis=1).sum())
-
-
 @once_a_mesh
 def mesh_area(mesh: MeshData) -> float:
     """The area of all faces, mm²."""
