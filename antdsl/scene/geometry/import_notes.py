@@ -17,8 +17,8 @@ class Skipped:
 
 @dataclass(slots=True)
 class ImportNotes:
-    """Notes on one mesh file. `cut` polygons had more than three corners, `concave` of them needed more than a fan about the
-    first corner; `crossing` cut or cover themselves, the first of them is the face `crossing_face`."""
+    """Notes on one mesh file. `cut` polygons had more than three corners, `concave` of them have a corner that points
+    inward; `crossing` cut or cover themselves, the first of them is the face `crossing_face`."""
 
     form: str = ""
     vertices: int = 0
@@ -55,8 +55,8 @@ class MeshImport:
     """The report on one mesh of a scene: what its file has, what was changed, and where it lies, in scene units.
 
     `polygons` had more than three corners, `concave` and `crossing` of them as in `ImportNotes`; `dropped` triangles had no area
-    or were doubled; `welded` vertices were moved onto others; `left` triangles are in the scene, None where that is not known; `border_edges` have
-    one triangle alone."""
+    or were doubled; `welded` vertices were moved onto others; `left` triangles are in the scene, None where that is not known;
+    `border_edges` have one triangle alone."""
 
     file: str
     form: str

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.geometry.gltf_mesh import Beside, read_gltf_mesh
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.matrices import cosine_and_sine, different
+from antdsl.scene.geometry.matrices import cosine_and_sine
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.obj_file import read_obj
 from antdsl.scene.geometry.ply import HeaderError
@@ -77,7 +77,7 @@ def mesh_arrays(
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in KINDS:
-        raise MeshError(f"is not one of {', '.join('.' + k for k in KINDS)}")
+        raise MeshError(f"is not one of {', '.join('.' + k for k in KINDS)}", "export it as a .glb, .ply, .obj or .stl file")
     if group is not None and kind in READERS:
         raise MeshError("has no groups, as only .obj and glTF files do", "leave `group` out")
     try:

@@ -74,8 +74,8 @@ def is_flat(vertices: Floats, faces: Faces) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Openings:
-    """What keeps a mesh from being closed. `gap`: a tolerance, one digit of mm, at which welding closes it, and `width` the widest
-    gap that it closes; else 0. `holes`: pieces of border; the largest has `edges` of at most `longest` mm."""
+    """What keeps a mesh from being closed. `gap`: a tolerance, one digit of mm, at which welding closes it, and `width` the
+    widest gap that it closes; else 0. `holes`: pieces of border; the largest has `edges` of at most `longest` mm."""
 
     gap: float
     width: float

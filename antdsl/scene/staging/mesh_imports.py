@@ -135,10 +135,11 @@ def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid:
             made = _weld(solid.mesh, _DEFAULT_WELD * solid.voxel)
         except WeldError:
             made = None
-        closed = None if made is None else replace(solid, mesh=made.mesh)
-        if made is not None and closed is not None and not is_flat(made.mesh.vertices, made.mesh.faces):
+        if made is not None and not is_flat(made.mesh.vertices, made.mesh.faces):
+            closed = replace(solid, mesh=made.mesh)
             if not open_solid_edges(closed):
-                return replace(solid, mesh=_take(staging, name, made))
+                _take(staging, name, made)
+                return closed
     edges = "1 edge borders" if loose == 1 else f"{loose:,} edges border"
     words = f"the mesh of the solid `{name}` is not closed: {edges} on nothing"
     found = openings(solid.mesh.vertices, solid.mesh.faces, solid.voxel)
