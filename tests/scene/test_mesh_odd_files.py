@@ -10,6 +10,7 @@ import pytest
 from commands import run
 from scene.test_mesh_imports import WALKER, gltf
 
+from antdsl.pipeline import check_path
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import mesh_arrays, read_mesh
@@ -146,3 +147,9 @@ def test_a_scene_with_errors_has_its_import_report(tmp_path: Path) -> None:
     assert result.returncode == 1 and "open.yaml: ground: open.obj" in result.stdout and "123456.789" in result.stdout
     assert "no import report for `none.yaml`: it has 1 error (above)" in result.stdout
     assert "no costs for `open.yaml`: it has 1 error (above)" in result.stdout
+
+
+def test_what_may_be_zero_is_told_so(tmp_path: Path) -> None:
+    for line, help in (("clearance -5 mm", "write 0 or more"), ("size -4 mm", "write more than 0")):
+        (tmp_path / "a.ant").write_text(WALKER.replace("  size 4 mm\n", f"  {line}\n"))
+        assert help in [each.help for each in check_path(tmp_path / "a.ant")[1].diagnostics]
