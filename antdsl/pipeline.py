@@ -255,15 +255,11 @@ def check_path(
 
 
 def mesh_imports(path: Path, choices: Choices) -> tuple[Mapping[str, MeshImport], str]:
-    """By name, what was read of each mesh of a scene; and the scene's unit. Nothing where the scene has errors."""
-    from antdsl.scene.overriding import overrides
-    from antdsl.scene.staging.stage_scene import stage
+    """By name, what was read of each mesh of a scene that can be read, whatever else is wrong; and the scene's unit."""
+    from antdsl.scene.staging.stage_scene import import_reports
 
-    scene, program, _, report = _read_scene(path, choices)
-    if scene is None or program is None or not report.ok:
-        return {}, "mm"
-    setting, _, _ = stage(scene, program, overrides(scene, program, choices.params, Report()))
-    return (setting.imports if setting else {}), scene.model.units
+    scene, program, _, _ = _read_scene(path, choices)
+    return ({}, "mm") if scene is None or program is None else (import_reports(scene, program), scene.model.units)
 
 
 def _less_what_the_scene_gives(report: Report, program: Program, setting: Setting) -> Report:

@@ -80,7 +80,7 @@ def check(
         if shown:
             print_result(f"`antdsl check --explain {shown[0]}` says more{f'; so for {others}' if others else ''}\n")
     if params or cost:
-        from antdsl.cli.printing.check_tables import cost_table, params_table, work_table
+        from antdsl.cli.printing.check_tables import cost_table, params_table, without, work_table
 
         programs = [(file, checked.programs[file]) for file in files if file in checked.programs]
         sound = [(file, program) for file, program in programs if checked.reports[file].ok]
@@ -88,6 +88,9 @@ def check(
             print_result(line)
         for line in cost_table(sound) if cost else ():
             print_result(line)
+        for file in files if cost else ():
+            if not checked.reports[file].ok:
+                print_result(without("costs", file, checked.reports[file]))
         for file, _ in sound if cost else ():
             shot = open_scene(file, choices)[0] if file.suffix != ".ant" else None
             for line in work_table(file, shot) if shot is not None else ():
@@ -95,7 +98,7 @@ def check(
     if imports:
         from antdsl.cli.printing.check_tables import import_table
 
-        for line in import_table([file for file in files if checked.reports[file].ok], Choices(grants(root))):
+        for line in import_table(files, checked.reports, choices):
             print_result(line)
     if not report.ok:
         raise Stop(verdict(report))

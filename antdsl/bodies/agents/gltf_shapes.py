@@ -108,14 +108,14 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
     shared = repr((sorted(map(str, given.items())), file.listed(primitive, "targets")))
     points = file.accessor(given["POSITION"], 3).astype(np.float64)
     if shared in pieces.known:
-        _faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points)), pieces.known[shared])
+        _faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points))[0], pieces.known[shared])
         return
     body.points += len(points) * (1 + len(file.listed(primitive, "targets")))
     if body.points > limits.BODY_POINTS:
         raise BodyError(f"has more than {limits.BODY_POINTS:,} points, morph targets among them", code="too-large")
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
         raise BodyError("has a point that is not finite", _EXPORT)
-    if not _faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points)), len(pieces.points)):
+    if not _faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points))[0], len(pieces.points)):
         return
     pieces.known[shared] = len(pieces.points)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from antdsl.program.tables.units import measure
 from antdsl.source import Span
 
 if TYPE_CHECKING:
+    from antdsl.diagnostics import Report
     from antdsl.pipeline import Choices, Shot
 
 Programs = Sequence[tuple[Path, Program]]
@@ -114,8 +115,8 @@ def _memory(program: Program) -> dict[str, str]:
 # --- imports ---------------------------------------------------------------------------------------------------------
 
 
-def import_table(files: Sequence[Path], choices: Choices) -> Iterator[str]:
-    """What was read of each mesh of the scenes among some files, and what was changed."""
+def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: Choices) -> Iterator[str]:
+    """What was read of each mesh of the scenes among some files, and what was changed, also of scenes with errors."""
     from antdsl.pipeline import mesh_imports
     from antdsl.scene.geometry.import_notes import import_lines
 
@@ -128,9 +129,17 @@ def import_table(files: Sequence[Path], choices: Choices) -> Iterator[str]:
             first, *rest = import_lines(found, units)
             yield f"{file}: {name}: {first}"
             yield from (f"  {line}" for line in rest)
-            count += 1
+        if not imports and not reports[file].ok:
+            yield without("import report", file, reports[file])
+        count += bool(imports) or not reports[file].ok
     if not count:
-        yield "no scene without errors here has a mesh"
+        yield "no scene here has a mesh"
+
+
+def without(what: str, file: Path, report: Report) -> str:
+    """Why a file has no such table."""
+    errors = sum(each.severity == "error" for each in report.diagnostics)
+    return f"no {what} for `{file}`: it has {errors} error{'' if errors == 1 else 's'} (above)"
 
 
 # --- work of a scene -------------------------------------------------------------------------------------------------

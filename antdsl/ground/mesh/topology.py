@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh.self_cuts import Cuts, cuts
 from antdsl.numerics import elementary
+from antdsl.scene.geometry.live_faces import corner_numbers, live_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Index = NDArray[np.int64]
 
-_WELD = 1e-6  # of the extent: corners nearer than this are one corner
 _THROUGH = 1e-9  # of the extent: what comes nearer to a face touches it
 _NO_WIDTH = 1e12  # weights gained by a mm across a face that has none
-_FLAT = 1e-7  # height over longest edge below which a triangle is a line
 _CREASE = np.sqrt(0.5)  # cosine of 45 degrees: faces meeting more sharply than this are not smoothed into each other
 
 NO_LINK = -1
@@ -71,8 +70,8 @@ class Topology:
 def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
     """Tables for faces whose `mesh` int32[m] says which mesh each is of; corners are joined within a mesh only."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    weld = _weld(vertices, faces, mesh, extent)
-    live = _live(weld, _length(np.cross(b - a, c - a)), (b - a, c - a, c - b))
+    weld = corner_numbers(vertices, faces, mesh, extent)
+    live = live_faces(weld, a, b, c)
     link = _links(vertices, faces, weld, live)
     piece, pieces = _pieces(link, live)
     forked = bool((link[0] != link[1]).any())
@@ -135,52 +134,6 @@ def _shape(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
 def _length(v: Floats) -> Floats:
     length: Floats = np.sqrt((v * v).sum(axis=1))
     return length
-
-
-def _weld(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
-    """Corner numbers int32[m,3] in which corners at one place of one mesh are one."""
-    grain = max(extent * _WELD, 1e-300)
-    flat = faces.ravel()
-    place = np.round((vertices[flat] - vertices[flat].min(axis=0, initial=np.inf)) / grain).astype(np.int64)
-    owner = np.repeat(mesh, 3)
-    order = np.lexsort((place[:, 2], place[:, 1], place[:, 0], owner))
-    rows = np.column_stack([owner, place])[order]
-    fresh = np.concatenate(([0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1)))) if len(rows) else np.empty(0, np.int64)
-    weld = np.empty(len(flat), np.int32)
-    weld[order] = _touching(vertices[flat[order]], owner[order], fresh, grain)
-    return weld.reshape(-1, 3)
-
-
-def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
-    """Numbers of cells, one for those of an owner that have corners nearer than `grain` on both sides of a border of cells."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
-    begin = np.unique(cell, return_index=True)[1]
-    near = KDTree(places[begin]).query_pairs(grain, output_type="ndarray") if begin.size else np.empty((0, 2), np.int64)
-    near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
-    if not near.size:
-        return cell
-    graph = coo_array((np.ones(len(near), np.int8), near.T), shape=(begin.size, begin.size))
-    number = connected_components(graph, directed=False)[1]
-    _, least = np.unique(number, return_index=True)  # its first cell gives each its place, whatever the library's numbers
-    rank = np.empty(least.size, np.int64)
-    rank[np.argsort(least)] = np.arange(least.size)
-    joined: NDArray[np.int64] = rank[number][cell]
-    return joined
-
-
-def _live(weld: Ints, area: Floats, edges: tuple[Floats, Floats, Floats]) -> NDArray[np.bool_]:
-    """Faces that are a triangle, the first of those on the same three corners."""
-    longest = np.maximum.reduce([_length(e) for e in edges])
-    live: NDArray[np.bool_] = (area > _FLAT * longest * longest) & (area > 0)
-    key = np.sort(weld, axis=1)
-    live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
-    order = np.lexsort((np.arange(len(key)), ~live, key[:, 2], key[:, 1], key[:, 0]))
-    again = (key[order][1:] == key[order][:-1]).all(axis=1)
-    live[order[1:][again]] = False
-    return live
 
 
 def _edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[Floats, Floats]:

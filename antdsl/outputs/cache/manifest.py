@@ -108,6 +108,7 @@ class ImportEntry(Part):
     skipped: tuple[Word, ...] = ()
     low: Triple
     high: Triple
+    left: Count | None = None
 
 
 class MeshEntry(Part):

@@ -143,6 +143,5 @@ def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bo
 def _positive(scope: Scope, node: nodes.Given, default: Expr) -> None:
     constant = constant_behind(default)
     if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in _MAY_BE_0)):
-        scope.report.error(
-            "out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, "write more than 0"
-        )
+        help = "write 0 or more" if node.name.text in _MAY_BE_0 else "write more than 0"
+        scope.report.error("out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, help)

@@ -40,7 +40,10 @@ class Area:
         """Faces (n), weights b1 and b2 (n), places (n, 3), from four draws each.
 
         A density that is linear in a triangle is a mixture of three that are each proportional to one corner's weight, and so are
-        gaps between ascending draws, two of them joined (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2, XI.4)."""
+        gaps between ascending draws, two of them joined (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2, XI.4).
+        Without any triangle the face is -1, the place zero."""
+        if not len(self.cumulative):
+            return np.full(len(u), -1), np.zeros(len(u)), np.zeros(len(u)), np.zeros((len(u), 3))
         pick = np.searchsorted(self.cumulative, u.astype(np.float64) * self.cumulative[-1], side="right")
         pick = np.minimum(pick, len(self.cumulative) - 1)
         part, corner = pick // 3, pick % 3
@@ -58,6 +61,8 @@ class Area:
     def at(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
         """Footings, ups off the faces (n, 3), and whether one can stand there: inside the ball, and in no solid."""
         face, b1, b2, place = self.points(*draws)
+        if not len(self.cumulative):
+            return Footing.nowhere(len(face)), np.array(np.broadcast_to(self.world.up, place.shape)), face >= 0
         found = np.ones(len(face), np.bool_)
         if self.ball is not None:
             middle, radius = self.ball
@@ -93,7 +98,7 @@ def areas(world: World, on: tuple[str, ...], density: str | None, around: Point 
     mesh, local, corner, edge1, edge2, weight = _faces(world, on, density)
     face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNERS, (len(mesh), 3, 2))
     ball = None
-    if around is not None and radius is not None:
+    if around is not None and radius is not None and len(mesh):
         middle = np.asarray(around, np.float64) - world.origin
         corners = np.stack([corner, corner + edge1, corner + edge2], axis=1)
         near = nearest_on_triangle(np.broadcast_to(middle, corner.shape), corners)

@@ -121,6 +121,18 @@ def border_edges(mesh: MeshData) -> int:
     return int((count == 1).sum())
 
 
+def odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
+    """The edges (k, 2) that an odd number of faces share, as numbers of places; and the places (p, 3). Corners nearer than about
+    `grain` are at one place."""
+    corners = vertices[faces].reshape(-1, 3)
+    cells = grained((corners - corners.min(axis=0)).reshape(-1, 3, 3) / grain)[0].reshape(-1, 3)
+    _, first, name = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    a = name.reshape(-1, 3)
+    ends = np.sort(np.stack([a, np.roll(a, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    edges, count = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0, return_counts=True)
+    return edges[count % 2 == 1], corners[first]
+
+
 def open_solid_edges(solid: SolidData) -> int:
     """How many edges keep a solid from having an inside: an odd number of triangles share each."""
     corners = solid.mesh.vertices[solid.mesh.faces]

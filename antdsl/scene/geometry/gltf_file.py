@@ -322,8 +322,9 @@ def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
 # ---- triangles
 
 
-def primitive_triangles(file: Gltf, primitive: dict[str, Any], points: int) -> NDArray[np.int64]:
-    """Triangles (n, 3) of a primitive with so many points: of a list, a strip or a fan."""
+def primitive_triangles(file: Gltf, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
+    """Triangles (n, 3) of a primitive with so many points: of a list, a strip or a fan. And how many corners are left over at its
+    end, too few for a triangle."""
     corners = file.accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
     mode = primitive.get("mode", TRIANGLES)
     if mode == STRIP:
@@ -332,8 +333,9 @@ def primitive_triangles(file: Gltf, primitive: dict[str, Any], points: int) -> N
         found = corners[: len(corners) // 3 * 3].reshape(-1, 3)
     else:
         found = np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
+    over = len(corners) % 3 if mode == TRIANGLES or len(corners) < 3 else 0
     if len(found) > limits.MESH_FACES:
         raise GltfError(f"has more than {limits.MESH_FACES:,} triangles", code="too-large")
     if len(found) and (found.min() < 0 or found.max() >= points):
         raise GltfError("has a triangle that names a point which is not there", _EXPORT)
-    return found
+    return found, over

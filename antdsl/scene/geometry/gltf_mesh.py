@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.diagnostics.model import printable
 from antdsl.scene.geometry.gltf_file import (
     FAN,
     STRIP,
@@ -31,6 +32,8 @@ Beside = Callable[[str, int], bytes]
 
 _DRACO = "KHR_draco_mesh_compression"
 _INSTANCES = "EXT_mesh_gpu_instancing"
+_VISIBILITY = "KHR_node_visibility"
+_MODES = ("points", "lines", "lines", "lines")
 
 
 def read_gltf_mesh(data: bytes, notes: ImportNotes, part: str | None, beside: Beside) -> PolygonMesh:
@@ -52,6 +55,14 @@ def _read(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
     shown = nodes_below(file, roots)
     chosen = set(shown) if part is None else _named(file, shown, part)
     notes.skip("animations", len(file.top("animations")))
+    in_scene = set(shown)
+    others = [number for number, node in enumerate(nodes) if "mesh" in node and number not in in_scene]
+    if part is None and others:
+        notes.skip("nodes with a mesh outside of the scene", len(others))
+    hidden = set(nodes_below(file, _tops([n for n in shown if _is_hidden(file, nodes[n])], parents)))
+    unseen = sum("mesh" in nodes[number] for number in hidden & chosen)
+    notes.skip(f"nodes with a mesh that are not visible ({_VISIBILITY})", unseen)
+    chosen -= hidden
     ways: dict[int, Floats] = {}
     points: list[Floats] = []
     faces: list[NDArray[np.int64]] = []
@@ -82,6 +93,22 @@ def _read(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
     if not points:
         return PolygonMesh(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64))
     return PolygonMesh.of_triangles(np.concatenate(points), np.concatenate(faces))
+
+
+def _is_hidden(file: Gltf, node: dict[str, Any]) -> bool:
+    return file.object(file.object(node, "extensions"), _VISIBILITY).get("visible", True) is False
+
+
+def _tops(numbers: list[int], parents: list[int]) -> list[int]:
+    """Those of some nodes that are below no other of them."""
+    some, found = set(numbers), []
+    for number in numbers:
+        above = parents[number]
+        while above >= 0 and above not in some:
+            above = parents[above]
+        if above < 0:
+            found.append(number)
+    return found
 
 
 def _way(file: Gltf, node: dict[str, Any]) -> Floats:
@@ -121,7 +148,8 @@ def _primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tup
     """The points and triangles of a primitive; None, and a note, where it has none that are read."""
     mode = primitive.get("mode", TRIANGLES)
     if mode not in (TRIANGLES, STRIP, FAN):
-        notes.skip("primitives of lines" if mode in (1, 2, 3) else "primitives of points")
+        known = isinstance(mode, int) and not isinstance(mode, bool) and 0 <= mode < len(_MODES)
+        notes.skip(f"primitives of {_MODES[mode]}" if known else f"primitives of the unknown mode `{printable(str(mode)[:20])}`")
         return None
     if _DRACO in file.object(primitive, "extensions"):
         raise GltfError("is compressed with Draco, which is not read", "export it without compression")
@@ -131,4 +159,6 @@ def _primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tup
         return None
     points = file.accessor(given["POSITION"], 3).astype(np.float64)
     notes.skip("morph targets", len(file.listed(primitive, "targets")))
-    return points, primitive_triangles(file, primitive, len(points))
+    found, over = primitive_triangles(file, primitive, len(points))
+    notes.skip("corners of an incomplete triangle", over)
+    return points, found

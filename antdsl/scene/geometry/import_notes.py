@@ -17,8 +17,8 @@ class Skipped:
 
 @dataclass(slots=True)
 class ImportNotes:
-    """Notes on one mesh file. `cut` polygons had more than three corners, `concave` of them needed more than a fan about the
-    first corner; `crossing` cut or cover themselves, the first of them is the face `crossing_face`."""
+    """Notes on one mesh file. `cut` polygons had more than three corners, `concave` of them have a corner that points
+    inward; `crossing` cut or cover themselves, the first of them is the face `crossing_face`."""
 
     form: str = ""
     vertices: int = 0
@@ -55,7 +55,8 @@ class MeshImport:
     """The report on one mesh of a scene: what its file has, what was changed, and where it lies, in scene units.
 
     `polygons` had more than three corners, `concave` and `crossing` of them as in `ImportNotes`; `dropped` triangles had no area
-    or were doubled; `welded` vertices were moved onto others; `border_edges` have one triangle alone."""
+    or were doubled; `welded` vertices were moved onto others; `left` triangles are in the scene, None where that is not known;
+    `border_edges` have one triangle alone."""
 
     file: str
     form: str
@@ -70,13 +71,14 @@ class MeshImport:
     skipped: tuple[str, ...]
     low: Triple
     high: Triple
+    left: int | None = None
 
 
 def import_lines(found: MeshImport, units: str) -> Iterator[str]:
     """The report as lines of text."""
     yield f"{found.file}, {found.form}: {_count(found.vertices, 'vertex', 'vertices')}, {_count(found.triangles, 'triangle')}"
-    size = " × ".join(f"{high - low:.6g}" for low, high in zip(found.low, found.high, strict=True))
-    low, high = (", ".join(f"{x:.6g}" for x in corner) for corner in (found.low, found.high))
+    size = " × ".join(f"{high - low:.9g}" for low, high in zip(found.low, found.high, strict=True))
+    low, high = (", ".join(f"{x:.9g}" for x in corner) for corner in (found.low, found.high))
     yield f"{size} {units}, from [{low}] to [{high}]"
     changes = [
         f"{_count(found.polygons, 'polygon')} triangulated"
@@ -85,7 +87,10 @@ def import_lines(found: MeshImport, units: str) -> Iterator[str]:
         if found.polygons
         else "",
         f"{_count(found.welded, 'vertex', 'vertices')} welded" if found.welded else "",
-        f"{_count(found.dropped, 'degenerate or doubled triangle')} dropped" if found.dropped else "",
+        f"{_count(found.dropped, 'degenerate or doubled triangle')} dropped"
+        + (f", {_count(found.left, 'triangle')} left" if found.left is not None else "")
+        if found.dropped
+        else "",
         f"open, {_count(found.border_edges, 'border edge')}" if found.border_edges else "closed, no border edges",
     ]
     yield "; ".join(each for each in changes if each)

@@ -28,9 +28,12 @@ _WIDE = (b"\xff\xfe", b"\xfe\xff", b"\x00\x00\xfe\xff")
 _BLANK = np.zeros(256, np.bool_)
 _BLANK[[9, 10, 11, 12, 13, 32]] = True
 _BREAK = b"\x0b"  # stands for the line end of a continued line: blank, and counted
-_COMMENT = re.compile(rb"(?:(?<=[\t\n\x0b\x0c ])|\A)#[^\n]*")
+_COMMENT = rb"(?:(?<=[\t\n\x0b\x0c ])|\A)#[^\n]*"
+_ANY_COMMENT = re.compile(_COMMENT)
+_COMMENT_OR_NAME = re.compile(rb"(^[\t\x0c ]*[go][\t\x0c ]+#[^\n\t\x0c ]+)|" + _COMMENT, re.MULTILINE | re.IGNORECASE)
 _CLOSE_COMMENT = re.compile(rb"^([\t\x0c ]*[vflpVFLP][nNtT]?[\t\x0c ][^\n#]*)#[^\n]*", re.MULTILINE)
-_CONTINUED = re.compile(rb"\\[\t\x0c ]*\n")
+_CONTINUED = re.compile(rb"\\[\t\x0c ]*(?:\n|\Z)")
+_NAME_WORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]  # at whose end `\` is part of a name
 
 
 class MeshError(Exception):
@@ -61,9 +64,10 @@ def check_text(data: bytes) -> None:
         raise MeshError("is not a text file")
 
 
-def plain_text(data: bytes) -> bytes:
-    """Text with `\\n` between lines, without byte order mark, comments and continued lines. A comment begins with `#` at the
-    start of a word, after numbers of a vertex or face also within one."""
+def plain_text(data: bytes, wavefront: bool = False) -> bytes:
+    """Text with `\\n` between lines, without byte order mark and comments. A comment begins with `#` at the start of a word,
+    after numbers of a vertex or face also within one. Of `wavefront` files also without continued lines,
+    and the first word of a name may begin with `#`."""
     data = data.removeprefix(b"\xef\xbb\xbf").removesuffix(b"\x1a")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -72,11 +76,17 @@ def plain_text(data: bytes) -> bytes:
     if _BREAK in data:
         data = data.replace(_BREAK, b" ")
     if b"#" in data:
-        data = _COMMENT.sub(b"", data)
+        data = _COMMENT_OR_NAME.sub(rb"\1", data) if wavefront else _ANY_COMMENT.sub(b"", data)
         data = _CLOSE_COMMENT.sub(rb"\1", data) if b"#" in data else data
-    if b"\\" in data:
-        data = _CONTINUED.sub(_BREAK, data)
+    if wavefront and b"\\" in data:
+        data = _CONTINUED.sub(_continued, data)
     return data
+
+
+def _continued(end: re.Match[bytes]) -> bytes:
+    """What stands for `\\` at the end of a line: the end itself where the line is a name."""
+    line = end.string[end.string.rfind(b"\n", 0, end.start()) + 1 : end.start()]
+    return end[0] if line.lstrip()[:8].lower().split(None, 1)[:1] in _NAME_WORDS else _BREAK
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.geometry.gltf_mesh import Beside, read_gltf_mesh
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.matrices import cosine_and_sine, different
+from antdsl.scene.geometry.matrices import cosine_and_sine
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.obj_file import read_obj
 from antdsl.scene.geometry.ply import HeaderError
@@ -77,7 +77,7 @@ def mesh_arrays(
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in KINDS:
-        raise MeshError(f"is not one of {', '.join('.' + k for k in KINDS)}")
+        raise MeshError(f"is not one of {', '.join('.' + k for k in KINDS)}", "export it as a .glb, .ply, .obj or .stl file")
     if group is not None and kind in READERS:
         raise MeshError("has no groups, as only .obj and glTF files do", "leave `group` out")
     try:
@@ -220,26 +220,6 @@ def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
         raise MeshError("lies more than a thousand kilometres out", "move it with `at`, or check its `units`")
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))
-
-
-def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
-    """Vertices (n, 3) of which those nearer to each other than `tolerance`, or joined by others between them, lie where the
-    first of them does; and how many were moved. Their numbers stay as they are."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
-    order, new, which = different(vertices)
-    points = vertices[order[new]]
-    pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
-    if not len(pairs):
-        return vertices, 0
-    graph = coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(len(points), len(points)))
-    number = connected_components(graph, directed=False)[1][which]
-    first = np.full(int(number.max()) + 1, len(vertices))
-    np.minimum.at(first, number, np.arange(len(vertices)))  # the first in the file, whatever the library's numbers
-    made = vertices[first[number]]
-    return made, int((made != vertices).any(axis=1).sum())
 
 
 @once_a_mesh

@@ -34,7 +34,7 @@ def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> Polyg
     notes.form = "Wavefront .obj"
     check_text(data)
     reader = _Reader(notes, group)
-    for block in blocks(plain_text(data)):
+    for block in blocks(plain_text(data, wavefront=True)):
         reader.add(block)
     return reader.mesh()
 
@@ -60,12 +60,11 @@ class _Reader:
         before = self.vertices + np.cumsum(vertex)
         if vertex.any():
             self._vertices(block.number[vertex], block.first[vertex], block.count[vertex], block)
-        chosen = face
-        if self.group is not None:
-            chosen = face & self._is_chosen(block, kind)
+        within = np.ones(len(block), np.bool_) if self.group is None else self._is_chosen(block, kind)
+        chosen = face & within
         if chosen.any():
             self._faces(block, np.flatnonzero(chosen), before[chosen])
-        rest = ~(vertex | face | (kind == b"vn") | (kind == b"vt"))
+        rest = within & ~(vertex | face | (kind == b"vn") | (kind == b"vt"))
         for k in np.flatnonzero(rest).tolist():
             word = block.line(k)[0].lower()
             if word in _SILENT:

@@ -102,8 +102,8 @@ def read_elements(data: bytes, header: Header, wanted: Mapping[int, Collection[s
     """The columns that are wanted, by the id of an element of the header and the property's name. Others are skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
-        if len(set(names)) != len(names):
-            raise HeaderError(f"{_SHORT}, or names a property of `{shown(element.name.encode())}` twice")
+        if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
+            raise HeaderError(f"names the property `{shown(twice.encode())}` of `{shown(element.name.encode())}` twice")
     read: _Text | _Binary = _Binary(data, header) if header.order else _Text(data, header)
     found: dict[int, Columns] = {}
     for element in header.elements:

@@ -6,7 +6,7 @@ numbers: all its products are exact there, so every processor gets the same tria
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeVar
 
@@ -33,8 +33,8 @@ class TooManyCorners(Exception):
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
     """`corners` int64[m, 3]: places in the list of the corners of all polygons; `polygon` int64[m]: the polygon of each triangle,
-    in order. `cut`: how many polygons had more than three corners, `concave`: how many of those a fan about the first corner
-    would not cover. `crossing`: numbers of polygons that cut or cover themselves."""
+    in order. `cut`: how many polygons had more than three corners, `concave`: how many of those have a corner that
+    points inward. `crossing`: numbers of polygons that cut or cover themselves."""
 
     corners: Whole
     polygon: Whole
@@ -47,10 +47,33 @@ def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
     """Cut polygons into triangles that keep their winding.
 
     `points` float64[n, 3]; `counts` int64[p]: corners of each polygon, those of fewer than three have no triangles; `indices`
-    int64[counts.sum()]: the point of each corner, each below n. TooManyCorners where a polygon is too large to cut."""
-    start = np.cumsum(counts) - counts
+    int64[counts.sum()]: the point of each corner, each below n. Of corners that follow each other at one place the first counts.
+    TooManyCorners where a polygon is too large to cut."""
     if len(counts) and (counts == 3).all():
         return Triangulation(np.arange(3 * len(counts)).reshape(-1, 3), np.arange(len(counts)))
+    own = np.arange(len(indices))
+    while (again := _repeated(points[indices[own]], counts)).any():
+        counts = counts - np.bincount(np.repeat(np.arange(len(counts)), counts)[again], minlength=len(counts))
+        own = own[~again]
+    found = _cut(points, counts, indices[own])
+    return replace(found, corners=own[found.corners])
+
+
+def _repeated(places: Floats, counts: Whole) -> NDArray[np.bool_]:
+    """Which corners of polygons of four and more are where the one before them is, or the last where the first is."""
+    large = counts > 3
+    start = np.cumsum(counts) - counts
+    begin, end = start[large], start[large] + counts[large] - 1
+    again = np.zeros(len(places), np.bool_)
+    again[1:] = (places[1:] == places[:-1]).all(axis=1) & np.repeat(large, counts)[1:]
+    again[begin] = False
+    again[end] |= (places[end] == places[begin]).all(axis=1)
+    left = counts - np.bincount(np.repeat(np.arange(len(counts)), counts)[again], minlength=len(counts))
+    return again & np.repeat(left > 2, counts)
+
+
+def _cut(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
+    start = np.cumsum(counts) - counts
     parts: list[tuple[Whole, Whole]] = []
     concave, crossing, hard = 0, [], []
     for count in np.unique(counts[counts > 2]).tolist():
@@ -59,10 +82,11 @@ def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
         if count == 3:
             parts.append((these, at[:, None, :]))
             continue
-        fans, middle, crossed = _fans(points[indices[at]])
+        rings = points[indices[at]]
+        fans, middle, crossed = _fans(rings)
         known = middle >= 0
         parts.append((these[known], at[known][np.arange(int(known.sum()))[:, None, None], fans[known]]))
-        concave += int((middle != 0).sum())
+        concave += int(_has_reflex(rings[middle != 0]).sum())
         crossing += these[crossed].tolist()
         hard += these[~known].tolist()
     _check_work(counts[hard])
@@ -80,9 +104,9 @@ def triangulate(points: Floats, counts: Whole, indices: Whole) -> Triangulation:
 
 def _check_work(counts: Whole) -> None:
     if len(counts) and counts.max() > CORNERS:
-        raise TooManyCorners(f"has a concave polygon of {counts.max():,} corners, more than {CORNERS:,}")
+        raise TooManyCorners(f"has a polygon of {counts.max():,} corners, more than {CORNERS:,}")
     if (counts.astype(np.float64) ** 2 + _EACH).sum() > WORK:
-        raise TooManyCorners(f"has {len(counts):,} concave polygons with too many corners to cut")
+        raise TooManyCorners(f"has {len(counts):,} polygons with too many corners to cut")
 
 
 def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -134,6 +158,15 @@ def _fans(rings: Floats) -> tuple[Whole, Whole, NDArray[np.bool_]]:
     around = np.stack([np.zeros(len(step), np.int64), step, step + 1], axis=1)
     fans = (around[None] + np.maximum(middle, 0)[:, None, None]) % count
     return fans, middle, crossed
+
+
+def _has_reflex(rings: Floats) -> NDArray[np.bool_]:
+    """Whether polygons [p, n, 3] have a corner that points inward."""
+    seen, has_area = _flat(rings)
+    side = np.roll(seen, -1, axis=1) - seen
+    before = np.roll(side, 1, axis=1)
+    turn = before[..., 0] * side[..., 1] - before[..., 1] * side[..., 0]
+    return np.asarray(has_area & (turn < -_FLAT).any(axis=1))
 
 
 def _crosses(rings: Floats) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 
 import numpy as np
@@ -13,6 +14,7 @@ from antdsl.scene.geometry.mesh_text import Floats, MeshError, Whole, blocks, ch
 from antdsl.scene.geometry.polygon_mesh import PolygonMesh
 
 _HEAD, _FACE = 84, 50  # bytes before the first face, and of each
+_BEFORE_SOLID = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*")
 _MISSING = "is not a .stl file, or a part of it is missing"
 
 
@@ -33,7 +35,7 @@ def _is_text(data: bytes) -> bool:
     head = data[: 64 * limits.KIB]
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         check_text(head)
-    solid = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:5].lower() == b"solid"
+    solid = _BEFORE_SOLID.sub(b"", head, count=1)[:5].lower() == b"solid"
     return solid and b"\0" not in head and b"facet" in head.lower()
 
 

@@ -23,6 +23,7 @@ from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.closed import check_sides
 from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
+from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import RawMesh, mesh_area, placed, read_mesh, sound, within_reach
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
@@ -40,7 +41,7 @@ from antdsl.scene.model import (
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.item_placement import check_crowds, items_of
-from antdsl.scene.staging.mesh_imports import close_solid, mesh_imports, report_losses, weld_thing
+from antdsl.scene.staging.mesh_imports import check_live, close_solid, mesh_imports, report_losses, weld_thing
 from antdsl.scene.staging.moves import MeshMoves, Moves
 from antdsl.scene.staging.stage_crowd import length, place, point, walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flows
@@ -115,6 +116,7 @@ def stage(
     staging = Staging(scene, program)
     model = scene.model
     surfaces = _meshes(staging, "surface")
+    check_live(staging, surfaces)
     obstacles = _meshes(staging, "obstacle")
     for name, mesh in obstacles.items():
         check_sides(staging, name, mesh)
@@ -190,6 +192,13 @@ def stage(
         spans={name: scene.span("world", name) for name in model.world},
     )
     return made, staging.report, staging.hashes
+
+
+def import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
+    """The report on each mesh that can be read, also where the scene has errors."""
+    staging = Staging(scene, program)
+    still = {**_meshes(staging, "surface"), **_meshes(staging, "obstacle")}
+    return mesh_imports(staging, {**still, **{name: solid.mesh for name, solid in _solids(staging).items()}})
 
 
 def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.DetailData | None:

@@ -91,9 +91,9 @@ ROWS = [
     solid("V5 a box", BOX, frames=2),
     solid("V5 voxels of 0", BOX, "wrong-value", voxel="0 mm"),
     solid("V5 voxels of 1e-9 mm", BOX, "too-large", "voxels", voxel="0.000000001 mm"),
-    solid("V5 a solid that is open", BOX.replace(b"f 1 2 4 3\n", b""), "bad-mesh", "holes"),
+    solid("V5 a solid that is open", BOX.replace(b"f 1 2 4 3\n", b""), "bad-mesh", "a hole of 4 edges"),
     solid("V5 a solid turned inside out", INSIDE_OUT, frames=2),
-    solid("V5 a solid that is flat", BOX.replace(b" 20 ", b" -20 "), "degenerate-faces"),
+    solid("V5 a solid that is flat", BOX.replace(b" 20 ", b" -20 "), "bad-mesh", "has no volume"),
     solid("V5 a solid with nan", BOX.replace(b"v -20 -20 -20", b"v nan -20 -20"), "bad-mesh", "not a finite point"),
     solid("V3 a VDB for a solid", b" BDV" + bytes(90), "bad-mesh", "is not one of", file="hill.vdb"),
     Row(

@@ -1,0 +1,93 @@
+"""Which triangles of a surface are ground: the rule of scenes and of the ground itself. A triangle is dead where it is a line,
+where two of its corners are at one place, or where another triangle has the same three corners."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+_JOINED = 1e-6  # of the extent of all surfaces: corners nearer than this are one corner
+_FLAT = 1e-7  # height over longest edge below which a triangle is a line
+_APART = 5.0  # grains: corners with this much room about them are joined with no other
+_TRIED = 8  # faces that are looked at before all are
+
+
+def has_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
+    """Whether triangles with corners a, b, c (m, 3) are more than a line."""
+    area = _length(np.cross(b - a, c - a))
+    longest = np.maximum.reduce([_length(edge) for edge in (b - a, c - a, c - b)])
+    return np.asarray((area > _FLAT * longest * longest) & (area > 0))
+
+
+def live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
+    """Whether faces with corners a, b, c (m, 3) are ground; `numbers` are their `corner_numbers`."""
+    live = has_area(a, b, c)
+    key = np.sort(numbers, axis=1)
+    live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
+    order = np.lexsort((np.arange(len(key)), ~live, key[:, 2], key[:, 1], key[:, 0]))
+    again = (key[order][1:] == key[order][:-1]).all(axis=1)
+    live[order[1:][again]] = False
+    return live
+
+
+def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
+    """Whether any face of one mesh is ground, where all surfaces together are `extent` wide.
+
+    Most often one of its largest faces has corners far from all others, which is found without numbering all corners."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = np.where(has_area(a, b, c), _length(np.cross(b - a, c - a)), 0.0)
+    room = _APART * extent * _JOINED
+    for face in np.argsort(-area, kind="stable")[:_TRIED]:
+        if not area[face]:
+            break
+        apart = 0
+        for corner in vertices[faces[face]]:
+            away = np.abs(vertices - corner).max(axis=1)
+            apart += not ((away > 0) & (away <= room)).any()
+        if apart >= 2:
+            return True
+    return bool(live_faces(corner_numbers(vertices, faces, np.zeros(len(faces), np.int32), extent), a, b, c).any())
+
+
+def _length(v: Floats) -> Floats:
+    length: Floats = np.sqrt((v * v).sum(axis=1))
+    return length
+
+
+def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
+    """Numbers int32[m, 3] of the corners of faces in which those at one place of one mesh are one.
+
+    `vertices` float64[n, 3]; `faces` int32[m, 3]; `mesh` int32[m]: the mesh of each face; `extent`: of all meshes together."""
+    grain = max(extent * _JOINED, 1e-300)
+    flat = faces.ravel()
+    place = np.round((vertices[flat] - vertices[flat].min(axis=0, initial=np.inf)) / grain).astype(np.int64)
+    owner = np.repeat(mesh, 3)
+    order = np.lexsort((place[:, 2], place[:, 1], place[:, 0], owner))
+    rows = np.column_stack([owner, place])[order]
+    fresh = np.concatenate(([0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1)))) if len(rows) else np.empty(0, np.int64)
+    weld = np.empty(len(flat), np.int32)
+    weld[order] = _touching(vertices[flat[order]], owner[order], fresh, grain)
+    return weld.reshape(-1, 3)
+
+
+def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
+    """Numbers of cells, one for those of an owner that have corners nearer than `grain` on both sides of a border of cells."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    begin = np.unique(cell, return_index=True)[1]
+    near = KDTree(places[begin]).query_pairs(grain, output_type="ndarray") if begin.size else np.empty((0, 2), np.int64)
+    near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
+    if not near.size:
+        return cell
+    graph = coo_array((np.ones(len(near), np.int8), near.T), shape=(begin.size, begin.size))
+    number = connected_components(graph, directed=False)[1]
+    _, least = np.unique(number, return_index=True)  # its first cell gives each its place, whatever the library's numbers
+    rank = np.empty(least.size, np.int64)
+    rank[np.argsort(least)] = np.arange(least.size)
+    joined: NDArray[np.int64] = rank[number][cell]
+    return joined
