@@ -141,7 +141,7 @@ CODES: dict[str, str] = {
     "degenerate-faces": "faces without area, or given twice, were left out of a mesh",
     "duplicate-key": "a key is given twice, or two of a scene differ by case only",
     "empty-scene": "the scene says nothing",
-    "far-away": "a mesh lies so far from the origin that positions become coarse",
+    "far-away": "parts of a world lie so far from each other that positions become coarse",
     "inside-out": "an obstacle's faces look inward, so that it keeps agents in and not out",
     "mirrored": "a mesh is scaled by a number below zero",
     "missing-key": "a part of a scene or of a body lacks a key that it must have",
