@@ -78,6 +78,7 @@ def export(
     from antdsl.outputs.exports import EXPORTS, export_for
     from antdsl.outputs.gallery import Gallery, NoPicture
     from antdsl.outputs.numbered_files import NoExport
+    from antdsl.outputs.provenance import resume_command
     from antdsl.outputs.some_agents import SomeAgents
     from antdsl.scene.geometry.usd import UsdError
     from antdsl.shots.exports import tasks
@@ -145,7 +146,7 @@ def export(
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", f"this makes damaged frames again: {resume_command(cache)}") from None
     except NoPicture as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again") from None
     except (UsdError, NoExport) as why:

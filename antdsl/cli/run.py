@@ -217,7 +217,10 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
         ) from None
     except InTheWay as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
-    except (DifferentInputs, OtherHashes) as why:
+    except DifferentInputs as why:
+        advice = "choose the same again, or run without `--resume` to begin again"
+        raise Stop(Exit.FINDINGS, f"error: {why}", advice) from None
+    except OtherHashes as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
     except NothingToResume as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run without `--resume` to begin again") from None

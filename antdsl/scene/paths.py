@@ -23,7 +23,7 @@ _COUNTER = re.compile("%0?[0-9]*d")  # of C: programs write it for the number of
 _PATTERN_SIGNS = "*?[]{}`"
 _WINDOWS_SIGNS = '<>:"|'  # no name on Windows has them
 _UNSEEN = frozenset(["Cc", "Cs", "Zl", "Zp"])  # categories of characters without a shape: control characters, surrogates, lines
-_GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
+GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
 _PATH_CHARACTERS = 500
 Sought = dict[Path, Path | None]
 _sought: ContextVar[Sought | None] = ContextVar("sought", default=None)
@@ -61,7 +61,7 @@ class Roots:
 
     def locate(self, text: str) -> tuple[Path, tuple[str, ...]]:
         """The root and the parts of a path below it; PathRefused when the text names anything else. The disk is not touched."""
-        named = _GRANTED.fullmatch(text)
+        named = GRANTED.fullmatch(text)
         if named and len(named[1]) > 1:
             name, rest = named[1], named[2]
             if name in ("http", "https", "file", "ftp", "data"):
