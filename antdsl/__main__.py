@@ -3,9 +3,17 @@
 import os
 import sys
 
+
+def _working_directory() -> str:
+    try:
+        return os.getcwd()
+    except OSError:  # it was removed
+        return ""
+
+
 # With `-m` Python looks for modules in the working directory first: no line may be imported from there. `sys` and `os` are loaded
 # before any folder is searched, and the package's own `__init__` imports nothing.
-if not sys.flags.safe_path and sys.path and sys.path[0] in ("", os.getcwd()):
+if not sys.flags.safe_path and sys.path and sys.path[0] in ("", _working_directory()):
     del sys.path[0]
 
 if __name__ == "__main__":

@@ -122,6 +122,12 @@ def export(
         raise typer.BadParameter(
             f"`{to.name}` cannot be written as `{word}`: there is {', '.join(export.forms)}", param_hint="--as"
         )
+    for part in export.barred:
+        if part in to.name:
+            raise typer.BadParameter(f"a `{to.suffix}` file cannot have `{part}` in its name", param_hint="--to")
+    if word not in export.each and "####" in to.name:
+        words = f"`{to.name}` as `{word}` is one file of all frames: leave out `####`"
+        raise typer.BadParameter(words, param_hint="--to")
     between, chosen = frame_range(frames), number_set(ids, "--ids")
     wanted = {
         "skeletons": skeletons,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -45,9 +46,19 @@ def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) 
     if isinstance(problem, MemoryError):
         words = "error: out of memory; fewer agents, larger cells or a lighter mesh need less"
         return Stop(Exit.INPUT_OUTPUT, words, f"once there is more, {again}")
+    if problem.errno == errno.ENOENT and not problem.filename and not _has_working_directory():
+        return Stop(Exit.INPUT_OUTPUT, "error: the working directory was removed", f"change to another folder, then {again}")
     place = f": `{problem.filename}`" if problem.filename else ""
     words = f"error: {what}{': ' if what else ''}{(problem.strerror or str(problem)).lower()}{place}"
     return Stop(Exit.INPUT_OUTPUT, words, f"{advice(problem)} {again}")
+
+
+def _has_working_directory() -> bool:
+    try:
+        os.getcwd()
+    except OSError:
+        return False
+    return True
 
 
 def advice(problem: OSError) -> str:

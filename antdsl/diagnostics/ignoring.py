@@ -12,7 +12,7 @@ from antdsl.diagnostics.model import Diagnostic, Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 
-_COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\n]*)\][ \t]*(.*?))[ \t\r]*$", re.MULTILINE)
+_COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\n]*)\][ \t]*((?:.*\S)?))[ \t\r]*$", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,12 +22,14 @@ from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances,
 class Export:
     """Files of some `endings`. `forms`: by name the functions that write frames of a cache into one; the first is the usual.
     `each`: the forms that write a file for each frame, with the frame's number before its ending. `options`: by name of a form
-    what it takes beside them, a dataclass. A form returns what was left out or is not as it was, in sentences."""
+    what it takes beside them, a dataclass. `barred`: what its libraries take for something else in the name of a file. A form
+    returns what was left out or is not as it was, in sentences."""
 
     endings: tuple[str, ...]
     forms: Mapping[str, Callable[..., Sequence[str] | None]]
     each: frozenset[str] = frozenset()
     options: Mapping[str, type] = field(default_factory=dict)
+    barred: tuple[str, ...] = ()
 
     def paths(self, form: str, path: Path, frames: list[int]) -> list[Path]:
         """The files that a form writes."""
@@ -43,6 +45,7 @@ EXPORTS = (
         (".usdc", ".usda", ".usd"),
         {"instances": export_instances, "xforms": export_xforms, "meshes": export_usd_meshes},
         options={"instances": UsdOptions, "xforms": XformOptions},
+        barred=("\\", ":SDF_FORMAT_ARGS:"),
     ),
     Export((".glb", ".gltf"), {"skinned": export_gltf}),
     Export((".geo",), {"points": export_geo}, frozenset({"points"})),

@@ -11,7 +11,8 @@ from antdsl.diagnostics import Diagnostic, Fix
 from antdsl.source import Source, Span
 
 _CODE = "scene-syntax"
-_KEY = re.compile(r"""("[^"]*"|'[^']*'|[^\s#:\[\]{},&*!|>%@`"'-][^#:\[\]{},]*?)\s*:(?=\s|$)""")
+# A plain key ends with a character that is no blank: a class that takes blanks, before `\s*`, takes the square of their number.
+_KEY = re.compile(r"""("[^"]*"|'[^']*'|[^\s#:\[\]{},&*!|>%@`"'-](?:[^#:\[\]{},]*[^\s#:\[\]{},])?)\s*:(?=\s|$)""")
 _GLUED = re.compile(r"(?:- +)?([A-Za-z_][\w.]*):(?=[^\s:/\\])(.+)")
 _NO_COLON = re.compile(r"(?:- +)?([A-Za-z_][\w.]*)[ \t]+([^\s:#=].*|[=] ?.*)")
 _SHOWN = 40

@@ -19,6 +19,7 @@ def test_cases_are_listed(tmp_path: Path) -> None:
     assert "125, 1,000, 15,000, 100,000, 1,000,000" in done.stdout
 
 
+@pytest.mark.slow
 def test_backends_are_measured_each_and_in_turn(tmp_path: Path) -> None:
     words = ["node", "--agents", "40", "--backend", "numpy", "--backend", "reference", "--pairs", "2", "--steps", "1"]
     done = commands.run("bench", *words, "--json", "found.json", cwd=tmp_path, env={"COLUMNS": "100"})

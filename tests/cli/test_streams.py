@@ -297,3 +297,23 @@ def test_notes_do_not_wait_for_a_slow_reader(monkeypatch: pytest.MonkeyPatch) ->
     os.close(reader)
     lines = received.lstrip(b".").decode().splitlines()
     assert lines == [rf"frame {number} of 200, \xe9 and \udcff" for number in range(200)] + ["the end"]
+
+
+def test_standard_input_that_does_not_block_is_waited_for(tmp_path: Path) -> None:
+    given, writing = os.pipe()
+    os.set_blocking(given, False)
+    words = [sys.executable, "-P", "-m", "antdsl", "fmt", "-"]
+    process = subprocess.Popen(words, cwd=tmp_path, env=child_environment(), stdin=given, stdout=subprocess.PIPE)
+    os.close(given)
+    with os.fdopen(writing, "wb") as sending:
+        time.sleep(0.2)  # whether it reads before or after what comes now changes nothing
+        sending.write(b"ant 1\nspecies  moth { state rest { } }\n")
+    assert process.communicate()[0].startswith(b"ant 1\n") and process.returncode == 0
+
+
+def test_a_working_directory_that_was_removed_is_named(tmp_path: Path) -> None:
+    code = "import os, sys; os.mkdir('gone'); os.chdir('gone'); os.rmdir('../gone'); os.execv(sys.executable, sys.argv[1:])"
+    words = [sys.executable, "-P", "-c", code, sys.executable, "-m", "antdsl", "check", str(tmp_path / "absent.ant")]
+    done = subprocess.run(words, cwd=tmp_path, env=child_environment(), capture_output=True, text=True)
+    assert done.returncode == 3 and "Traceback" not in done.stderr, done.stderr
+    assert "working directory was removed" in done.stderr or "absent.ant" in done.stdout

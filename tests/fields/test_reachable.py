@@ -248,3 +248,8 @@ def test_a_run_reports_how_many_no_path_leads_on_from_and_a_spec_can_ask(tmp_pat
     done = command("run", "scene.yaml", "-q", cwd=tmp_path)
     assert done.returncode == 0 and "unreachable" not in done.stderr, done.stderr
     assert command("test", "walker.ant", "--no-keep", cwd=tmp_path).returncode == 0
+    scene = SCENE.replace("COUNT", "7")
+    (tmp_path / "scene.yaml").write_text(scene.replace("drift: {solved: [0, 0, 0]}", "drift: {solved: [900, 30, 0]}"))
+    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert done.returncode == 0 and "scene.yaml:6:3" in done.stderr, done.stderr
+    assert "the target of `drift` is 700.6 mm away from the ground" in done.stderr

@@ -7,6 +7,7 @@ import os
 import random
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import patch
 
@@ -145,6 +146,40 @@ def test_a_lock_that_is_held_is_not_waited_for_unless_its_process_is_known_to_be
         assert found.value.args[0].isprintable()
     with FolderLock(tmp_path):  # what a file says that no process holds counts for nothing
         assert (tmp_path / LOCK).read_text().split()[0] == str(os.getpid())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows does not remove a file that is open")
+def test_a_lock_with_another_name_is_replaced(tmp_path: Path) -> None:
+    """Of a copy that is made of hard links, or of a file outside that an archive links to."""
+    import fcntl
+
+    outside = tmp_path / "outside"
+    outside.write_text("precious")
+    (tmp_path / "cache").mkdir()
+    os.link(outside, tmp_path / "cache" / LOCK)
+    with FolderLock(tmp_path / "cache") as lock:
+        assert outside.read_text() == "precious" and os.stat(lock.path).st_nlink == 1
+        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(Locked):
+            FolderLock(tmp_path / "cache").__enter__()
+    os.unlink(lock.path)
+    os.link(outside, lock.path)
+    with outside.open("r+") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(Locked):
+            FolderLock(tmp_path / "cache").__enter__()
+    assert outside.read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    "make", [lambda path: path.symlink_to("elsewhere"), lambda path: os.mkfifo(path), os.mkdir], ids=["link", "fifo", "folder"]
+)
+def test_a_lock_that_is_no_file_is_named(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    folder = project(tmp_path / "p")
+    (folder / "out" / "scene").mkdir()
+    make(folder / "out" / "scene" / LOCK)
+    for words in ((), ("--force",)):
+        done = ran(folder, *words)
+        assert done.returncode == 3 and "scene/lock` is a" in done.stderr and "move it away" in done.stderr, done.stderr
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.EIO])

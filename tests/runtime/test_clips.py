@@ -50,7 +50,8 @@ def test_a_clip_that_covers_ground_goes_by_the_ground_and_others_by_the_clock() 
 
 
 def test_loops_begin_anywhere_and_others_at_their_start() -> None:
-    begun = [turns(seen := shown(f"state one {{ play walk; steer {GOES} }}", 1, count=40), k)[0] for k in range(40)]
+    seen = shown(f"state one {{ play walk; steer {GOES} }}", 1, count=40)
+    begun = [turns(seen, k)[0] for k in range(40)]
     assert seen.world.faults.count == 0 and min(begun) < 0.2 and max(begun) > 0.8 and max(begun) < 1
     assert turns(shown(f"state one {{ play wave; steer {GOES} }}", 1))[0] == 0
 

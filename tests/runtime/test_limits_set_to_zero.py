@@ -106,3 +106,13 @@ def test_what_is_no_number_is_refused_where_it_is_set(name: str, value: str) -> 
         pytest.skip("an endless `max_turn` is no limit")
     with pytest.raises(FaultStop, match=rf"test.ant:\d+:23: .*`{name}` is not finite"):
         shown(name, f"({value}) * 1 {UNITS[name]}", birth, steps=5)
+
+
+def test_a_fault_is_not_blamed_on_a_constant_of_another_line() -> None:
+    """Where nothing is there, the nearest is endlessly far: the same constant as the `max_speed` of a species that sets none."""
+    text = """species a { max_speed 20 mm/s; far = 0 mm; start go
+  state go { far = distance(nearest(b)) } }
+species b { start go; state go { } }
+"""
+    with pytest.raises(FaultStop, match=r"`far` is not finite \(distance\(nearest\(b\)\) = inf\)"):
+        play(text, crowd(2), steps=3, ways=WAYS[:1])

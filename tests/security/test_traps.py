@@ -98,13 +98,16 @@ CASES: dict[str, tuple[Case, ...]] = {
     "export": tuple(
         Case(("export", "cache", "--to", f"shot.{ending}"), CACHE, ("shot.*", ".shot.*")) for ending in ("ply", "usda", "obj")
     ),
-    "jobs": (Case(("jobs", "scene.yaml", "--to", "job.json"), SCENE, ("job.json", ".job.json.*.part")),),
+    "jobs": (
+        Case(("jobs", "scene.yaml", "--out", "ran", "--to", "job.json"), SCENE, ("job.json", ".job.json.*.part")),
+        Case(("jobs", "scene.yaml", "--to", "job.json"), SCENE, ("job.json", ".job.json.*.part"), codes=(2, 3)),
+    ),
     "info": (Case(("info", "cache"), CACHE),),
     "body": (Case(("body", "ant", "--to", "ant.glb"), (), ("ant.glb", ".ant.glb.*.part")),),
     "explain": (Case(("explain", "cache", "--agent", "3", "--frame", "1"), CACHE),),
     "graph": (
-        Case(("graph", "walker.ant", "--out", "chart.svg"), ("walker.ant",), ("chart.svg", ".chart.svg.*.part")),
-        Case(("graph", "walker.ant"), ("walker.ant",), ("walker.svg", ".walker.svg.*.part")),  # in place of the link
+        Case(("graph", "walker.ant", "--out", "chart.svg"), ("walker.ant", "scene.yaml"), ("chart.svg", ".chart.svg.*.part")),
+        Case(("graph", "walker.ant"), ("walker.ant", "scene.yaml"), codes=(2, 3)),  # its default place is a link
     ),
     "plan": (Case(("plan", "walker.ant")),),
     "bench": (Case(("bench", "scene.yaml", "--pairs", "1", "--steps", "1", "--backend", "numpy"), SCENE),),

@@ -8,7 +8,7 @@ import io
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
 # Nothing reads the stream any more, or the caller closed it: the text is discarded, as by /dev/null.
@@ -99,6 +99,9 @@ def guard_streams() -> None:
     /dev/null, so that no other file gets its number and no child finds it closed."""
     for number in range(3):
         _reopen(number)
+    if hasattr(os, "set_blocking"):
+        with suppress(OSError):
+            os.set_blocking(0, True)  # else a reader takes "nothing yet" for the end
     if sys.stdin is None:
         sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 - open until the process ends
     for number, name in ((1, "stdout"), (2, "stderr")):

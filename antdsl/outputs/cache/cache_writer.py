@@ -4,6 +4,8 @@ simulation, checkpoints only after all frames before them are on the disk, hashe
 from __future__ import annotations
 
 import math
+import os
+import stat
 import time
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -68,12 +70,15 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     make_folder(folder)
     for name in ("frames", "checkpoints"):
         if is_link(folder / name):
-            raise ForeignFolder(f"`{folder / name}` is a link")
+            raise InTheWay(f"`{folder / name}` is a link, and a folder is wanted there")
         if (folder / name).exists() and not (folder / name).is_dir():
             raise InTheWay(f"`{folder / name}` is a file, and a folder is wanted there")
     for path in _files(folder):
         if path.is_dir() and not path.is_symlink():
             raise InTheWay(f"`{path}` is a folder, and a file of the cache is wanted there")
+    lock = folder / LOCK
+    if os.path.lexists(lock) and not stat.S_ISREG(os.lstat(lock).st_mode):
+        raise InTheWay(f"`{lock}` is a link or a device, and a file of the cache is wanted there")
     marker = folder / MARKER
     if not marker.exists():
         # a lock or a half-written marker is what a run leaves that was killed as it began

@@ -13,6 +13,7 @@ from types import TracebackType
 from antdsl.whole import name_failures
 
 LOCK = "lock"
+_OPEN = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
 _PATIENCE = 30.0  # seconds for the writer of a run that was killed to finish what it had been given
 _AGAIN = 0.01
 _HELD = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # what systems say of a lock that another process holds
@@ -27,16 +28,27 @@ class FolderLock:
     host in it, for people; the system's own lock on it decides, so no lock outlives its processes. Raises Locked, and OSError
     where the file system has no locks.
 
-    Where the run that holds it is gone and its writer is not yet, that is waited for."""
+    Where the run that holds it is gone and its writer is not yet, that is waited for. A file that has further names is replaced
+    and not written into: a copy of the cache made of hard links, or a file outside that an archive links to, stays as it is."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / LOCK
         self._handle: int | None = None
 
     def __enter__(self) -> FolderLock:
-        handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        while self._handle is None:
+            self._handle = self._open()
+        return self
+
+    def _open(self) -> int | None:
+        """The open file, locked; None where it was not the only name of that file, which it is at the next call."""
+        handle = os.open(self.path, _OPEN, 0o644)
         try:
             self._wait(handle)
+            if not self._is_own(handle):
+                _leave(handle)
+                os.close(handle)
+                return None
             with name_failures(self.path):
                 os.ftruncate(handle, 0)
                 os.lseek(handle, 0, os.SEEK_SET)
@@ -45,8 +57,21 @@ class FolderLock:
             _leave(handle)
             os.close(handle)
             raise
-        self._handle = handle
-        return self
+        return handle
+
+    def _is_own(self, handle: int) -> bool:
+        """Whether the path names the open file, and nothing else does. A path that is one of several names is freed."""
+        opened = os.fstat(handle)
+        try:
+            named = os.stat(self.path, follow_symlinks=False)
+        except FileNotFoundError:
+            return False
+        if not os.path.samestat(opened, named):  # another run has replaced it since
+            return False
+        if opened.st_nlink > 1:
+            os.unlink(self.path)
+            return False
+        return True
 
     def _wait(self, handle: int) -> None:
         began = time.monotonic()

@@ -368,7 +368,7 @@ def _culprit(agent: Agent, node: ir.Node) -> tuple[tuple[str, str], ...]:
         return n.kind is not ir.Kind.F32 or value is None or bool(np.isfinite(value))
 
     while True:
-        worse = [a for a in node.args if not sound(a)]
+        worse = [a for a in node.args if a.op != "const" and not sound(a)]  # a constant has the place of its first use anywhere
         if not worse:
             break
         node = worse[0]

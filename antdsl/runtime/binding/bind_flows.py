@@ -356,6 +356,18 @@ def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floa
     return used[at], distance[at]
 
 
+def target_gap(world: World, flow: SolvedFlow, grounds: Grounds) -> float:
+    """How far (mm) the nearest place of a target lies from the ground that its flow leads over, its radius left out."""
+    from scipy.spatial import cKDTree
+
+    points = grounds.land.points[np.unique(grounds.land.triangles[grounds.land.open])]
+    target = _here(world, flow.target)
+    if not len(points) or not len(target.places):
+        return 0.0
+    gaps = cKDTree(points).query(target.places)[0]
+    return max(0.0, float((gaps if target.line else gaps - target.radii).min()))
+
+
 def _cost(world: World, flow: SolvedFlow, grounds: Grounds) -> Floats:
     """What a mm within each triangle costs while nobody is about."""
     land = grounds.land

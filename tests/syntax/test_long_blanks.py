@@ -1,0 +1,35 @@
+"""Files with very many blanks in a row are read in time that grows with their length and not with its square."""
+
+from __future__ import annotations
+
+import pytest
+
+from antdsl.diagnostics import ignoring
+from antdsl.scene import indentation
+
+BLANKS = 200_000
+TEXTS = {
+    "a comment": (ignoring._COMMENT, "# antdsl: ignore[far-away] x", "y", True),
+    "a key without a colon": (indentation._KEY, "ground", "x", False),
+    "a key": (indentation._KEY, "ground", ": x", True),
+    "a word behind a key": (indentation._NO_COLON, "ground", "x", True),
+    "a value without a blank": (indentation._GLUED, "ground:x", "y", True),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_blanks_cost_no_more_than_once_each(name: str) -> None:
+    """With the square of their number this would take half an hour."""
+    pattern, before, after, is_match = TEXTS[name]
+    found = pattern.search(before + " " * BLANKS + after)
+    assert (found is not None) == is_match
+    short = pattern.search(f"{before} {after}")
+    assert (short is not None) == is_match
+
+
+def test_a_plain_key_ends_before_the_blanks() -> None:
+    found = indentation._KEY.match("two words  : 1")
+    assert found is not None and found[1] == "two words"
+    assert [indentation._KEY.match(text) is not None for text in ("a:", "a :x", "'q: r' : 1", ": x", "-a: 1")] == [
+        True, False, True, False, False,
+    ]  # fmt: skip
