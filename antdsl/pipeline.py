@@ -18,6 +18,7 @@ from antdsl.numerics.float_environment import standard
 
 if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
+    from antdsl.diagnostics import Diagnostic
     from antdsl.plan.ir import Plan
     from antdsl.program.expectations import Changed
     from antdsl.program.memo import Memo
@@ -123,7 +124,7 @@ def open_scene(
     report.extend(findings)
     if setting is None or not report.ok:
         return None, report
-    report = _less_what_the_scene_gives(report, program, setting)
+    report.answer(_answered(report, scene, program, setting))
     lowered, findings = plan.lower(program, orders=orders, begun_with=setting.begun_with)
     report.extend(findings)
     bodies, findings = crowd_bodies(scene, program)
@@ -241,6 +242,7 @@ def check_path(
         return program, report
     scene, program, _, report = _read_scene(path, choices, strict, parsed)
     report.extend(spec_scenes(program, choices.grants) if specs else ())
+    setting = None
     if scene is not None and program is not None and report.ok and scene.model.world:
         from antdsl.bodies.crowd_bodies import crowd_bodies
         from antdsl.scene.overriding import overrides
@@ -249,8 +251,8 @@ def check_path(
         setting, findings, _ = stage(scene, program, overrides(scene, program, choices.params, Report()))
         report.extend(findings)
         report.extend(crowd_bodies(scene, program)[1])
-        if setting is not None:
-            report = _less_what_the_scene_gives(report, program, setting)
+    if scene is not None and program is not None:
+        report.answer(_answered(report, scene, program, setting))
     return program, report
 
 
@@ -262,7 +264,12 @@ def mesh_imports(path: Path, choices: Choices) -> tuple[Mapping[str, MeshImport]
     return ({}, "mm") if scene is None or program is None else (import_reports(scene, program), scene.model.units)
 
 
-def _less_what_the_scene_gives(report: Report, program: Program, setting: Setting) -> Report:
-    """Without warnings that an attribute is always the same where places of the scene give it to who begins there."""
-    given = [a.span for name, of in setting.begun_with.items() for a in program.species[name].attributes if a.name in of]
-    return Report([d for d in report.diagnostics if d.code != "constant-attribute" or d.span not in given])
+def _answered(report: Report, scene: Scene, program: Program, setting: Setting | None) -> list[Diagnostic]:
+    """Warnings about attributes that do not hold in a scene: that one is always the same where places of the scene give it to
+    agents that begin there, and that one is never read where the scene writes it to the cache."""
+    given = setting.begun_with if setting is not None else {}
+    begun = [a.span for name, of in given.items() for a in program.species[name].attributes if a.name in of]
+    output = scene.model.output.attributes
+    written = [a.span for species in program.species.values() for a in species.attributes if a.name in output]
+    spans = {"constant-attribute": begun, "unread-attribute": written}
+    return [d for d in report.diagnostics if d.span in spans.get(d.code, ())]

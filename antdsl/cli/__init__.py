@@ -6,6 +6,7 @@ isolate()  # before another import could look into the working directory
 
 import gc  # noqa: E402
 import os  # noqa: E402
+import shlex  # noqa: E402
 import sys  # noqa: E402
 import warnings  # noqa: E402
 
@@ -152,10 +153,21 @@ def _require_text(words: list[str]) -> None:
             raise Stop(Exit.USAGE, f"error: the name `{shown}` is not UTF-8", "rename the file or folder") from None
 
 
+def _require_order(words: list[str]) -> None:
+    """`--trust-usd` is of all commands, so it goes before the command: say so where it comes after."""
+    own = words[: words.index("--")] if "--" in words else words
+    if "--trust-usd" in own and not own[0].startswith("-"):
+        rest = [word for word in words if word != "--trust-usd"]
+        raise Stop(
+            Exit.USAGE, "error: `--trust-usd` goes before the command", f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}"
+        )
+
+
 def _command() -> int:
     try:
         try:
             _require_text(sys.argv[1:])
+            _require_order(sys.argv[1:])
             app(standalone_mode=True, prog_name="antdsl")
         except SystemExit as leave:
             return leave.code if isinstance(leave.code, int) else Exit.FINE

@@ -33,6 +33,19 @@ def grants(words: Iterable[str]) -> dict[str, Path]:
     return found
 
 
+def require_scene(path: Path, hint: str = "SCENE") -> None:
+    """Wrong use where a path is a program or a folder and a scene is wanted; the message names a scene of the folder."""
+    if path.suffix == ".ant":
+        raise typer.BadParameter(f"`{path}` is a program; name a scene that uses it, such as scene.yaml", param_hint=hint)
+    if path.is_dir():
+        from antdsl.files import find_files
+
+        scenes = [file for file in find_files([path])[0] if file.suffix != ".ant"]
+        near = min(scenes, key=lambda file: (len(file.parts), str(file)), default=path / "scene.yaml")
+        shown = near if near.is_absolute() else f"./{near}"
+        raise typer.BadParameter(f"`{path}` is a folder; name a scene, such as `{shown}`", param_hint=hint)
+
+
 def frame_range(text: str | None, flag: str = "--frames"):  # type: ignore[no-untyped-def]
     """`A..B` as a FrameRange, or None for None."""
     if text is None:

@@ -30,6 +30,7 @@ def edit(
     from antdsl.outputs.cache.lock import Locked
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.editing import NotEditable, smooth_orientations
+    from antdsl.outputs.provenance import resume_command
 
     width = _width(smooth)
     folder = out if out is not None else default_place(cache.parent, f"{cache.resolve().name}_edited")
@@ -42,7 +43,7 @@ def edit(
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", f"this makes damaged frames again: {resume_command(cache)}") from None
     except NotEditable as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again") from None
     except ForeignFolder as why:

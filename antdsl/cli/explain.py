@@ -27,6 +27,7 @@ def explain(
     from antdsl.numerics.cores import cores
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
+    from antdsl.outputs.provenance import resume_command
     from antdsl.runtime import BindError
 
     try:
@@ -36,7 +37,7 @@ def explain(
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes it again") from None
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", f"this makes it again: {resume_command(cache)}") from None
     except BindError as why:
         demand(why.report)
         raise Stop(Exit.FINDINGS) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -14,6 +15,35 @@ from antdsl.cli.failures import report_failures
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.whole import make_folder, sync_files
+
+if TYPE_CHECKING:
+    from antdsl.outputs.cache.cache_reader import Cache
+
+
+def _no_form(to: Path) -> str:
+    """Why there is no export of a file's ending, and what to name instead."""
+    from antdsl.outputs.exports import EXPORTS, INSTEAD
+
+    if str(to) == "-":
+        return "an export goes into a file and not to standard output: its ending says the form, and some forms are several files"
+    if to.suffix.lower() in INSTEAD:
+        return f"`{to.suffix}` is not written: write {INSTEAD[to.suffix.lower()]} (docs/exports.md#what-is-not-written)"
+    return f"`{to.name}` is none of {', '.join(ending for each in EXPORTS for ending in each.endings)}"
+
+
+def _unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset[int]) -> str | None:
+    """A note about chosen agents that are in none of the frames; None where all are there."""
+    missing = set(chosen)
+    for frame in frames:
+        arrays = cache.frame(frame, frozenset({"id"}))
+        missing -= set(arrays["id"].tolist()) if "id" in arrays else missing
+        if not missing:
+            return None
+    if len(missing) == len(chosen):
+        return (
+            f"no agent of these frames has {'the id' if len(chosen) == 1 else 'an id such as'} {min(missing)}, so none is written"
+        )
+    return f"no agent of these frames has {len(missing):,} of the ids, such as {min(missing)}"
 
 
 @report_failures("the export stopped")
@@ -78,6 +108,7 @@ def export(
     from antdsl.outputs.exports import EXPORTS, export_for
     from antdsl.outputs.gallery import Gallery, NoPicture
     from antdsl.outputs.numbered_files import NoExport
+    from antdsl.outputs.provenance import resume_command
     from antdsl.outputs.some_agents import SomeAgents
     from antdsl.scene.geometry.usd import UsdError
     from antdsl.shots.exports import tasks
@@ -85,8 +116,7 @@ def export(
     demand_scheduler(scheduler, tls, no_tls)
     export = export_for(to)
     if export is None:
-        endings = ", ".join(ending for each in EXPORTS for ending in each.endings)
-        raise typer.BadParameter(f"`{to.name}` is none of {endings}", param_hint="--to")
+        raise typer.BadParameter(_no_form(to), param_hint="--to")
     word = form if form is not None else next(iter(export.forms))
     if word not in export.forms:
         raise typer.BadParameter(
@@ -148,10 +178,12 @@ def export(
             notes = export.forms[word](gallery, there, to, *options)
         if word in export.each:
             sync_files(paths)
+        unknown = None if chosen is None else _unknown_ids(found, there, chosen)
+        notes = [*(notes or ()), *([] if unknown is None else [unknown])]
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", f"this makes damaged frames again: {resume_command(cache)}") from None
     except NoPicture as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again") from None
     except (UsdError, NoExport) as why:

@@ -38,6 +38,7 @@ def info(
 
 def describe(cache: Cache) -> list[str]:
     """The lines that tell about a cache."""
+    from antdsl.outputs.provenance import resume_command
     from antdsl.scene.geometry.import_notes import MeshImport, import_lines
 
     manifest, frames, hashes = cache.manifest, cache.frames(), cache.hashes()
@@ -71,7 +72,7 @@ def describe(cache: Cache) -> list[str]:
     lines.append(f"checkpoints  {' '.join(map(str, checkpoints)) if checkpoints else 'none'}")
     if inside and inside[-1] in hashes:
         lines.append(f"state hash   {hashes[inside[-1]]} (frame {inside[-1]})")
-    lines.append(f"complete     {'yes' if len(inside) == wanted else 'no: `antdsl run SCENE --resume` goes on'}")
+    lines.append(f"complete     {'yes' if len(inside) == wanted else f'no; go on with: {resume_command(cache.folder)}'}")
     if manifest.made_with is not None:
         lines.append("made with")
         lines += [f"  {name:<10} {value or 'none'}" for name, value in manifest.made_with.model_dump().items()]
@@ -96,6 +97,7 @@ def _verify(cache: Cache) -> None:
     """Hold every frame and checkpoint against what was written. What is missing between frames counts as damage."""
     from antdsl.outputs.cache.cache_reader import STATIC
     from antdsl.outputs.cache.hashes import HASHES
+    from antdsl.outputs.provenance import resume_command
 
     lines, frames, checkpoints = cache.lines(), cache.frames(), cache.checkpoints()
     first, last = cache.manifest.first, cache.manifest.last
@@ -119,7 +121,7 @@ def _verify(cache: Cache) -> None:
     if bad or strays:
         more = [f"… and {len(bad) - 50} more"] if len(bad) > 50 else []
         words = "\n".join([*(f"error: {why}" for why in bad[:50]), *more, *(f"error: {why}" for why in strays[:50])])
-        advice = ["`antdsl run SCENE --resume` writes what is damaged again"] if bad else []
+        advice = [f"this makes again what is damaged: {resume_command(cache.folder)}"] if bad else []
         advice += ["move away what is not of this cache"] if strays else []
         raise Stop(Exit.FINDINGS, words, "\n".join(advice))
     unknown = [] if cache.manifest.static else [f"`{STATIC}`"]

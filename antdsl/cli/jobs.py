@@ -57,13 +57,12 @@ def jobs(
     """Write a shot as a job for a render farm: simulation, then frames in chunks, then the film."""
     import sys
 
-    from antdsl.cli.arguments import frame_range, grants, pairs
+    from antdsl.cli.arguments import frame_range, grants, pairs, require_scene
     from antdsl.cli.printing.reports import demand
     from antdsl.farm import Shot, json_lines, shot_job, template
     from antdsl.pipeline import Choices, open_scene
 
-    if scene.suffix == ".ant":
-        raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
+    require_scene(scene)
     if to.suffix not in (*OPEN, *LINES):
         raise typer.BadParameter(f"`{to.name}` is none of {', '.join((*OPEN, *LINES))}", param_hint="--to")
     file_to_write(to, "--to")

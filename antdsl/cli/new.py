@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,8 @@ def new(
         write_whole(path, text.encode())
     write_whole(folder / "ground.ply", ground())
     say(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
-    say(f"  antdsl run {folder / 'scene.yaml'}")
-    say(f"  antdsl test {folder}")
-    say(f"  antdsl render {folder / 'out' / 'scene'} --sheet")
+    for words in (("run", folder / "scene.yaml"), ("test", folder), ("render", folder / "out" / "scene", "--sheet")):
+        say(f"  {shlex.join(['antdsl', *map(str, words)])}")
     say(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
 
 

@@ -44,9 +44,9 @@ def preview(
     from antdsl.preview.serving import ready
 
     demand(ready())
-    if scene.suffix == ".ant":
-        raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
-    from antdsl.cli.arguments import grants, pairs
+    from antdsl.cli.arguments import grants, pairs, require_scene
+
+    require_scene(scene)
     from antdsl.pipeline import Choices
 
     choices = Choices(grants(root), None, seed, pairs(set_, "--set"))

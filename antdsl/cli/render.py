@@ -248,6 +248,7 @@ def _draw(
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.drawing import Drawer, NoAgent
     from antdsl.outputs.gallery import NoPicture
+    from antdsl.outputs.provenance import resume_command
 
     drawer: Drawer | None = None
     try:
@@ -259,7 +260,8 @@ def _draw(
             drawer = drawer or Drawer(gallery, wanted, together, threads)
             yield frame, drawer.draw(frame), True
     except CacheError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
+        advice = f"this makes damaged frames again: {resume_command(gallery.cache.folder)}"
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", advice) from None
     except NoPicture as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
     except NoAgent as why:

@@ -80,15 +80,14 @@ def run(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Simulate scenes and write their caches."""
-    from antdsl.cli.arguments import frame_range, grants, pairs
+    from antdsl.cli.arguments import frame_range, grants, pairs, require_scene
     from antdsl.cli.printing.reports import demand
     from antdsl.outputs.cache.cache_reader import NAMES
     from antdsl.pipeline import Choices, open_scene
 
     demand_scheduler(scheduler, tls, no_tls)
     for scene in scenes:
-        if scene.suffix == ".ant":
-            raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
+        require_scene(scene)
     choices = Choices(grants(root), frame_range(frames), seed, pairs(set_, "--set"))
     if scheduler or len(scenes) > 1:
         if summary is not None or profile:
@@ -217,7 +216,10 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
         ) from None
     except InTheWay as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
-    except (DifferentInputs, OtherHashes) as why:
+    except DifferentInputs as why:
+        advice = "give the same inputs again, or run without `--resume` to begin again"
+        raise Stop(Exit.FINDINGS, f"error: {why}", advice) from None
+    except OtherHashes as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
     except NothingToResume as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run without `--resume` to begin again") from None

@@ -100,6 +100,7 @@ def sweep(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
+    from antdsl.cli.arguments import require_scene
     from antdsl.cli.printing.reports import demand
     from antdsl.cli.sweep_words import asked_before, nothing, scene_shots, study_of, widths_of
     from antdsl.executors import Lost, Processes
@@ -110,6 +111,8 @@ def sweep(
     from antdsl.sweep.finished_runs import OtherFiles
 
     demand_scheduler(scheduler, tls, no_tls)
+    for scene in scenes or ():
+        require_scene(scene)
     asked = (
         asked_before(context, out)
         if resume

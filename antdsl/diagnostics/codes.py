@@ -141,7 +141,7 @@ CODES: dict[str, str] = {
     "degenerate-faces": "faces without area, or given twice, were left out of a mesh",
     "duplicate-key": "a key is given twice, or two of a scene differ by case only",
     "empty-scene": "the scene says nothing",
-    "far-away": "a mesh lies so far from the origin that positions become coarse",
+    "far-away": "parts of a world lie so far from each other that positions become coarse",
     "inside-out": "an obstacle's faces look inward, so that it keeps agents in and not out",
     "mirrored": "a mesh is scaled by a number below zero",
     "missing-key": "a part of a scene or of a body lacks a key that it must have",
@@ -192,3 +192,19 @@ CODES: dict[str, str] = {
     "missing-extra": "what was asked for needs an extra of the package that is not installed",
     "no-pictures": "a film or a sheet was asked for without a single frame to show",
 }
+
+# Warnings that not every look at a file can find, so that a comment which ignores one may have nothing to ignore there.
+STRICT_CODES = frozenset(("per-step",))  # only `check --strict` looks for them
+MESH_CODES = frozenset(  # a scene's meshes have to be read for them
+    (
+        "crossing-face",
+        "degenerate-faces",
+        "far-away",
+        "inside-out",
+        "odd-scale",
+        "off-surface",
+        "unread-content",
+        "usd-left-out",
+    )
+)
+RUN_CODES = frozenset(("no-room", "unreachable-target"))  # the agents have to be placed for them

@@ -7,13 +7,12 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.codes import CODES, MESH_CODES, RUN_CODES, STRICT_CODES
 from antdsl.diagnostics.model import Diagnostic, Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 
 _COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\n]*)\][ \t]*((?:.*\S)?))[ \t\r]*$", re.MULTILINE)
-_STRICT_ONLY = frozenset(("per-step",))
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +65,16 @@ def _ignored(found: Diagnostic, about: set[tuple[str, int, str]]) -> bool:
     return (found.span.source.path, found.span.source.line_column(found.span.start)[0], found.code) in about
 
 
-def judged(report: Report, sources: Iterable[Source], *, strict: bool = False, sound: bool | None = None) -> Report:
+def judged(
+    report: Report, sources: Iterable[Source], *, strict: bool = False, sound: bool | None = None, meshes: bool = True
+) -> Report:
     """`without_ignored`, and warnings about comments that give no reason or ignore nothing. `sources` are all texts that were
-    looked at; `strict` says whether what only `--strict` tells was looked for. Beside errors most warnings are not looked for,
-    so that a comment may have something to ignore: `sound` says that there are none, which the report says otherwise."""
+    looked at; `strict` and `meshes` say whether STRICT_CODES and MESH_CODES were looked for. RUN_CODES never are. With errors
+    most warnings are not looked for either: `sound` says that there are none, which the report says otherwise."""
     sound = report.ok if sound is None else sound
-    found = {(d.span.source.path, d.span.source.line_column(d.span.start)[0], d.code) for d in report.diagnostics if d.span}
+    unknown = RUN_CODES | (frozenset() if strict else STRICT_CODES) | (frozenset() if meshes else MESH_CODES)
+    every = [*report.diagnostics, *report.answered]
+    found = {(d.span.source.path, d.span.source.line_column(d.span.start)[0], d.code) for d in every if d.span}
     result = without_ignored(report)
     for source in sources:
         for ignore in comments(source):
@@ -80,7 +83,7 @@ def judged(report: Report, sources: Iterable[Source], *, strict: bool = False, s
                     "ignore-without-reason", "this comment does not say why", ignore.span, "write the reason after the bracket"
                 )
             for code, span in ignore.codes:
-                looked = code not in CODES or (sound and (strict or code not in _STRICT_ONLY))
+                looked = code not in CODES or (sound and code not in unknown)
                 if looked and (source.path, ignore.line, code) not in found:
                     _idle(result, ignore, code, span)
             if not ignore.codes:

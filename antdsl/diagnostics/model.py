@@ -88,9 +88,11 @@ def replacement(message: str, span: Span | None, help: str | None) -> Fix | None
 
 @dataclass(slots=True)
 class Report:
-    """Everything one or more stages had to say. The same code at the same place is kept once."""
+    """Everything one or more stages had to say. The same code at the same place is kept once. `answered`: warnings about a
+    program that do not hold for a scene which uses it, so that they hold nowhere."""
 
     diagnostics: list[Diagnostic] = field(default_factory=list)
+    answered: list[Diagnostic] = field(default_factory=list)
     _seen: set[tuple[str | int, ...]] = field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
@@ -101,6 +103,14 @@ class Report:
         if key not in self._seen:
             self._seen.add(key)
             self.diagnostics.append(diagnostic)
+
+    def answer(self, diagnostics: Iterable[Diagnostic]) -> None:
+        """Drop warnings, also where they are added later."""
+        found = list(diagnostics)
+        keys = {_key(d) for d in found}
+        self.answered += found
+        self.diagnostics = [d for d in self.diagnostics if _key(d) not in keys]
+        self._seen |= keys
 
     def error(self, code: str, message: str, span: Span | None, help: str | None = None, **more: object) -> None:
         self._say("error", code, message, span, help, more)
@@ -116,6 +126,8 @@ class Report:
         self.add(Diagnostic(code, message, span, severity, help, **more))  # type: ignore[arg-type]
 
     def extend(self, others: Report | Iterable[Diagnostic]) -> None:
+        if isinstance(others, Report) and others.answered:
+            self.answer(others.answered)
         for diagnostic in others.diagnostics if isinstance(others, Report) else others:
             self.add(diagnostic)
 

@@ -16,7 +16,8 @@ def encode_reports(reports: Mapping[Path, Report], sources: Iterable[Source]) ->
     numbers: dict[Source, int] = {}
     texts = [_number(source, numbers) for source in sources]
     entries = [
-        [str(file), [_encode(diagnostic, numbers) for diagnostic in report.diagnostics]] for file, report in reports.items()
+        [str(file), *([_encode(diagnostic, numbers) for diagnostic in part] for part in (report.diagnostics, report.answered))]
+        for file, report in reports.items()
     ]
     table = [[source.path, source.text, source.part] for source in numbers]
     return json.dumps({"table": table, "sources": texts, "reports": entries}).encode()
@@ -27,7 +28,10 @@ def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
     try:
         document = json.loads(data)
         table = [Source(*entry) for entry in document["table"]]
-        reports = {Path(file): Report([_decode(entry, table) for entry in entries]) for file, entries in document["reports"]}
+        reports = {
+            Path(file): Report(*([_decode(entry, table) for entry in entries] for entries in parts))
+            for file, *parts in document["reports"]
+        }
         return reports, [table[index] for index in document["sources"]]
     except (KeyError, IndexError, TypeError) as problem:
         raise ValueError("these are no reports") from problem

@@ -17,6 +17,7 @@ from antdsl.program.tables.effects import EFFECTS, Effect, phrase
 from antdsl.program.tables.units import unit_of
 from antdsl.runtime.requests import Asked, Effects
 from antdsl.runtime.world import AXES, Population, World
+from antdsl.specs.value_text import place_text
 
 _VECTORS = {"position": "mm", "velocity": "mm/s", "heading": "", "up": ""}
 
@@ -72,7 +73,10 @@ def _vector(world: World, name: str, both: list[list[Any]], type: Type | None, m
     unit = _VECTORS.get(name, unit_of(type.dim) if type is not None else "")
     origin = world.origin if name == "position" else (0.0, 0.0, 0.0)  # registers are relative to it
     before, after = (triple(in_unit(world, float(x) + o, unit) for x, o in zip(vector, origin, strict=True)) for vector in both)
-    shown = [f"({', '.join(f'{x:.4g}' for x in vector)}) {unit}".strip() for vector in (before, after)]
+    if name == "position":
+        shown = [f"({place_text(vector, origin, 1.0)}) {unit}" for vector in both]
+    else:
+        shown = [f"({', '.join(f'{x:.4g}' for x in vector)}) {unit}".strip() for vector in (before, after)]
     return Changed(name, before, after, unit, (shown[0], shown[1]), memory)
 
 

@@ -281,7 +281,7 @@ class Workspace:
         said = [d for d in checked.report.sorted() if d.span is None or os.path.realpath(d.span.source.path) == own]
         if document is None:
             return said
-        return judged(Report(said), [Source(own, document.text.text)], sound=checked.report.ok).sorted()
+        return judged(Report(said), [Source(own, document.text.text)], sound=checked.report.ok, meshes=False).sorted()
 
     # --- which files belong together ---
 

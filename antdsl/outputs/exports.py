@@ -55,6 +55,16 @@ EXPORTS = (
 )
 
 
+# What else is asked for, and what to write for it: docs/exports.md says why.
+INSTEAD = {
+    ".abc": "`.usdc` with `--as meshes`",
+    ".bclip": "`.glb`",
+    ".bgeo": "`.geo`",
+    ".fbx": "`.glb`, of which Blender makes an .fbx file",
+    ".vdb": "`.npz` with `--as volume`",
+}
+
+
 def export_for(path: Path) -> Export | None:
     """The one whose endings the file's is among, in capitals or not."""
     return next((export for export in EXPORTS if path.suffix.lower() in export.endings), None)

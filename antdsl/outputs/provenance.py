@@ -15,10 +15,12 @@ import numpy as np
 
 import antdsl
 from antdsl.bounded import read_bounded
+from antdsl.diagnostics.model import printable
 from antdsl.limits import MIB
 from antdsl.machine_code import machine
-from antdsl.outputs.cache.manifest import Provenance
+from antdsl.outputs.cache.manifest import ManifestError, Provenance, read_manifest
 from antdsl.resources import behaviours_folder, grammar_folder
+from antdsl.scene.paths import GRANTED
 from antdsl.scene.values import FrameRange
 
 _ENDINGS = (".py", ".ant", ".json", ".lark")  # what a result may depend on
@@ -34,10 +36,27 @@ def provenance(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, s
 def command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> str:
     """The command that makes the same frames. It names no folder and nothing that changes no result, such as `--out` and
     `--threads`: the same run gives the same bytes wherever it is, and a cache that is passed on tells nothing of a machine."""
+    return shlex.join(_words(scene, frames, seed, inputs))[:_LONGEST]
+
+
+def resume_command(folder: Path) -> str:
+    """The command that completes a cache or makes its damaged frames again, as far as its manifest says. Every word of the
+    manifest is quoted: it may be a stranger's."""
+    try:
+        manifest = read_manifest(folder)
+    except ManifestError:
+        return f"antdsl run SCENE --out {shlex.quote(str(folder))} --resume"
+    there = os.path.normpath(folder / manifest.scene_path) if manifest.scene_path is not None else manifest.scene
+    words = _words(there, FrameRange(manifest.first, manifest.last), manifest.seed, manifest.inputs)
+    roots = sorted({found[1] for name in manifest.inputs if (found := GRANTED.fullmatch(name))})
+    words += [word for name in roots for word in ("--root", f"{name}=FOLDER")]
+    return printable(shlex.join([*words, "--out", str(folder), "--resume"])[:_LONGEST])
+
+
+def _words(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> list[str]:
     changes = [f"{name.removeprefix('--set ')}={text}" for name, text in inputs.items() if name.startswith("--set ")]
     sets = [word for change in changes for word in ("--set", change)]
-    words = ["antdsl", "run", scene, "--frames", f"{frames.first}..{frames.last}", "--seed", str(seed), *sets]
-    return shlex.join(words)[:_LONGEST]
+    return ["antdsl", "run", scene, "--frames", f"{frames.first}..{frames.last}", "--seed", str(seed), *sets]
 
 
 @cache

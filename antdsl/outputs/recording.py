@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache.body_arrays import KeptBodies
 from antdsl.outputs.cache.cache_reader import Cache, CacheError, checkpoint_path
-from antdsl.outputs.cache.cache_writer import CacheWriter, Whole, prepare_folder, read_checkpoint, whole_part
+from antdsl.outputs.cache.cache_writer import CacheWriter, DifferentInputs, Whole, prepare_folder, read_checkpoint, whole_part
 from antdsl.outputs.cache.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.cache.hashes import Line
 from antdsl.outputs.cache.manifest import CameraEntry, way_to
@@ -29,6 +29,7 @@ from antdsl.runtime import CheckpointError, Options, World, bind, emitted_since,
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.model import Camera, millimetres
 from antdsl.scene.setting import CameraData
+from antdsl.scene.values import FrameRange
 
 
 @dataclass(slots=True, eq=False)
@@ -85,7 +86,10 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
     inputs, options = {**shot.inputs, **start_hash(shot)}, replace(options, feet=True)
     kept: Whole | None = None
     if resume:
-        kept = whole_part(folder, inputs, shot.frames.first, shot.frames.last)
+        try:
+            kept = whole_part(folder, inputs, shot.frames.first, shot.frames.last)
+        except DifferentInputs as why:
+            raise _chosen_otherwise(shot, inputs, why) from None
         if kept is None and any((folder / "frames").glob("frame.*.npz")):
             raise NothingToResume(f"`{folder}` has frames and no readable manifest")
     prepare_folder(folder, force=force)
@@ -100,6 +104,22 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
     if recording.resumed_from is None:
         start_from_cache(shot, recording.world)
     return recording
+
+
+def _chosen_otherwise(shot: Shot, inputs: Mapping[str, str], found: DifferentInputs) -> DifferentInputs:
+    """The same with the seed, the first frame and `--set` in words, where they are what differs."""
+    then, scene, names = found.manifest, shot.scene, list(found.names)
+    choices = []
+    frames = FrameRange(then.first, max(then.first, shot.frames.last))
+    if "scene" in names and scene.changed(seed=then.seed, frames=frames).digest() == then.inputs.get("scene"):
+        names.remove("scene")
+        choices += [f"with seed {then.seed}, not {scene.model.seed}"] if then.seed != scene.model.seed else []
+        choices += [f"from frame {then.first}, not {shot.frames.first}"] if then.first != shot.frames.first else []
+    for name in [name for name in names if name.startswith("--set ")]:
+        names.remove(name)
+        before, now = (f"`{name}={each[name]}`" if name in each else "" for each in (then.inputs, inputs))
+        choices.append(f"with {before}, not {now}" if before and now else f"with {before}" if before else f"without {now}")
+    return DifferentInputs(then, names, choices)
 
 
 def _go_on(recording: Recording, kept: Whole, options: Options) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -14,9 +15,15 @@ from pathlib import Path
 
 from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
 
-_DEVICES = frozenset(["con", "prn", "aux", "nul", *(f"com{i}" for i in range(10)), *(f"lpt{i}" for i in range(10))])
-_PART = re.compile(r"[A-Za-z0-9_.,+@()#;=&! \u00a1-\uffff\-]+")
-_GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
+_DEVICES = frozenset(
+    ["con", "prn", "aux", "nul", "conin$", "conout$", *(f"{name}{i}" for name in ("com", "lpt") for i in "0123456789¹²³")]
+)
+_VARIABLE = re.compile(r"\$(?:[A-Za-z_][A-Za-z0-9_]*|\{[^}/]*\}?|\([^)/]*\)?)|%[A-Za-z_][A-Za-z0-9_]*%")
+_COUNTER = re.compile("%0?[0-9]*d")  # of C: programs write it for the number of a frame
+_PATTERN_SIGNS = "*?[]{}`"
+_WINDOWS_SIGNS = '<>:"|'  # no name on Windows has them
+_UNSEEN = frozenset(["Cc", "Cs", "Zl", "Zp"])  # categories of characters without a shape: control characters, surrogates, lines
+GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
 _PATH_CHARACTERS = 500
 Sought = dict[Path, Path | None]
 _sought: ContextVar[Sought | None] = ContextVar("sought", default=None)
@@ -54,7 +61,7 @@ class Roots:
 
     def locate(self, text: str) -> tuple[Path, tuple[str, ...]]:
         """The root and the parts of a path below it; PathRefused when the text names anything else. The disk is not touched."""
-        named = _GRANTED.fullmatch(text)
+        named = GRANTED.fullmatch(text)
         if named and len(named[1]) > 1:
             name, rest = named[1], named[2]
             if name in ("http", "https", "file", "ftp", "data"):
@@ -172,19 +179,41 @@ def _parts(text: str, rest: str) -> tuple[str, ...]:
         raise _refuse(text, "has a backslash", "write `/` between folders")
     if rest.startswith("/") or re.match("[A-Za-z]:", rest):
         raise _refuse(text, "is absolute", granted)
-    if rest.startswith("~") or any(c in rest for c in "$%*?<>|\"'`{}[]\0\n\r\t"):
-        raise _refuse(text, "has signs that are not expanded here", inside)
+    _check_signs(text, rest)
     parts = tuple(p for p in rest.split("/") if p != ".")
     for part in parts:
         if part == "..":
             raise _refuse(text, "leaves its folder", granted)
-        if not part or not _PART.fullmatch(part) or part[-1] in ". " or part[0] == " ":
-            raise _refuse(text, "has a part that not every system can name", inside)
-        if part.split(".")[0].lower() in _DEVICES:
-            raise _refuse(text, "names a device", inside)
+        if not part:
+            raise _refuse(text, "has a `/` with no name before or after it", inside)
+        if part[-1] in ". " or part[0] == " ":
+            where = "begins with a blank" if part[0] == " " else f"ends with a {'dot' if part[-1] == '.' else 'blank'}"
+            raise _refuse(text, f"has a name that {where}, which Windows drops", f"rename `{part}`")
+        if part.split(".")[0].rstrip(" ").lower() in _DEVICES:
+            raise _refuse(text, "names a device", f"rename `{part}`: Windows has a device of that name")
     if not parts:
         raise _refuse(text, "names no file", inside)
     return parts
+
+
+def _check_signs(text: str, rest: str) -> None:
+    """PathRefused where a path has characters that a file cannot have on every system, or that a shell would expand."""
+    if rest.startswith("~"):
+        raise _refuse(text, "begins with `~`, which is not expanded here", "write a path below the scene's folder, or `./~…`")
+    if found := _COUNTER.search(rest):
+        raise _refuse(text, f"has `{found[0]}`, which is not expanded here", "write `####` for the number of a frame")
+    if found := _VARIABLE.search(rest):
+        help = "write the path below the scene's folder, or rename a file that is called so"
+        raise _refuse(text, f"has `{found[0]}`, and variables are not expanded here", help)
+    for sign in rest:
+        shown = "a backtick" if sign == "`" else f"`{sign}`"
+        if sign in _WINDOWS_SIGNS:
+            raise _refuse(text, f"has {shown}, which no name on Windows can have", f"rename the file without {shown}")
+        if sign in _PATTERN_SIGNS:
+            help = f"name one file; rename a file that has {shown} in its name"
+            raise _refuse(text, f"has {shown}, and patterns are not expanded here", help)
+        if unicodedata.category(sign) in _UNSEEN:
+            raise _refuse(text, f"has a character that cannot be seen, U+{ord(sign):04X}", "rename the file without it")
 
 
 def _refused(problem: OSError, shown: str) -> PathRefused:

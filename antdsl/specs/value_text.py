@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,8 @@ import numpy as np
 from antdsl.program.model import Kind, Type
 from antdsl.program.tables.units import measure
 from antdsl.runtime.world import World
+
+_PLACES = 6  # after the point of a coordinate
 
 
 def shown(world: World, value: Any, type: Type, unit: str, whole: bool = False) -> str:
@@ -34,8 +38,19 @@ def whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], 
         state = machine.states[int(population.now[f"{machine.name}.state"][row])]
         since = float(population.now[f"{machine.name}.time_in_state"][row])
         found.append(("state" if machine.name == "main" else machine.name, f"{state}, for {since:.4g} s"))
-    place = (population.position[row] + world.origin) / world.setting.unit_mm
-    return (*found, ("position", ", ".join(f"{part + 0.0:.4g}" for part in place)))
+    return (*found, ("position", place_text(population.position[row], world.origin, world.setting.unit_mm)))
+
+
+def place_text(position: Iterable[float], origin: Iterable[float], unit_mm: float) -> str:
+    """The coordinates of a position, in mm and relative to an origin, in a unit: with four digits of what is relative to the
+    origin, and at least one after the point."""
+    return ", ".join(_coordinate(float(x) / unit_mm, float(o) / unit_mm) for x, o in zip(position, origin, strict=True))
+
+
+def _coordinate(relative: float, origin: float) -> str:
+    places = 3 - math.floor(math.log10(abs(relative))) if relative and math.isfinite(relative) else 1
+    text = f"{origin + relative:.{min(max(places, 1), _PLACES)}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
 
 
 def _state(world: World, index: int, machine: str) -> str:

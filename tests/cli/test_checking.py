@@ -78,7 +78,7 @@ def test_reports_come_back_complete_and_share_their_texts() -> None:
     other = Source("b.ant", "")
     span = Span(text, 2, 9)
     full = Diagnostic("code", "message", span, "warning", "help", (Label(Span(other, 0, 0), "why"),), Fix(span, "new"))
-    report = Report([full, Diagnostic("bare", "m", None)])
+    report = Report([full, Diagnostic("bare", "m", None)], [Diagnostic("answered", "m", span)])
     reports, sources = decode_reports(encode_reports({Path("x/a.ant"): report, Path("b"): Report()}, [text, other]))
     assert repr(reports) == repr({Path("x/a.ant"): report, Path("b"): Report()})
     assert [repr(source) for source in sources] == [repr(text), repr(other)]

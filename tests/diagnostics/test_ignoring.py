@@ -9,9 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from antdsl.checking import check_all
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.codes import CODES, MESH_CODES, RUN_CODES, STRICT_CODES
 from antdsl.diagnostics.ignoring import comments, judged, without_ignored
 from antdsl.files import find_files
-from antdsl.pipeline import check_path
+from antdsl.pipeline import Choices, check_path
 from antdsl.source import Source
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -113,3 +116,31 @@ def test_beside_an_error_nobody_says_that_a_comment_ignores_nothing(tmp_path: Pa
     report = check_path(file)[1]
     said = judged(report, [Source(str(file), file.read_text())])
     assert [d.code for d in said.diagnostics] == ["unknown-library"]
+
+
+def test_codes_that_were_not_looked_for_are_not_judged(tmp_path: Path) -> None:
+    """Only a run finds `no-room`, and an editor reads no meshes."""
+    source = Source("scene.yaml", "antdsl: 1  # antdsl: ignore[no-room, far-away, flicker] all three are meant\n")
+    for meshes, idle in ((True, ["far-away", "flicker"]), (False, ["flicker"])):
+        found = judged(Report(), [source], meshes=meshes).diagnostics
+        assert [(d.code, d.message.split("`")[1]) for d in found] == [("ignored-nothing", code) for code in idle]
+    assert CODES.keys() >= STRICT_CODES | MESH_CODES | RUN_CODES
+
+
+def test_a_scene_that_writes_an_attribute_reads_it(tmp_path: Path) -> None:
+    told(tmp_path)
+    program = tmp_path / "walker.ant"
+    scene = "antdsl: 1\ncrowd: [{species: walker, from: walker.ant, count: 1}]\n"
+    (tmp_path / "plain.yaml").write_text(scene)
+    assert [d.code for d in check_path(tmp_path / "plain.yaml")[1].diagnostics] == ["unread-attribute"]
+    (tmp_path / "written.yaml").write_text(scene + "output: {attributes: [P, energy]}\n")
+    assert check_path(tmp_path / "written.yaml")[1].diagnostics == []
+    files, report = find_files([tmp_path])
+    checked = check_all(files, Choices())
+    for file in files:
+        report.extend(checked.reports[file])
+    assert len(files) == 3 and report.diagnostics == []
+    # the comment is needed where the program is checked alone, so nobody says that it ignores nothing
+    assert told(tmp_path, beside="# antdsl: ignore[unread-attribute] the renderer reads it") == []
+    report = check_path(tmp_path / "written.yaml")[1]
+    assert judged(report, [Source(str(program), program.read_text())]).diagnostics == []

@@ -230,6 +230,14 @@ def test_a_run_reports_how_many_no_path_leads_on_from_and_a_spec_can_ask(tmp_pat
     assert done.returncode == 0
     assert "warning[unreachable-target]: 7 of 7 `walker` stand where no path leads to the target of `drift`" in done.stderr
     assert "scene.yaml:6:19" in done.stderr and "`bird`" not in done.stderr and "when not reachable(drift)" in done.stderr
+    aware = WALKER.replace(
+        "steer along(drift) }", "steer along(drift); when not reachable(drift) -> idle }; state idle { steer halt() }"
+    )
+    (tmp_path / "walker.ant").write_text(aware.replace("walker { ", "walker { start s; ", 1))
+    done = command("run", "scene.yaml", "-q", cwd=tmp_path)
+    assert "warning[unreachable-target]" in done.stderr and "ignore[unreachable-target] WHY" in done.stderr
+    assert "when not" not in done.stderr
+    (tmp_path / "walker.ant").write_text(WALKER)
     done = command("test", "walker.ant", "--no-keep", cwd=tmp_path)
     assert done.returncode == 1 and "reachable(drift)" in done.stdout
     (tmp_path / "scene.yaml").write_text(SCENE.replace("COUNT", "0"))

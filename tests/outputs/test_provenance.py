@@ -115,3 +115,34 @@ def test_what_a_stranger_wrote_there_is_bounded_and_shown_without_escapes(
     if not readable:
         with pytest.raises(ManifestError, match="damaged"):
             read_manifest(cache)
+
+
+def test_the_command_that_continues_a_cache_is_that_of_its_manifest(tmp_path: Path) -> None:
+    cache = made(tmp_path / "it's", "--seed", "7", out="out/scene")
+    (cache / "frames" / "frame.0002.npz").unlink()
+    words = shlex.split(provenance.resume_command(cache))
+    assert words[1:] == [
+        "run", str(cache.parents[1] / "scene.yaml"), "--frames", "1..2", "--seed", "7", "--out", str(cache), "--resume",
+    ]  # fmt: skip
+    done = run("info", str(cache), cwd=tmp_path)
+    assert f"no; go on with: {shlex.join(words)}" in done.stdout
+    assert run(*words[1:], "-q", cwd=tmp_path).returncode == 0
+    assert "complete     yes" in run("info", str(cache), cwd=tmp_path).stdout
+    done = run(*words[1:5], "--seed", "8", *words[7:], cwd=tmp_path)
+    assert done.returncode == 1 and "error: the cache was made with seed 7, not 8" in done.stderr
+    done = run(*words[1:3], "--frames", "2..3", *words[5:], cwd=tmp_path)
+    assert done.returncode == 1 and "error: the cache was made from frame 1, not 2" in done.stderr
+
+
+def test_a_strangers_manifest_puts_no_command_into_the_advice(tmp_path: Path) -> None:
+    cache = made(tmp_path / "p")
+    path = cache / MANIFEST
+    document = json.loads(path.read_text())
+    document["scene_path"] = None
+    document["scene"] = "a; rm -rf $(x)"
+    document["inputs"] |= {"--set w.pace": "1; ls", "assets:a.ply": "0", "scene": "0"}
+    path.write_text(json.dumps(document))
+    words = shlex.split(provenance.resume_command(cache))
+    assert words[2] == "a; rm -rf $(x)" and "w.pace=1; ls" in words and "assets=FOLDER" in words
+    path.unlink()
+    assert provenance.resume_command(cache) == shlex.join(["antdsl", "run", "SCENE", "--out", str(cache), "--resume"])

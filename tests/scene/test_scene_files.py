@@ -79,6 +79,7 @@ def opened(folder: Path, scene: str, **choices: object) -> tuple[Shot | None, Re
         "file:///etc/passwd", "http://host/x.ply", "assets:x.ply", "con", "aux.ply", "sub/NUL.ply", "x.ply:stream",
         "x.ply.", "x.ply ",
         "x\0.ply", "$HOME/x.ply", "%APPDATA%/x", "*.ply", "", ".", "a//b.ply", "x" * 600,
+        "conin$", "com¹.ply", "con .ply", "\ud800.ply",
     ],
 )  # fmt: skip
 def test_paths_are_refused_before_the_disk_is_touched(bad: str) -> None:
@@ -86,6 +87,41 @@ def test_paths_are_refused_before_the_disk_is_touched(bad: str) -> None:
     with pytest.raises(PathRefused) as refused:
         roots.locate(bad)
     assert refused.value.code in ("bad-path", "root-not-granted")
+
+
+def test_names_that_every_system_can_have_are_accepted() -> None:
+    roots = Roots(Path("/there/is/no/such/folder"), {})
+    for name in ("it's.ply", "a^b.ply", "a~b.ply", "50%.ply", "a&b;c!=@+,#.ply", "a$5 (1).ply", "é蟻🐜.ply"):
+        assert roots.locate(f"meshes/{name}") == (roots.folder, ("meshes", name))
+    assert roots.locate("./~b.ply")[1] == ("~b.ply",)
+
+
+@pytest.mark.parametrize(
+    ("bad", "words", "cure"),
+    [
+        ('a"b.ply', 'has `"`, which no name on Windows', 'rename the file without `"`'),
+        ("a<b.ply", "has `<`", "rename the file without `<`"),
+        ("a|b.ply", "has `|`", "rename the file without `|`"),
+        ("x.ply:s", "has `:`", "rename the file without `:`"),
+        ("wall?.ply", "has `?`, and patterns are not expanded", "name one file"),
+        ("[1].ply", "has `[`", "rename a file that has `[`"),
+        ("{a,b}.ply", "has `{`", "name one file"),
+        ("a`b.ply", "has a backtick", "name one file"),
+        ("a${HOME}.ply", "has `${HOME}`, and variables", "below the scene's folder"),
+        ("$(ls).ply", "has `$(ls)`", "rename a file"),
+        ("w.%04d.ply", "has `%04d`", "write `####`"),
+        ("~x.ply", "begins with `~`", "`./~…`"),
+        ("a\x1b.ply", "U+001B", "rename the file"),
+        ("a/b.", "ends with a dot", "rename `b.`"),
+        ("a /b", "ends with a blank", "rename `a `"),
+        ("a//b", "no name before or after", "meshes/ground.ply"),
+        ("aux.ply", "names a device", "rename `aux.ply`"),
+    ],
+)
+def test_a_path_that_is_refused_names_the_sign_and_the_cure(bad: str, words: str, cure: str) -> None:
+    with pytest.raises(PathRefused) as refused:
+        Roots(Path("/there/is/no/such/folder"), {}).locate(bad)
+    assert words in refused.value.message and cure in (refused.value.help or "")
 
 
 def test_links_pipes_folders_and_neighbours_are_refused(tmp_path: Path) -> None:

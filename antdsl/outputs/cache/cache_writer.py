@@ -7,7 +7,7 @@ import math
 import os
 import stat
 import time
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -53,11 +53,13 @@ class InTheWay(Exception):
 
 
 class DifferentInputs(Exception):
-    """The cache was made from other inputs; `names` says which differ."""
+    """The cache was made from other inputs: `names` are those of inputs, `choices` say in words what was chosen otherwise."""
 
-    def __init__(self, names: list[str]) -> None:
-        super().__init__("the cache belongs to different inputs: " + ", ".join(f"`{name}`" for name in names))
-        self.names = names
+    def __init__(self, manifest: Manifest, names: list[str], choices: Sequence[str] = ()) -> None:
+        found = [f"the cache was made {' and '.join(choices)}"] if choices else []
+        found += [f"the cache belongs to different inputs: {', '.join(f'`{name}`' for name in names)}"] if names else []
+        super().__init__("; ".join(found))
+        self.manifest, self.names = manifest, names
 
 
 def prepare_folder(folder: Path, *, force: bool) -> None:
@@ -146,7 +148,7 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
     then = cache.manifest.inputs
     different = [name for name in {**then, **inputs} if then.get(name) != inputs.get(name)]
     if different:
-        raise DifferentInputs(sorted(different))
+        raise DifferentInputs(cache.manifest, sorted(different))
     if cache.manifest.state_hash != STATE_HASH:
         raise OtherHashes(folder)
     lines, there = cache.lines(), max(cache.frames(), default=None)

@@ -57,7 +57,7 @@ def _attribute(checked: Checked, species: Species, attribute: AttributeDecl, rep
             "unread-attribute",
             f"attribute `{attribute.name}` is set and never read",
             attribute.span,
-            f"ask for it: `when {attribute.name} … -> …`, or delete it",
+            f"ask for it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it",
         )
     elif read and not written and attribute.relax_to is None and isinstance(attribute.default, (Const, NoneRef)):
         value = quoted(attribute.default.span)

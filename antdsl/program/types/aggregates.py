@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Container
 from dataclasses import replace
 from typing import cast
@@ -354,7 +355,11 @@ def _whom(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Type | None:
     if len(able) == 1:
         return Type(Kind.SPECIES, of=able[0])
     text, names = " ".join(asked.span.text.split()), sorted(able or declared.species)
-    advice = f"name the species: `{node.function.span.text}({names[0] if names else 'walker'}.{text})`"
+    name = names[0] if names else "walker"
+    if re.match(r"[a-z_][a-z0-9_]*\b(?!\s*\()", text):
+        advice = f"name the species: `{node.function.span.text}({name}.{text})`"
+    else:  # a sense has no owner to name
+        advice = f"name the species: `count(a in {name}: {text})`, or ask in `each {name} {{ … }}`"
     scope.report.error("wrong-argument", f"{quoted(node.span)} does not say of whom", node.span, advice)
     return None
 

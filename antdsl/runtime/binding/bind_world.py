@@ -30,9 +30,8 @@ from antdsl.runtime.feet import walking
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.moving.moving_geometry import curve
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
+from antdsl.scene.origin import world_origin
 from antdsl.scene.setting import FlowData, MeshData, Setting
-
-_FAR = 1e5  # mm: a scene that lies farther out than this is moved to its own middle, or float32 would see it in steps
 
 
 class BindError(ValueError):
@@ -67,7 +66,7 @@ def unpeopled(
 ) -> World:
     """As `bind`, with nobody in it yet. `origin` is one that positions are counted from already."""
     options, built = options or Options(), built or Built()
-    origin = _origin(setting) if origin is None else origin
+    origin = world_origin(setting) if origin is None else origin
     up = np.asarray(setting.up, np.float64)
     meshes = {name: _moved(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
     solids = _solids(setting, origin, built)
@@ -108,19 +107,6 @@ def set_param(world: World, name: str, value: float) -> None:
     if name not in world.plan.params:
         raise KeyError(name)
     world.params[name] = np.float32(value)
-
-
-def _origin(setting: Setting) -> NDArray[np.float64]:
-    """What to take from all positions, whole metres; nothing where the scene lies about its zero."""
-    meshes = setting.surfaces or {name: solid.mesh for name, solid in setting.solids.items()}
-    meshes = meshes or setting.obstacles  # one more stone moves nothing
-    places = [m.vertices for m in meshes.values() if len(m.vertices)]
-    places = places or [np.array([i.position for items in setting.items.values() for i in items], np.float64).reshape(-1, 3)]
-    points = np.concatenate(places)
-    if not len(points):
-        return np.zeros(3)
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    return np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > _FAR else np.zeros(3)
 
 
 def _moved(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:

@@ -15,6 +15,8 @@ from antdsl.scene import Scene
 from antdsl.scene.setting import SolvedFlow
 
 _HELP = "open a way for it, move the target or the crowd, or write what they do there: `when not reachable({flow}) -> …`"
+_REACHABLE = "flow.reachable"
+_ASKED = "open a way for it, or move the target or the crowd; if it is meant: `# antdsl: ignore[unreachable-target] WHY`"
 
 
 def start_findings(scene: Scene, world: World) -> Report:
@@ -30,10 +32,12 @@ def start_findings(scene: Scene, world: World) -> Report:
             report.warning("unreachable-target", words, scene.span("world", name, key=True), help)
         for species, plan in world.plan.species.items():
             count = len(world.populations[species])
-            cut_off = count - reaching(world, species, name) if count and name in _flows_read(plan) else 0
+            uses = _flow_uses(plan).get(name, set())
+            cut_off = count - reaching(world, species, name) if count and uses - {_REACHABLE} else 0
             if cut_off:
                 words = f"{cut_off:,} of {count:,} `{species}` stand where no path leads to the target of `{name}`"
-                report.warning("unreachable-target", words, scene.span("world", name, "solved"), _HELP.format(flow=name))
+                help = _ASKED if _REACHABLE in uses else _HELP.format(flow=name)
+                report.warning("unreachable-target", words, scene.span("world", name, "solved"), help)
     return report
 
 
@@ -54,7 +58,11 @@ def reaching(world: World, species: str, flow: str) -> int:
     return int(np.count_nonzero(world.flows[flow].reaches(world.ground.meshes, population.footing, place, up)))
 
 
-def _flows_read(species: SpeciesPlan) -> set[str]:
-    """Names of the flows that a species goes by."""
+def _flow_uses(species: SpeciesPlan) -> dict[str, set[str]]:
+    """By the name of a flow, the operations by which a species asks for it."""
+    found: dict[str, set[str]] = {}
     asked = [node for _, block in blocks(species) for _, each in statements(block) for node in operands(each)]
-    return {str(node.attrs[0]) for node in needed([*asked, *species.lazy]) if node.op.startswith("flow.")}
+    for node in needed([*asked, *species.lazy]):
+        if node.op.startswith("flow."):
+            found.setdefault(str(node.attrs[0]), set()).add(node.op)
+    return found

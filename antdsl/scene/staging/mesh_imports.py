@@ -24,18 +24,19 @@ from antdsl.scene.geometry.welding import (
     welded,
 )
 from antdsl.scene.model import HeightThing, MeshThing, UsdThing
+from antdsl.scene.origin import world_origin
 from antdsl.source import Span
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
 
-_FAR = 1e7  # mm from the zero point: farther out than most scenes are on purpose
+_FAR = 2.0**23  # mm from the origin of the world: beyond it a float32 has steps of a millimetre
 _MANY = 20  # one of so many faces removed by welding is worth a warning
 _DEFAULT_WELD = 0.01  # of a voxel: what is finer is lost in voxels anyway
 
 
-def report_losses(staging: Staging, shown: str, raw: RawMesh, mesh: stage_of.MeshData, span: Span | None) -> None:
-    """Warn of what of a mesh file is not in the scene, or lies too far out."""
+def report_losses(staging: Staging, shown: str, raw: RawMesh, span: Span | None) -> None:
+    """Warn of what of a mesh file is not in the scene."""
     report, notes = staging.report, raw.notes
     if raw.dropped:
         faces = "face" if raw.dropped == 1 else "faces"
@@ -50,9 +51,19 @@ def report_losses(staging: Staging, shown: str, raw: RawMesh, mesh: stage_of.Mes
         more = f" and {len(skipped) - 8} more" if len(skipped) > 8 else ""
         words = f"`{shown}` has content that is not read: {', '.join(skipped[:8])}{more}"
         report.warning("unread-content", words, span, "export as triangles or polygons what agents should meet")
-    if np.abs(mesh.vertices).max() > _FAR:
-        words, help = f"the mesh `{shown}` lies more than 10 km from the origin", "move it with `at`, or check its `units`"
-        report.warning("far-away", words, span, help)
+
+
+def report_distances(staging: Staging, setting: stage_of.Setting) -> None:
+    """Warn of meshes that reach so far from the origin of their world that positions there are coarse."""
+    origin, world = world_origin(setting), staging.scene.model.world
+    walked = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
+    for name, mesh in (walked or setting.obstacles).items():  # no agent comes near an obstacle beyond all surfaces
+        away = max(float(np.abs(edge(mesh.vertices, axis=0) - origin).max()) for edge in (np.min, np.max))
+        if away > _FAR:
+            key = next(key for key in ("mesh", "height", "prim") if hasattr(world[name], key))
+            words = f"`{name}` reaches {away / 1e6:,.0f} km from the middle of the world, where positions have steps of 1 mm"
+            help = "move its parts closer together with `at`, or check its `units`"
+            staging.report.warning("far-away", words, staging.scene.span("world", name, key), help)
 
 
 def weld_thing(

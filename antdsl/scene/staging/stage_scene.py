@@ -41,7 +41,14 @@ from antdsl.scene.model import (
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.item_placement import check_crowds, items_of
-from antdsl.scene.staging.mesh_imports import check_live, close_solid, mesh_imports, report_losses, weld_thing
+from antdsl.scene.staging.mesh_imports import (
+    check_live,
+    close_solid,
+    mesh_imports,
+    report_distances,
+    report_losses,
+    weld_thing,
+)
 from antdsl.scene.staging.moves import MeshMoves, Moves
 from antdsl.scene.staging.stage_crowd import length, place, point, walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flows
@@ -191,6 +198,7 @@ def stage(
         imports=mesh_imports(staging, {**surfaces, **obstacles, **{name: solid.mesh for name, solid in solids.items()}}),
         spans={name: scene.span("world", name) for name in model.world},
     )
+    report_distances(staging, made)
     return made, staging.report, staging.hashes
 
 
@@ -264,7 +272,7 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
         return None
     staging.raw[name] = raw
     mesh = weld_thing(staging, name, value, mesh)
-    report_losses(staging, shown, raw, mesh, span)
+    report_losses(staging, shown, raw, span)
     return mesh
 
 

@@ -86,7 +86,7 @@ ROWS = [
     ply("M5 a face of two corners", b"3 0 2 3", b"2 0 2", "unread-content", "fewer than three"),
     Row("A5 CRLF in a text ply", "", files={"ground.ply": GROUND.replace(b"\n", b"\r\n")}, frames=2),
     Row("A5 blank lines in a text ply", "", files={"ground.ply": GROUND.replace(b"100 0 100\n", b"100 0 100\n\n  \n")}, frames=2),
-    Row("M10 vertices 20 km out", "far-away", files={"ground.ply": GROUND.replace(b"100 0 ", b"100 20000000 ")}),
+    Row("M10 a vertex 20 km out", "far-away", files={"ground.ply": GROUND.replace(b"100 0 ", b"100 20000000 ", 1)}),
     Row("M1 binary quads", "", files={"ground.ply": binary(QUAD, 1)}, frames=2),
     Row("M1 quads and triangles", "", files={"ground.ply": binary(QUAD + struct.pack("<B3i", 3, 0, 1, 3), 2)}, frames=2),
     Row(
