@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.diagnostics import Label, Report
-from antdsl.program.model import Const, Expr, Op, ParamRef, Program
-from antdsl.program.tables.vocabulary import LENGTH
+from antdsl.diagnostics import Report
+from antdsl.program.model import Program
 from antdsl.scene import setting as stage_of
 from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.document import Key
@@ -25,10 +24,9 @@ from antdsl.scene.geometry.closed import check_sides
 from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import RawMesh, mesh_area, placed, read_mesh, sound, within_reach
+from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, sound, within_reach
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.load import Scene
-from antdsl.scene.matching import const_base
 from antdsl.scene.model import (
     UNIT_MM,
     CurveThing,
@@ -50,13 +48,12 @@ from antdsl.scene.staging.mesh_imports import (
     weld_thing,
 )
 from antdsl.scene.staging.moves import MeshMoves, Moves
+from antdsl.scene.staging.size_checks import check_cells, check_scale, refuse_if_many
 from antdsl.scene.staging.stage_crowd import length, place, point, walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flows
 from antdsl.scene.staging.stage_things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh
 
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-_WIDEST = 1e6  # body lengths: ants in a whole county
-_COARSEST, _FINE = 1 / 3, 1 / 4  # of a body: voxels that are too wide, and good ones
 
 
 @dataclass(slots=True)
@@ -129,8 +126,8 @@ def stage(
         check_sides(staging, name, mesh)
     solids = _solids(staging)
     if staging.report.ok:
-        _check_cells(staging, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
-        _check_scale(staging, surfaces, solids)
+        check_cells(staging, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
+        check_scale(staging, surfaces, solids)
     curves = _curves(staging)
     laid = {name: found for name in model.world if (found := items_of(staging, name, surfaces)) is not None}
     items = {name: found for name, (found, _) in laid.items()}
@@ -321,77 +318,13 @@ def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
             continue
         edge = value.voxel.length(scene.model.unit_mm)
         across = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
-        _refuse_if_many(
+        refuse_if_many(
             staging, across[0] * across[1] * across[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
         )
         found[name] = stage_of.SolidData(mesh, edge)
         if staging.report.ok:
             found[name] = close_solid(staging, name, value, found[name])
     return found
-
-
-def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
-    for name, declared in staging.program.fields.items():
-        if not isinstance(declared.cell, Const):
-            continue
-        edge = const_base(declared.cell, staging.scene)
-        if edge <= 0:
-            continue
-        area = sum(mesh_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
-        place = declared.surfaces[0] if declared.surfaces else ""
-        # a plane that lies aslant touches up to 1.7 times the voxels of its area; one each for the area is the least
-        labels = (Label(declared.cell.span, "the cell's size"),)
-        _refuse_if_many(
-            staging, area / (edge * edge), limits.FIELD_CELLS, f"the field `{name}`", "cells", edge, "world", place, labels=labels
-        )
-
-
-def _check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData]) -> None:
-    """Warn of a surface hardly larger than who walks on it, or so large that its units are likely wrong; of voxels too coarse
-    for those who walk and dig there."""
-    for line in staging.scene.model.crowd:
-        species = staging.program.species.get(line.species)
-        size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
-        length = _some_length(size, staging) if size is not None else None
-        if length is None:
-            continue
-        for name, mesh in surfaces.items():
-            width = float(np.ptp(mesh.vertices, axis=0).max())
-            if not 3 * length <= width <= _WIDEST * length:
-                words = f"`{name}` is {width:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
-                staging.report.warning(
-                    "odd-scale", words, staging.scene.span("world", name), "say the mesh's `units`, such as `units: m`"
-                )
-        for name, solid in solids.items():
-            if solid.voxel > _COARSEST * length:
-                words = f"voxels of `{name}` are {solid.voxel:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
-                place, help = staging.scene.span("world", name, "voxel"), f"write `voxel: {_FINE * length:.3g} mm` or less"
-                staging.report.warning("odd-scale", words, place, help)
-
-
-def _some_length(expression: Expr, staging: Staging) -> float | None:
-    """The first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres."""
-    stack: list[Expr | None] = [expression]
-    while stack:
-        part = stack.pop()
-        if isinstance(part, Const) and part.type.dim == LENGTH and part.number > 0:
-            return const_base(part, staging.scene)
-        if isinstance(part, ParamRef):
-            stack.append(staging.program.params[part.name].default)
-        elif isinstance(part, Op):
-            stack.extend(reversed(part.args))
-    return None
-
-
-def _refuse_if_many(
-    staging: Staging, count: float, cap: int, what: str, parts: str, edge: float, *path: Key, labels: tuple[Label, ...] = ()
-) -> None:
-    if count > cap:
-        size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
-        message = f"{what} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {cap:,}"
-        larger = edge * (count / cap) ** (1 / 3 if parts == "voxels" else 1 / 2)
-        help = f"write {parts[:-1]}s of {larger * 1.05:.3g} mm or more, or check the `units` of the mesh"
-        staging.report.error("too-large", message, staging.scene.span(*path), help, labels=labels)
 
 
 def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:

@@ -1,0 +1,89 @@
+"""Whether meshes, fields and voxels of a scene have sizes that fit its crowd and its limits, before anything is allocated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from antdsl import limits
+from antdsl.diagnostics import Label
+from antdsl.program.model import Const, Expr, Op, ParamRef
+from antdsl.program.tables.vocabulary import LENGTH
+from antdsl.scene import setting as stage_of
+from antdsl.scene.document import Key
+from antdsl.scene.geometry.meshes import mesh_area
+from antdsl.scene.matching import const_base
+
+if TYPE_CHECKING:
+    from antdsl.scene.staging.stage_scene import Staging
+
+_WIDEST = 1e6  # body lengths: ants in a whole county
+_COARSEST, _FINE = 1 / 3, 1 / 4  # of a body: voxels that are too wide, and good ones
+
+
+def check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
+    """Refuse fields of more cells than can be."""
+    for name, declared in staging.program.fields.items():
+        if not isinstance(declared.cell, Const):
+            continue
+        edge = const_base(declared.cell, staging.scene)
+        if edge <= 0:
+            continue
+        area = sum(mesh_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
+        place = declared.surfaces[0] if declared.surfaces else ""
+        # a plane that lies aslant touches up to 1.7 times the voxels of its area; one each for the area is the least
+        labels = (Label(declared.cell.span, "the cell's size"),)
+        refuse_if_many(
+            staging, area / (edge * edge), limits.FIELD_CELLS, f"the field `{name}`", "cells", edge, "world", place, labels=labels
+        )
+
+
+def check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData]) -> None:
+    """Warn of a surface hardly larger than who walks on it, or so large that its units are likely wrong; of voxels too coarse
+    for those who walk and dig there."""
+    for line in staging.scene.model.crowd:
+        species = staging.program.species.get(line.species)
+        size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
+        length = _some_length(size, staging) if size is not None else None
+        if length is None:
+            continue
+        for name, mesh in surfaces.items():
+            width = float(np.ptp(mesh.vertices, axis=0).max())
+            if not 3 * length <= width <= _WIDEST * length:
+                words = f"`{name}` is {width:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
+                staging.report.warning(
+                    "odd-scale", words, staging.scene.span("world", name), "say the mesh's `units`, such as `units: m`"
+                )
+        for name, solid in solids.items():
+            if solid.voxel > _COARSEST * length:
+                words = f"voxels of `{name}` are {solid.voxel:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
+                place, help = staging.scene.span("world", name, "voxel"), f"write `voxel: {_FINE * length:.3g} mm` or less"
+                staging.report.warning("odd-scale", words, place, help)
+
+
+def _some_length(expression: Expr, staging: Staging) -> float | None:
+    """The first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres."""
+    stack: list[Expr | None] = [expression]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, Const) and part.type.dim == LENGTH and part.number > 0:
+            return const_base(part, staging.scene)
+        if isinstance(part, ParamRef):
+            stack.append(staging.program.params[part.name].default)
+        elif isinstance(part, Op):
+            stack.extend(reversed(part.args))
+    return None
+
+
+def refuse_if_many(
+    staging: Staging, count: float, cap: int, what: str, parts: str, edge: float, *path: Key, labels: tuple[Label, ...] = ()
+) -> None:
+    """Report a request for more than `cap` parts with an edge of `edge` mm, at a path in the scene."""
+    if count > cap:
+        size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
+        message = f"{what} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {cap:,}"
+        larger = edge * (count / cap) ** (1 / 3 if parts == "voxels" else 1 / 2)
+        help = f"write {parts[:-1]}s of {larger * 1.05:.3g} mm or more, or check the `units` of the mesh"
+        staging.report.error("too-large", message, staging.scene.span(*path), help, labels=labels)
