@@ -74,6 +74,9 @@ def _new(path: Path, ending: str, mode: int) -> tuple[str, int]:
         except FileExistsError:
             if not left:
                 raise
+        except OSError as problem:
+            problem.filename = str(path)  # the name of the part says nothing to a person
+            raise
     raise AssertionError
 
 
@@ -160,7 +163,7 @@ def _placed(part: str, path: Path, sync: bool) -> Iterator[None]:
     except BaseException as problem:
         with suppress(OSError):
             os.unlink(part)
-        if isinstance(problem, OSError) and problem.filename in (part, Path(part)):
+        if isinstance(problem, OSError) and os.path.basename(str(problem.filename or "")) == os.path.basename(part):
             problem.filename = None
         with name_failures(path):
             raise
