@@ -39,7 +39,6 @@ from antdsl.cli import (  # noqa: E402
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
 from antdsl.cli.failures import failure, limit_threads, machine_failure  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
-from antdsl.diagnostics.model import printable  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
 COMMANDS = (
@@ -149,6 +148,8 @@ def _require_text(words: list[str]) -> None:
         try:
             word.encode()
         except UnicodeEncodeError:
+            from antdsl.diagnostics.model import printable
+
             shown = printable(os.fsencode(word).decode(errors="backslashreplace"))
             raise Stop(Exit.USAGE, f"error: the name `{shown}` is not UTF-8", "rename the file or folder") from None
 

@@ -11,7 +11,6 @@ import typer
 
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import print_result
-from antdsl.diagnostics.model import printable
 
 if TYPE_CHECKING:
     from antdsl.outputs.cache.cache_reader import Cache
@@ -23,6 +22,7 @@ def info(
     verify: bool = typer.Option(False, "--verify", help="Read everything, and compare it with what was written."),
 ) -> None:
     """Say what is in a cache and what it was made from."""
+    from antdsl.diagnostics.model import printable
     from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.outputs.cache.manifest import ManifestError
 

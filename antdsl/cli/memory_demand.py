@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl import limits
 from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
@@ -67,6 +66,8 @@ def _place(shot: Shot, work: Work) -> Span:
 
 def size_text(bytes: int) -> str:
     """So many bytes in the largest unit that fits."""
+    from antdsl import limits
+
     for unit, words in ((limits.GIB, "GiB"), (limits.MIB, "MiB"), (limits.KIB, "KiB")):
         if bytes >= unit:
             return f"{bytes / unit:,.1f} {words}"
