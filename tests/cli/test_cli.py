@@ -261,7 +261,7 @@ def test_params_are_listed_once(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_read_is_input_and_output_not_a_finding(folder: Path) -> None:
-    for words in (("check", "none.ant"), ("check", "none.yaml"), ("run", "none.yaml"), ("plan", "none.ant"), ("run", ".")):
+    for words in (("check", "none.ant"), ("check", "none.yaml"), ("run", "none.yaml"), ("plan", "none.ant")):
         done = antdsl(*words, cwd=folder)
         assert done.returncode == 3 and "error[" in done.stdout + done.stderr, words
     (folder / "bad.ant").write_text("ant 1\n")
@@ -271,6 +271,8 @@ def test_what_cannot_be_read_is_input_and_output_not_a_finding(folder: Path) -> 
 def test_wrong_use_is_told_before_anything_is_simulated(folder: Path) -> None:
     done = antdsl("run", "walker.ant", cwd=folder)
     assert done.returncode == 2 and "is a program" in done.stderr
+    done = antdsl("run", ".", cwd=folder)
+    assert done.returncode == 2 and "./scene.yaml" in done.stderr
     done = antdsl("run", "scene.yaml", "--summary", "none/summary.json", cwd=folder)
     assert done.returncode == 2 and "no folder `none`" in done.stderr and not (folder / "out").exists()
 

@@ -63,7 +63,8 @@ ALLOWED = {
     "ground/solid/meshing.py": {"skimage": "a mesh to look at; its vertices are rounded to a 4096th of a voxel"},
     "ground/solid/voxelising.py": {"log10": "digits of a size of voxels that is proposed in a message"},
     "scene/staging/stage_things.py": {"interp": "of curves and moves: products and sums of single numbers"},
-    "scene/geometry/meshes.py": {"scipy": "a tree of vertices to weld, compiled for all x86-64 processors alike"},
+    "scene/geometry/welding.py": {"scipy": "a tree of vertices to weld, compiled for all x86-64 processors alike"},
+    "scene/geometry/live_faces.py": {"scipy": "a tree of corners to join, and which of them hang together"},
     "scene/geometry/closed.py": {"log2": "how many digits a mesh's places keep while it is told whether it is closed"},
 }
 

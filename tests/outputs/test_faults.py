@@ -120,7 +120,7 @@ def test_a_run_that_another_one_overtook_writes_nothing(unbroken: Path, tmp_path
         list(record(recording))
     assert {path: path.read_bytes() for path in other.folder.rglob("*.npz")} == before
     done = ran(folder, "--resume")
-    assert done.returncode == 1 and "`scene`" in done.stderr and "without `--resume`" in done.stderr
+    assert done.returncode == 1 and "with seed 2, not 1" in done.stderr and "without `--resume`" in done.stderr
     assert ran(folder).returncode == 0
     assert_same(folder, unbroken)
 

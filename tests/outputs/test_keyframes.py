@@ -194,7 +194,12 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("words", "told"),
-    [(("keys.csv", "xforms"), "keyframes"), (("keys.usda", "points"), "xforms"), (("keys.fbx", "xforms"), ".csv")],
+    [
+        (("keys.csv", "xforms"), "keyframes"),
+        (("keys.usda", "points"), "xforms"),
+        (("keys.fbx", "xforms"), ".glb"),
+        (("keys.xyz", "xforms"), ".csv"),
+    ],
 )
 def test_forms_that_are_none_are_told(cache: Path, tmp_path: Path, words: tuple[str, str], told: str) -> None:
     done = RUN.invoke(app, ["export", str(cache), "--to", str(tmp_path / words[0]), "--as", words[1]])

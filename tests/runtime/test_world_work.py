@@ -18,7 +18,7 @@ def test_faces_cells_and_agents_are_counted() -> None:
     found = world_work(setting, {"trail": (("ground",), 2.0)}, {"ant": 40})
     assert found[0][:3] == ("surface ground", 2, "faces")
     assert found[1][:3] == ("field trail", 2500, "cells at least")
-    assert found[2] == Work("species ant", 12, "agents", 480)
+    assert found[2] == Work("species ant", 12, "agents", 12 * (2 * 40 + 600))
 
 
 @pytest.mark.parametrize("edge", [1e-9, 5e-324, 1e-150])

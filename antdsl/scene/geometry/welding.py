@@ -119,11 +119,11 @@ def openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
 
 def one_digit_down(x: float) -> float:
     """The number of one digit before x, or x itself: 0.17 gives 0.1."""
-    power = 10.0 ** np.floor(np.log10(x))
-    return float(f"{np.floor(x / power) * power:.0e}")
+    digits, _, power = f"{x:.15e}".partition("e")
+    return float(f"{digits[0]}e{power}")
 
 
 def one_digit_up(x: float) -> float:
-    """The next number of one digit: 0.17 gives 0.2."""
-    power = 10.0 ** np.floor(np.log10(x))
-    return float(f"{np.ceil(x / power * (1 + 1e-9)) * power:.0e}")
+    """The next number of one digit beyond x: 0.17 gives 0.2, and 0.2 gives 0.3."""
+    digits, _, power = f"{x:.15e}".partition("e")
+    return float(f"{int(digits[0]) + 1}e{power}")
