@@ -380,6 +380,18 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["mesh.ground.vertices", "mesh.ground.faces"])
+def test_meshes_that_the_manifest_names_are_there(tmp_path: Path, name: str) -> None:
+    """Where the file is whole and has other arrays, as one that was edited by hand."""
+    scene = project(tmp_path / "p", hills=True)
+    assert ran(scene, "--frames", "1..1")[0] == 0
+    found = open_cache(scene.parent / "out" / "scene")
+    others = {key: array for key, array in found.static().items() if key != name}
+    (found.folder / "static.npz").write_bytes(to_bytes(others))
+    with pytest.raises(CacheError, match=f"static.npz` has no `{name}`"):
+        found.static()
+
+
 def verified(folder: Path) -> tuple[int, str]:
     done = CliRunner().invoke(app, ["info", str(folder), "--verify"])
     return done.exit_code, done.output

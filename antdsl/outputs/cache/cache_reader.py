@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.hashes import HASHES, Line, checkpoint_damage, damage, read_lines, static_damage
-from antdsl.outputs.cache.manifest import MANIFEST, Manifest, read_manifest
+from antdsl.outputs.cache.manifest import MANIFEST, CameraEntry, Manifest, read_manifest
 from antdsl.outputs.cache.npz import ArrayFileError, read_npz
 
 MARKER = ".antdsl-cache"
@@ -92,8 +92,13 @@ class Cache:
         return _read(checkpoint_path(self.folder, number), number)
 
     def static(self) -> Arrays:
-        """Meshes (`mesh.NAME.vertices`, `.faces`) and places of field cells (`field.NAME.P`), in scene units."""
-        return _read(self.folder / STATIC, None)
+        """Meshes (`mesh.NAME.vertices`, `.faces`) and places of field cells (`field.NAME.P`), in scene units. CacheError also
+        where there is none of something that the manifest names."""
+        arrays = _read(self.folder / STATIC, None)
+        for name in _static_names(self.manifest, arrays):
+            if name not in arrays:
+                raise CacheError(f"`{self.folder / STATIC}` has no `{name}`, and the manifest names it")
+        return arrays
 
     def made_from(self) -> list[Path]:
         """The files of the scene that it was made from, as far as they can be told and are where they were."""
@@ -135,6 +140,17 @@ def _unread(read: Callable[[], object]) -> str | None:
     except CacheError as why:
         return str(why)
     return None
+
+
+def _static_names(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
+    """The arrays that go with what a manifest names, and with each other."""
+    for mesh in manifest.meshes:
+        if mesh.kind != "solid":
+            yield from (f"mesh.{mesh.name}.vertices", f"mesh.{mesh.name}.faces")
+    if isinstance(manifest.camera, CameraEntry) and manifest.camera.moves:
+        yield from (f"camera.{name}" for name in ("at", "look_at", "up", "focal"))
+    yield from (f"field.{field.name}.P" for field in manifest.fields)
+    yield from (f"{name.removesuffix('P')}V" for name in arrays if name.startswith("flow.") and name.endswith(".P"))
 
 
 def _read(path: Path, number: int | None, only: frozenset[str] | None = None) -> Arrays:
