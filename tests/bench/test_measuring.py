@@ -88,6 +88,7 @@ def test_costs_of_phases_add_up_to_those_of_steps() -> None:
     assert Measured.from_json(found.as_json()) == found
 
 
+@pytest.mark.slow
 def test_a_process_of_its_own_finds_out_and_a_cache_costs_more() -> None:
     found = measured(Job("node", 500, ("numpy",), turns=4, steps=8, cache=True))
     assert found.cached is not None and min(found.cached[0], found.cached[2]) > 0.5 * found.costs["numpy"].cpu_ms / 1000
