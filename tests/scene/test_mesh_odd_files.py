@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -153,3 +154,22 @@ def test_what_may_be_zero_is_told_so(tmp_path: Path) -> None:
     for line, help in (("clearance -5 mm", "write 0 or more"), ("size -4 mm", "write more than 0")):
         (tmp_path / "a.ant").write_text(WALKER.replace("  size 4 mm\n", f"  {line}\n"))
         assert help in [each.help for each in check_path(tmp_path / "a.ant")[1].diagnostics]
+
+
+# --- numbers -----------------------------------------------------------------------------------------------------------
+
+SIGNALLING = struct.pack("<I", 0x7F800001)  # a NaN of which NumPy warns where it is made a float64
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", ["a.stl", "a.ply"])
+def test_signalling_nans_are_no_finite_numbers(name: str) -> None:
+    corners = [b"\0" * 12, struct.pack("<3f", 0, 0, 9), struct.pack("<2f", 9, 0) + SIGNALLING]
+    if name == "a.stl":
+        data = b"\0" * 80 + struct.pack("<I", 1) + b"\0" * 12 + b"".join(corners) + b"\0\0"
+    else:
+        head = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        head += b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        data = head + b"".join(corners) + struct.pack("<B3i", 3, 0, 1, 2)
+    with pytest.raises(MeshError, match="finite"):
+        read_mesh(data, name)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics.model import printable
+from antdsl.numerics.float64 import to_float64
 from antdsl.scene.geometry.polygons import strip_triangles
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -155,7 +156,7 @@ class Gltf:
         if "sparse" in accessor:
             raw = self._sparse(self.object(accessor, "sparse"), raw, kind, width)
         if kind == "<f4":
-            return raw.astype(np.float64)
+            return to_float64(raw)
         whole = raw.astype(np.int64)
         if accessor.get("normalized") is not True:
             return whole

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.numerics.float64 import to_float64
 from antdsl.scene.geometry.arrays import ArrayFileError, read_archive
 from antdsl.scene.geometry.mesh_text import MeshError
 
@@ -51,7 +52,7 @@ def _image(data: bytes, form: str) -> Floats:
         raise MeshError("has several pages", "save one of them")
     if image.samples is None:
         raise MeshError(f"has no samples of 16 bits in one channel (its mode is {image.mode})", "save it as grey with 16 bits")
-    found = image.samples.astype(np.float64)
+    found = to_float64(image.samples)
     return found if image.mode == "F" else found / _GREY
 
 
@@ -79,7 +80,7 @@ def _array(data: bytes, array: str | None, layer: int | None) -> Floats:
     if found.ndim != 2:
         raise MeshError(f"has an array with {found.ndim} dimensions", "save one with rows and columns")
     _within(*found.shape)
-    return found.astype(np.float64)
+    return to_float64(found)
 
 
 def _within(rows: int, columns: int) -> None:

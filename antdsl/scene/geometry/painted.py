@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.numerics.float64 import to_float64
 from antdsl.scene.geometry.arrays import ArrayFileError, read_arrays
 from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
 from antdsl.scene.geometry.ply_body import read_columns
@@ -101,7 +102,7 @@ def _from_npz(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     missing = [name for name in names if name not in arrays]
     if missing:
         raise PaintError(f"has no array `{missing[0]}`", f"write `attribute: NAME`; the file has {_listed(list(arrays))}")
-    parts = [arrays[name].astype(np.float64) / (255.0 if arrays[name].dtype == np.uint8 else 1.0) for name in names]
+    parts = [to_float64(arrays[name]) / (255.0 if arrays[name].dtype == np.uint8 else 1.0) for name in names]
     rows = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1) if len({p.shape for p in parts}) == 1 else np.empty(0)
     rows = rows[:, None] if rows.ndim == 1 and width == 1 else rows
     if rows.ndim != 2 or rows.shape[1] != width:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.numerics.float64 import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_text import Block, MeshError, blocks, plain_text, shown
 from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
@@ -56,7 +57,7 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
     found = read_elements(data, header, wanted, notes)
     columns = found[id(vertex)]
     with np.errstate(invalid="ignore"):  # a signalling NaN warns as it is converted; what is not finite is refused later
-        points = np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1).astype(np.float64)
+        points = to_float64(np.stack([columns[axes[axis]].values for axis in "xyz"], axis=1))
     counts, indices = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for shape in (face, strips):
         if shape is None or not shape.count:
@@ -95,7 +96,7 @@ def read_columns(data: bytes, header: Header, element: Element, names: Sequence[
         found = read_elements(data, header, {id(element): names}, ImportNotes())[id(element)]
     except MeshError as why:
         raise HeaderError(str(why)) from None
-    return np.stack([found[name].values for name in names], axis=1).astype(np.float64).reshape(-1, len(names))
+    return to_float64(np.stack([found[name].values for name in names], axis=1)).reshape(-1, len(names))
 
 
 def read_elements(data: bytes, header: Header, wanted: Mapping[int, Collection[str]], notes: ImportNotes) -> dict[int, Columns]:

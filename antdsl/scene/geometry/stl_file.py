@@ -8,6 +8,7 @@ import struct
 import numpy as np
 
 from antdsl import limits
+from antdsl.numerics.float64 import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import different
 from antdsl.scene.geometry.mesh_text import Floats, MeshError, Whole, blocks, check_count, check_text, plain_text, shown
@@ -56,7 +57,7 @@ def _binary(data: bytes, notes: ImportNotes) -> Floats:
     if not is_padding:
         notes.skip(f"{rest:,} bytes after the last face")
     rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEAD)
-    return rows["corners"].reshape(-1, 3).astype(np.float64)
+    return to_float64(rows["corners"].reshape(-1, 3))
 
 
 _FACET, _VERTEX, _END, _LOOP, _SOLID, _OTHER = range(6)
