@@ -71,8 +71,10 @@ CLIP_BYTES: Final = 1 * GIB  # of all samples of the clips of one definition
 CLIP_SAMPLES: Final = 1_000_000  # of one clip
 CAPTURED: Final = 64  # joints that one point follows
 
-# foreign files: what the process that reads them may take
+# a command
 COMMAND_MEMORY: Final = 256 * MIB  # of address space, which libraries take before any work
+
+# foreign files: what the process that reads them may take
 READER_HEADER_BYTES: Final = 16 * MIB  # of the JSON of one message
 READER_BYTES: Final = 6 * GIB  # of the arrays of one message
 READER_MEMORY: Final = 1536 * MIB  # of address space, of which libraries take a half
@@ -80,7 +82,7 @@ READER_MEMORY_A_BYTE: Final = 12  # more for each byte of the files of a request
 READER_MEMORY_MOST: Final = 8 * GIB
 READER_BYTES_A_SECOND: Final = 256 * KIB  # of files that are given one second of CPU more each
 READER_SECONDS: Final = 5  # of CPU for one request about files of no size
-READER_SECONDS_A_SCENE: Final = 1_800  # of CPU for all requests of one scene, besides the seconds for the size of its files
+READER_SECONDS_A_SCENE: Final = 1_800  # of CPU for all requests of one scene, in addition to those for the size of its files
 READER_WALL_SECONDS: Final = 60  # besides four times the seconds of CPU
 USD_LAYERS: Final = 10_000  # files that one USD file is made of
 USD_LEVELS: Final = 256  # of prims below each other

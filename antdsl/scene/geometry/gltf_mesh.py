@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics.model import printable
-from antdsl.numerics.float64 import to_float64
 from antdsl.scene.geometry.gltf_file import (
     FAN,
     STRIP,
@@ -158,7 +157,7 @@ def _primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tup
     if "POSITION" not in given:
         notes.skip("primitives without positions")
         return None
-    points = to_float64(file.accessor(given["POSITION"], 3))
+    points = file.accessor(given["POSITION"], 3).astype(np.float64)
     notes.skip("morph targets", len(file.listed(primitive, "targets")))
     found, over = primitive_triangles(file, primitive, len(points))
     notes.skip("corners of an incomplete triangle", over)

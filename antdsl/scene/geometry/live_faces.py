@@ -73,10 +73,18 @@ def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
     return weld.reshape(-1, 3)
 
 
-def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
-    """Numbers of cells, one for those of an owner that have corners nearer than `grain` on both sides of a border of cells."""
+def components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
+    """A number for each of `count` things, the same for those that `pairs` (k, 2) join, directly or by others between them."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(count, count))
+    numbers: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+    return numbers
+
+
+def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
+    """Numbers of cells, one for those of an owner that have corners nearer than `grain` on both sides of a border of cells."""
     from scipy.spatial import KDTree
 
     begin = np.unique(cell, return_index=True)[1]
@@ -84,8 +92,7 @@ def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
     if not near.size:
         return cell
-    graph = coo_array((np.ones(len(near), np.int8), near.T), shape=(begin.size, begin.size))
-    number = connected_components(graph, directed=False)[1]
+    number = components(near, begin.size)
     _, least = np.unique(number, return_index=True)  # its first cell gives each its place, whatever the library's numbers
     rank = np.empty(least.size, np.int64)
     rank[np.argsort(least)] = np.arange(least.size)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.scene.geometry.closed import odd_edges
+from antdsl.scene.geometry.live_faces import components
 from antdsl.scene.geometry.matrices import different
 
 Floats = NDArray[np.float64]
@@ -28,8 +29,6 @@ def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     first of them does; and how many were moved. Their numbers stay as they are.
 
     WeldError where so many lie so near that a list of the pairs would take more memory than the mesh by far."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
     order, new, which = different(vertices)
@@ -40,8 +39,7 @@ def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
     if not len(pairs):
         return vertices, 0
-    graph = coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(len(points), len(points)))
-    number = connected_components(graph, directed=False)[1][which]
+    number = components(pairs, len(points))[which]
     first = np.full(int(number.max()) + 1, len(vertices))
     np.minimum.at(first, number, np.arange(len(vertices)))  # the first in the file, whatever the library's numbers
     made = vertices[first[number]]
@@ -86,8 +84,6 @@ class Openings:
 
 def openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
     """Measure what is open. `grain`: places nearer than this are one."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
     edges, places = odd_edges(vertices, faces, grain)
@@ -110,9 +106,7 @@ def openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
         if has_three_places(moved, faces).any() and not is_flat(moved, faces) and not len(odd_edges(moved, faces, grain)[0]):
             return Openings(gap, width, 0, 0, 0.0)
         gap *= 2
-    graph = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(len(places), len(places)))
-    piece = connected_components(graph, directed=False)[1][edges[:, 0]]
-    _, piece, count = np.unique(piece, return_inverse=True, return_counts=True)
+    _, piece, count = np.unique(components(edges, len(places))[edges[:, 0]], return_inverse=True, return_counts=True)
     largest = int(count.argmax())
     return Openings(0.0, 0.0, len(count), int(count[largest]), float(lengths[piece == largest].max()))
 

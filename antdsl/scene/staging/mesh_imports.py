@@ -55,15 +55,14 @@ def report_losses(staging: Staging, shown: str, raw: RawMesh, span: Span | None)
 
 def report_distances(staging: Staging, setting: stage_of.Setting) -> None:
     """Warn of meshes that reach so far from the origin of their world that positions there are coarse."""
-    origin, world = world_origin(setting), staging.scene.model.world
+    origin = world_origin(setting)
     walked = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
     for name, mesh in (walked or setting.obstacles).items():  # no agent comes near an obstacle beyond all surfaces
         away = max(float(np.abs(edge(mesh.vertices, axis=0) - origin).max()) for edge in (np.min, np.max))
         if away > _FAR:
-            key = next(key for key in ("mesh", "height", "prim") if hasattr(world[name], key))
             words = f"`{name}` reaches {away / 1e6:,.0f} km from the middle of the world, where positions have steps of 1 mm"
             help = "move its parts closer together with `at`, or check its `units`"
-            staging.report.warning("far-away", words, staging.scene.span("world", name, key), help)
+            staging.report.warning("far-away", words, mesh_place(staging, name)[1], help)
 
 
 def weld_thing(
@@ -164,7 +163,7 @@ def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid:
 
 
 def check_live(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
-    """An error for each surface of which no face is ground, as the ground itself has it: nobody could stand on it."""
+    """An error for each surface of which no face is ground, as the ground itself has it: no agent could stand on it."""
     if not surfaces:
         return
     used = [mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in surfaces.values()]
