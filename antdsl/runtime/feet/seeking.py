@@ -117,6 +117,7 @@ class Floor:
             if box is None:
                 continue
             near = np.flatnonzero(((points - reach <= box[1][:, None]) & (points + reach >= box[0][:, None])).all(axis=0))
+            near = _within(seen, near, points, reach) if isinstance(seen, RayScene) else near
             if not near.size:
                 continue
             if isinstance(seen, RayScene):
@@ -236,9 +237,13 @@ def _meeting(box: tuple[Places, Places], origin: Places, way: Places) -> Rows:
 
 def _close(seen: RayScene, rows: Rows, origin: Places, way: Places) -> Rows:
     """Those of some rays that a mesh may be near: by the ball about each one's middle."""
-    a, half = origin[:, rows], way[:, rows] * 0.5
-    near = seen.clearance(*(a + half)) <= _length(half) * (1 + 1e-4) + 1e-4
-    return rows[near]
+    half = way * 0.5
+    return _within(seen, rows, origin + half, _length(half))
+
+
+def _within(seen: RayScene, rows: Rows, points: Places, reach: NDArray[np.float64]) -> Rows:
+    """Those of some points that a mesh may be within `reach` of."""
+    return rows[seen.clearance(*points[:, rows]) <= reach[rows] * (1 + 1e-4) + 1e-4]
 
 
 def _on_plane(world: World, origin: Places, way: Places, found: Found) -> None:

@@ -109,7 +109,7 @@ class Feet:
             return self, np.zeros(0, np.intp)
         at = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
         known = self.ids[at] == ids if len(self.ids) else np.zeros(len(ids), np.bool_)
-        made: dict[str, Array] = {}
+        made: dict[str, Any] = {}
         for name, array in self.arrays().items():
             axis = _AXIS.get(name, 0)
             shape = list(array.shape)
@@ -149,7 +149,7 @@ def feet_hash(feet: Mapping[str, Feet]) -> str:
 def from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
     """The feet that `Feet.arrays` gave these of. Raises ValueError where they are not such of agents with these ids."""
     like = Feet.none(legs).arrays()
-    found: dict[str, Array] = {}
+    found: dict[str, Any] = {}
     for name, empty in like.items():
         array = np.asarray(arrays[name]) if name in arrays else None
         axis = _AXIS.get(name, 0)
