@@ -12,6 +12,7 @@ _TESTED = 1 << 13  # pairs of a triangle and a cell tested at once: what the tes
 _SLACK = 1e-9  # cells
 _OTHER_AXES = ((1, 2), (2, 0), (0, 1))
 _LARGEST = 2.0  # extent in cells above which a triangle is cut in four
+_NUMBERS = float(1 << 62)
 _THIN = 64.0  # cells along a triangle for each that it touches, from where on it is sliced
 
 
@@ -53,7 +54,22 @@ def _cells(
                 todo.append((quarters[a : a + _PIECE], names[a : a + _PIECE]))
         if thin.any():
             for slices, which in _slices(tri[thin]):
-                yield from _cells(slices, name[thin][which], exact, margin)
+                for found in _cells(slices, name[thin][which], exact, margin):
+                    yield _each_once(*found)
+
+
+def _each_once(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Without most of the pairs that come again: halves of a slice share cells, and so do neighbours."""
+    least = cells.min(axis=0, initial=np.iinfo(np.int64).max)
+    key = name - name.min(initial=0)
+    room = float(key.max(initial=0)) + 1
+    for axis in range(3):
+        span = int(cells[:, axis].max(initial=least[axis]) - least[axis]) + 1
+        key, room = key * span + (cells[:, axis] - least[axis]), room * span
+    if room >= _NUMBERS:
+        return cells, name
+    kept = np.unique(key, return_index=True)[1]
+    return cells[kept], name[kept]
 
 
 def _are_thin(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
