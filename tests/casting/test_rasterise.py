@@ -79,8 +79,8 @@ def test_wide_triangles_are_quartered_as_ever(monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.parametrize("way", [(1, 0, 0), (1, 0, 1), (3, 2, 4)])
 def test_a_needle_is_cut_into_no_more_parts_than_it_touches_cells(way: tuple[float, ...], monkeypatch: pytest.MonkeyPatch):
     parts = counted(monkeypatch)
-    long = 50_000.0 * np.array(way, float)
-    cells = sum(len(cells) for cells, _ in triangle_cells(np.array([[[0.3, 0.2, 0.1], long, long + [0, 0.5, 0.0]]])))
+    long, side = 50_000.0 * np.array(way, float), np.array([0, 0.5, 0.0])
+    cells = sum(len(cells) for cells, _ in triangle_cells(np.array([[[0.3, 0.2, 0.1], long, long + side]])))
     assert cells > 50_000
     assert max(parts) <= rasterise._PIECE
     assert sum(parts) <= 2 * cells
@@ -93,7 +93,7 @@ def test_two_needles_are_bound(tmp_path, monkeypatch: pytest.MonkeyPatch):
     )
     (tmp_path / "walker.ant").write_text(
         "ant 1\nuse steering\nworld { surface ground }\nfield trail on ground { cell 6 mm; half_life 12 s }\n"
-        'species walker {\n  max_speed 30 mm/s\n  state stroll "" amber {\n    steer wander() + climb(trail)\n    deposit trail 1 /s\n  }\n'
+        'species walker {\n  max_speed 30 mm/s\n  state stroll "" amber {\n    steer climb(trail)\n    deposit trail 1 /s\n  }\n'
         "  layers { state }\n}\n",
         encoding="utf-8",
     )
