@@ -136,9 +136,9 @@ def _nearest(grid, p, within):  # type: ignore[no-untyped-def]
                                     limit = np.sqrt(ahead) + off
                                     until = min(until, limit * limit)
                                     behind_it = min(behind_it, limit + off)
-                                if _farther(bound[k, 7] + off, above, from_ball, before_it):
+                                if _farther(np.float64(bound[k, 7]) + off, above, from_ball, before_it):
                                     continue
-                            elif _farther(bound[k, 7] + off, above, from_ball, behind_it):
+                            elif _farther(np.float64(bound[k, 7]) + off, above, from_ball, behind_it):
                                 continue
                             f = listed[k]
                             if f == face or before == f or second == f or third == f:
@@ -165,8 +165,9 @@ def _nearest(grid, p, within):  # type: ignore[no-untyped-def]
 @inlined
 def _apart(bound, k, p):  # type: ignore[no-untyped-def]
     """How far a place is above a face's plane, and the square distance from the middle of its ball."""
-    above = ((bound[k, 0] * p[0] + bound[k, 1] * p[1]) + bound[k, 2] * p[2]) + bound[k, 3]
-    x, y, z = p[0] - bound[k, 4], p[1] - bound[k, 5], p[2] - bound[k, 6]
+    nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
+    above = ((nx * p[0] + ny * p[1]) + nz * p[2]) + np.float64(bound[k, 3])
+    x, y, z = p[0] - np.float64(bound[k, 4]), p[1] - np.float64(bound[k, 5]), p[2] - np.float64(bound[k, 6])
     return above, x * x + y * y + z * z
 
 

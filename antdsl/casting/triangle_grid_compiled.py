@@ -191,11 +191,13 @@ def first_hit(grid, a, w):  # type: ignore[no-untyped-def]
         cell = (x * size[1] + y) * size[2] + z
         for k in range(first[cell], first[cell + 1]):
             # Most faces lie with their whole plane on one side of the ray, or with their ball beside it.
-            here = ((bound[k, 0] * a[0] + bound[k, 1] * a[1]) + bound[k, 2] * a[2]) + bound[k, 3]
-            there = here + ((bound[k, 0] * w[0] + bound[k, 1] * w[1]) + bound[k, 2] * w[2]) * most
+            nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
+            here = ((nx * a[0] + ny * a[1]) + nz * a[2]) + np.float64(bound[k, 3])
+            there = here + ((nx * w[0] + ny * w[1]) + nz * w[2]) * most
             if abs(here + there) - abs(here - there) > 2.0 * off:
                 continue
-            cx, cy, cz, away = bound[k, 4] - a[0], bound[k, 5] - a[1], bound[k, 6] - a[2], bound[k, 7] + off
+            cx, cy, cz = np.float64(bound[k, 4]) - a[0], np.float64(bound[k, 5]) - a[1], np.float64(bound[k, 6]) - a[2]
+            away = np.float64(bound[k, 7]) + off
             there = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * over, 0.0), most)
             cx, cy, cz = cx - there * w[0], cy - there * w[1], cz - there * w[2]
             if cx * cx + cy * cy + cz * cz > away * away:

@@ -71,7 +71,7 @@ def _usual(x, least, most):  # type: ignore[no-untyped-def]
     """Whether all numbers lie between two others."""
     usual = True
     for k in range(x.size):
-        usual &= x[k] > least and x[k] < most
+        usual &= np.float64(x[k]) > least and np.float64(x[k]) < most
     return usual
 
 

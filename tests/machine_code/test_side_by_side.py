@@ -87,7 +87,7 @@ def tables(
         at = rows[i]
         if at >= 0:
             a, b, c, d = consecutive(table, 4 * at, 4)
-            to[0, i], to[1, i] = a + b * shift[0, i], c - d / shift[1, i]
+            to[0, i], to[1, i] = a + b * np.float64(shift[0, i]), c - d / np.float64(shift[1, i])
             found[4 * i + whole(a)] = whole(b)
 
 
@@ -103,7 +103,7 @@ def rows(
             continue
         found = consecutive(table, 20 * which[i] + 4, 12)
         a, b, c = three(wide, i)
-        put_three(to, i, (found[0] + a, found[7] * b, c - found[10]))
+        put_three(to, i, (np.float64(found[0]) + a, np.float64(found[7]) * b, c - np.float64(found[10])))
         if found[11] > 0:
             p, q, r = three(vectors, which[i])
             put_three(wide, i, (np.float64(r), np.float64(p), np.float64(q)))

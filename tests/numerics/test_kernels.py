@@ -100,7 +100,7 @@ def unsigned(a: Array1[U64], out: Array1[U64]) -> U64:
 def floats(x: Array1[F32], y: Strided2[F64], good: Array1[BOOL], out: Array1[F32]) -> BOOL:
     some = False
     for i in range(x.size):
-        good[i] = (np.isfinite(x[i]) and x[i] > y[0, i]) or y[1, i] < 0
+        good[i] = (np.isfinite(x[i]) and np.float64(x[i]) > y[0, i]) or y[1, i] < 0
         some |= good[i]
         out[i] = np.sqrt(abs(x[i])) * np.float32(0.1) + np.floor(x[i])
     return some
@@ -210,7 +210,49 @@ def turns_of_a_tuple(k: I64) -> F64:
     return SERIES[k]
 
 
-@pytest.mark.parametrize("made", [lists, behind, other_type, unknown, turns_of_a_tuple], ids=lambda each: str(each.__name__))
+@kernel
+def mixed_types(x: Array1[F32], y: Array1[F64]) -> None:
+    y[0] = x[0] * y[0]
+
+
+@kernel
+def mixed_counts(x: Array1[F32], k: I64) -> None:
+    x[0] = x[0] * k
+
+
+@kernel
+def inexact_literal(x: Array1[F32]) -> None:
+    x[0] = x[0] * 0.1
+
+
+@kernel
+def widened_variable(x: Array1[F32]) -> F64:
+    total = 0.0
+    for k in range(x.size):
+        total = x[k]
+    return total
+
+
+NOT_IN_SUBSET = (
+    lists, behind, other_type, unknown, turns_of_a_tuple, mixed_types, mixed_counts, inexact_literal, widened_variable,
+)  # fmt: skip
+
+
+@kernel
+def literals(x: Array1[F32], y: Array1[F32]) -> None:
+    for k in range(x.size):
+        y[k] = (1 - x[k] * 0.5) / 3 if x[k] > 0 else 2.0
+
+
+def test_literals_take_the_type_of_the_other_number() -> None:
+    """As in NumPy: the products are those of float32."""
+    x = np.random.default_rng(3).normal(size=400).astype(np.float32)
+    y = np.empty_like(x)
+    literals(x, y)
+    assert np.array_equal(y, np.where(x > 0, (1 - x * np.float32(0.5)) / np.float32(3), np.float32(2)))
+
+
+@pytest.mark.parametrize("made", NOT_IN_SUBSET, ids=lambda each: str(each.__name__))
 def test_what_is_not_in_the_subset_is_told_with_its_line(made: Any) -> None:
     with pytest.raises(NotInSubset, match=f"{made.__name__}, line [0-9]+ "):
         made.text()

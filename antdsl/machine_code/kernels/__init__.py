@@ -7,7 +7,9 @@ the same operations of NumPy.
 
 The subset: whole numbers of 64 bits, float64, float32 and conditions; tuples; arrays of one to three axes, read and written by
 index (never negative); `for` over `range`, `independent`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; the
-functions of `functions`. A variable keeps the type of its first value. Loops over `range` of up to four numbers of the text are
+functions of `functions`. A variable keeps the type of its first value. Nothing mixes float32 with float64 or whole numbers: a
+number of the text takes the type of the other one, if float32 has it. Whole numbers wrap around, division by 0.0 is that of IEEE
+754, and casts to whole numbers saturate. Loops over `range` of up to four numbers of the text are
 written out. `independent(begin, end)` says that no turn reads what another one writes, and lets several be done at once. Indices
 are not checked: what calls a kernel answers for them."""
 

@@ -6,6 +6,8 @@ import ast
 from collections.abc import Callable
 from typing import NoReturn
 
+import numpy as np
+
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED
 from antdsl.machine_code.kernels.values import WIDTH, Number, constant, text_type
 
@@ -29,6 +31,7 @@ class Text:
 
     def __init__(self, place: str) -> None:
         self.place = place
+        self.node: ast.AST = ast.Pass()  # the statement that is written
         self.allocas: list[str] = []
         self.lines: list[str] = []
         self.declared: dict[str, str] = {}
@@ -127,7 +130,10 @@ class Arithmetic(Text):
         return value if value.kind in (DOUBLE, FLOAT) else self.convert(value, DOUBLE)
 
     def paired(self, a: Number, b: Number) -> tuple[Number, Number]:
-        """Two numbers of one kind: that which NumPy gives to what becomes of two arrays of theirs."""
+        """Two numbers of one kind, as NumPy has it: a number of the text takes the type of the other one. NotInSubset for a
+        float32 and a number of another type, or one of the text that float32 does not have."""
+        if FLOAT in (a.kind, b.kind) and TRUTH not in (a.kind, b.kind):
+            a, b = self._as_float32(a), self._as_float32(b)
         kinds = {a.kind, b.kind}
         a, b = self.alike(a, b)
         if len(kinds) == 1:
@@ -135,10 +141,21 @@ class Arithmetic(Text):
         if kinds <= {INT, UNSIGNED, TRUTH}:
             kind = UNSIGNED if UNSIGNED in kinds and (a.known is not None or b.known is not None) else INT
             if UNSIGNED in kinds and kind == INT:
-                raise NotInSubset(f"{self.place}: a signed and an unsigned whole number")
+                self.fail(self.node, "a signed and an unsigned whole number")
         else:
-            kind = DOUBLE if kinds != {FLOAT, TRUTH} else FLOAT
+            kind = FLOAT if kinds == {FLOAT, TRUTH} else DOUBLE
         return self.convert(a, kind), self.convert(b, kind)
+
+    def _as_float32(self, value: Number) -> Number:
+        if value.kind == FLOAT:
+            return value
+        if value.known is None:
+            self.fail(self.node, "a float32 and a number of another type: convert one with `np.float64` or `np.float32`")
+        single = np.float32(value.known)
+        if float(single) != value.known and value.known == value.known:
+            self.fail(self.node, f"float32 has no {value.known}: write `np.float32({value.known})`")
+        found = constant(single)
+        return self.widened(found) if value.wide else found
 
     def arithmetic(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
         word = type(operator)

@@ -141,7 +141,9 @@ class Expressions(Elements):
 
     def _common(self, a: Number, b: Number) -> str:
         kinds = {a.kind, b.kind}
-        return DOUBLE if DOUBLE in kinds else FLOAT if kinds == {FLOAT, TRUTH} else DOUBLE if FLOAT in kinds else INT
+        if FLOAT in kinds:
+            return self.paired(a, b)[0].kind
+        return DOUBLE if DOUBLE in kinds else INT
 
     def _stored(self, item: Item, kinds: list[str], wide: list[bool], places: list[str]) -> None:
         for number, kind, each, place in zip(leaves(item), kinds, wide, places, strict=True):

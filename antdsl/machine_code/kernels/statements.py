@@ -8,7 +8,7 @@ from typing import Any
 
 from antdsl.machine_code.kernels.expressions import Expressions
 from antdsl.machine_code.kernels.functions import independent
-from antdsl.machine_code.kernels.types import INT, TRUTH
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH
 from antdsl.machine_code.kernels.units import Loop, Unit, Variable, result_type
 from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves, types_of
 
@@ -89,9 +89,11 @@ class Writer(Expressions):
             for one, other in zip(room, item, strict=True):
                 self._put(node, name, one, other)
         elif isinstance(room, Variable) and isinstance(item, Number):
-            if item.kind != room.kind and not (item.known is not None or item.kind == TRUTH or room.kind == "double"):
+            if item.kind != room.kind and not (
+                item.known is not None or item.kind == TRUTH or (item.kind, room.kind) == (INT, DOUBLE)
+            ):
                 self.fail(node, f"`{name}` is {room.kind}, and is given {item.kind}")
-            if room.kind == INT and item.kind in ("double", "float"):
+            if room.kind == INT and item.kind in (DOUBLE, FLOAT):
                 self.fail(node, f"`{name}` is a whole number, and is given a float")
             self.change(node, room, self.convert(item, room.kind))
         elif not (isinstance(room, Array) and item == room):
@@ -146,6 +148,7 @@ class Writer(Expressions):
             self.statement(each)
 
     def statement(self, node: ast.stmt) -> None:
+        self.node = node
         match node:
             case ast.Expr(value=ast.Constant()) | ast.Pass():
                 pass
@@ -188,10 +191,7 @@ class Writer(Expressions):
 
     def _augment(self, node: ast.stmt, name: ast.Name, operator: ast.operator, value: ast.expr) -> None:
         before = self.number(name)
-        found = self.arithmetic(node, operator, before, self.number(value))
-        self.assign(
-            node, name.id, self.convert(found, before.kind) if before.kind == "float" and found.kind == "double" else found
-        )
+        self.assign(node, name.id, self.arithmetic(node, operator, before, self.number(value)))
 
     def if_(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
         condition = self.truth(test)

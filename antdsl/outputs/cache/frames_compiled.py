@@ -155,7 +155,7 @@ def farthest(position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F
         x = np.float64(np.float32(position[i, 0])) - ground[i, 0]
         y = np.float64(np.float32(position[i, 1])) - ground[i, 1]
         z = np.float64(np.float32(position[i, 2])) - ground[i, 2]
-        share = abs(np.sqrt((x * x + y * y) + z * z) - clearance[i]) / max(np.float64(size[i]), 1e-9)
+        share = abs(np.sqrt((x * x + y * y) + z * z) - np.float64(clearance[i])) / max(np.float64(size[i]), 1e-9)
         worst = share if share > worst else worst
         unknown = unknown or share != share
     return np.nan if unknown else worst
