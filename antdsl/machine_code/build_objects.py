@@ -1,8 +1,9 @@
-"""`python -m antdsl.machine_code.build_objects [--folder FOLDER]`: compile all kernels and texts of the package in advance.
+"""`python -m antdsl.machine_code.build_objects [--host]`: compile all kernels and texts of the package in advance.
 
-It writes a file for each target of `shipped`, for all processors, wherever it runs. Installing the package runs it, and it needs
-NumPy and llvmlite only. Object files whose keys are in the folder already are not compiled again: delete the folder to start from
-scratch. The same sources and LLVM give the same bytes: no time, path or order of work is in a file."""
+It writes a file for each target of `shipped`, or with `--host` only for that of this machine, into the installation. Building and
+installing the package run it. It needs NumPy and llvmlite only. Object files whose keys are there already are not compiled again:
+delete the folder to start from scratch. The same sources and LLVM give the same bytes: no time, path or order of work is in a
+file."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -25,19 +26,20 @@ _Place = tuple[str, str]  # a module, and a name in it
 _Task = tuple[_Place, tuple[str, ...]]  # what is compiled, and for which targets
 
 
-def build(folder: Path, entries: Sequence[library.Entry], processes: int = 1) -> int:
-    """Write the files of all targets into a folder, which is created. `entries`: kernels and texts; with several `processes`, of
-    the package. The number of object files that were compiled: all that the folder does not have yet."""
+def build(folder: Path, entries: Sequence[library.Entry], targets: Iterable[str], processes: int = 1) -> int:
+    """Write the files of targets into a folder, which is created. `entries`: kernels and texts; with several `processes`, of the
+    package. The number of object files that were compiled: all that the folder does not have yet."""
     keys: dict[str, dict[_Place, str]] = {}
     done: dict[str, dict[str, bytes]] = {}
-    for name, target in shipped.TARGETS.items():
+    for name in targets:
+        target = shipped.TARGETS[name]
         stored = shipped.Objects(shipped.file_of(folder, name))
         keys[name] = {_place(each): shipped.key(named, target) for each in entries if (named := each.named(target))}
         done[name] = {key: code for key in keys[name].values() if (code := stored.get(key)) is not None}
     tasks: list[_Task] = []
     for each in entries:
         place = _place(each)
-        missing = tuple(name for name in shipped.TARGETS if place in keys[name] and keys[name][place] not in done[name])
+        missing = tuple(name for name in keys if place in keys[name] and keys[name][place] not in done[name])
         if missing:
             tasks.append((place, missing))
     for (place, names), codes in zip(tasks, _compiled(tasks, entries, processes), strict=True):
@@ -45,8 +47,7 @@ def build(folder: Path, entries: Sequence[library.Entry], processes: int = 1) ->
             done[name][keys[name][place]] = code
     folder.mkdir(parents=True, exist_ok=True)
     for name, codes_by_key in done.items():
-        path, data = shipped.file_of(folder, name), shipped.packed(codes_by_key)
-        write_whole(path, data, mode=0o644)
+        write_whole(shipped.file_of(folder, name), shipped.packed(codes_by_key))
     shipped.forget()
     return sum(len(names) for _, names in tasks)
 
@@ -83,18 +84,25 @@ def _codes(entry: library.Entry, names: tuple[str, ...]) -> list[bytes]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m antdsl.machine_code.build_objects", description=__doc__)
-    parser.add_argument("--folder", type=Path, default=shipped.FOLDER, help="where the files go; antdsl reads the default only")
-    folder = parser.parse_args().folder
+    parser.add_argument("--host", action="store_true", help="only for this machine")
+    host = parser.parse_args().host
     isolate()  # before processes are started
-    if why := machine.unavailable():
-        print(f"kernels are not compiled in advance: {why}", file=sys.stderr)
+    why = machine.unavailable()
+    targets = list(shipped.TARGETS)
+    if host and not why:
+        own = shipped.target_name(machine.host())
+        why, targets = (
+            ("", [own]) if own else (f"this processor ({machine.host().cpu}) or system is none of {', '.join(targets)}", [])
+        )
+    if why:
+        print(f"kernels are not compiled in advance, but when they are first used: {why}", file=sys.stderr)
         return 1
     start = time.monotonic()
     entries = library.load()
     there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = build(folder, entries, min(there, _MOST))
-    size = sum(shipped.file_of(folder, name).stat().st_size for name in shipped.TARGETS)
-    words = f"{len(entries)} kernels and texts for {', '.join(shipped.TARGETS)}: {size / 1e6:.1f} MB"
+    count = build(shipped.FOLDER, entries, targets, min(there, _MOST))
+    size = sum(shipped.file_of(shipped.FOLDER, name).stat().st_size for name in targets)
+    words = f"{len(entries)} kernels and texts for {', '.join(targets)}: {size / 1e6:.1f} MB"
     print(f"{words}, {count} compiled in {time.monotonic() - start:.0f} s")
     return 0
 

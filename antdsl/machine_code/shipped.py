@@ -53,7 +53,8 @@ def target_name(host: Target) -> str | None:
         return None
     present = _present(host)
     for name, target in TARGETS.items():
-        if target.x86 and host.x86 and _present(target) <= present or target.arm and host.arm:
+        levels = target.x86 and host.x86 and _present(target) <= present
+        if levels or (target.arm and host.arm):
             return name
     return None
 
@@ -70,7 +71,7 @@ def key(named: str, target: Target) -> str:
 def find(named: str, host: Target) -> bytes | None:
     """The object file for a text, or for what stands for it, on this processor; None where the installation has none."""
     name = target_name(host)
-    return None if name is None else _opened(file_of(FOLDER, name)).get(key(named, TARGETS[name]))
+    return None if name is None else _opened(FOLDER, name).get(key(named, TARGETS[name]))
 
 
 def file_of(folder: Path, name: str) -> Path:
@@ -91,8 +92,8 @@ def forget() -> None:
 
 
 @cache
-def _opened(path: Path) -> Objects:
-    return Objects(path)
+def _opened(folder: Path, name: str) -> Objects:
+    return Objects(file_of(folder, name))
 
 
 class Objects:

@@ -29,7 +29,7 @@ class _Unknown(Exception):
 
 def key(part: Any, types: list[Any]) -> str | None:
     """What stands for the text of a kernel whose arguments have these types; None where nothing does. A text begins otherwise."""
-    told: list[str] = [_writers(), repr(types)]
+    told: list[str] = [_writers(), *map(_written, types)]
     known: dict[int, int] = {}
     try:
         _function(part, told, known)
@@ -40,6 +40,11 @@ def key(part: Any, types: list[Any]) -> str | None:
         data = each.encode("utf-8", "surrogatepass")
         hashed.update(len(data).to_bytes(8, "little") + data)
     return "sources " + hashed.hexdigest()
+
+
+@cache
+def _written(type: Any) -> str:
+    return repr(type)
 
 
 @cache
@@ -91,8 +96,9 @@ def _value(value: Any, names: list[str], told: list[str], known: dict[int, int])
         _function(part, told, known)
     elif isinstance(value, ModuleType):
         told.append(f"module {value.__name__}")
+        has = vars(value)  # NumPy takes long to say that it has not
         for name in names:
-            inner = getattr(value, name, None)
+            inner = has.get(name)
             if inner is not None and not isinstance(inner, ModuleType):
                 told.append(name)
                 _value(inner, [], told, known)
