@@ -8,7 +8,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -332,13 +332,11 @@ def test_compiling_in_advance_needs_numpy_and_llvmlite_only() -> None:
 
 @pytest.mark.parametrize("why", ["no llvmlite", "another processor"])
 def test_where_nothing_can_be_compiled_in_advance_a_message_says_why(why: str, tmp_path: Path) -> None:
-    patch: dict[str, Callable[[], str]] = {
-        "no llvmlite": lambda: "import sys\nsys.modules['llvmlite'] = sys.modules['llvmlite.binding'] = None\n",
-        "another processor": lambda: (
-            "import antdsl.machine_code.machine as m\nm.host = lambda: m.Target('riscv64-linux', '', '')\n"
-        ),
+    patches = {
+        "no llvmlite": "import sys\nsys.modules['llvmlite'] = sys.modules['llvmlite.binding'] = None\n",
+        "another processor": "from antdsl.machine_code import machine as m\nm.host = lambda: m.Target('riscv64-linux', '', '')\n",
     }
-    (tmp_path / "sitecustomize.py").write_text(patch[why]())
+    (tmp_path / "sitecustomize.py").write_text(patches[why])
     command = [sys.executable, "-P", "-m", "antdsl.machine_code.build_objects", "--host"]
     ran = subprocess.run(command, env=child_environment(tmp_path), capture_output=True, text=True)
     assert ran.returncode == 1 and not ran.stdout
