@@ -277,13 +277,17 @@ def test_no_operations_are_fused(name: str) -> None:
     assert wide == (name == "x86-64-v4")
 
 
-def test_objects_are_those_of_the_installation() -> None:
-    """Whatever the working directory and the environment are."""
+def test_objects_are_those_of_the_installation(tmp_path: Path) -> None:
+    """Whatever the working directory has and the environment says."""
+    objects = tmp_path / "antdsl" / "machine_code" / "objects"
+    objects.mkdir(parents=True)
+    for name in shipped.TARGETS:
+        (objects / f"{name}.objects").write_bytes(b"trap")
     place = "from antdsl.machine_code import shipped; print(shipped.FOLDER)"
     expected = Path(antdsl.__file__).resolve().parent / "machine_code" / "objects"
-    for settings in ({}, {object_cache.VARIABLE: "/elsewhere", "HOME": "/elsewhere", "XDG_CACHE_HOME": "/elsewhere"}):
+    for settings in ({}, dict.fromkeys((object_cache.VARIABLE, "HOME", "XDG_CACHE_HOME"), str(tmp_path))):
         ran = subprocess.run(
-            [sys.executable, "-P", "-c", place], env=child_environment(**settings), cwd="/", capture_output=True, text=True
+            [sys.executable, "-P", "-c", place], env=child_environment(**settings), cwd=tmp_path, capture_output=True, text=True
         )
         assert ran.stdout == f"{expected}\n", ran.stderr
 
