@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh.self_cuts import Cuts, cuts
 from antdsl.numerics import elementary
-from antdsl.scene.geometry.live_faces import corner_numbers, live_faces
+from antdsl.scene.geometry.live_faces import components, corner_numbers, live_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -190,14 +190,9 @@ def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
 
 def _pieces(link: Ints, live: NDArray[np.bool_]) -> tuple[Ints, int]:
     """Which faces hang together, as a number per face, and how many such pieces there are."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     m = len(live)
     half = np.flatnonzero(link[0] != NO_LINK)
-    here, there = half // 3, link[0, half] >> 3
-    graph = coo_array((np.ones(half.size, np.int8), (here, there)), shape=(m, m))
-    _, piece = connected_components(graph, directed=False)
+    piece = components(np.stack([half // 3, link[0, half] >> 3], axis=1), m)
     named, numbers = np.unique(piece[live], return_inverse=True)
     result = np.full(m, -1, np.int32)
     result[live] = numbers
@@ -211,9 +206,6 @@ def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
     m = len(live)
     if not (link[0].reshape(-1, 3)[live] == NO_LINK).any():
         return np.zeros((2, m), np.int32)
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     here, there = [], []
     for side in (0, 1):
         half = np.flatnonzero(link[side] != NO_LINK)
@@ -224,9 +216,7 @@ def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
     shut[piece[live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
     closed = np.flatnonzero(live)[shut[piece[live]]]
     one, two = np.concatenate([*here, closed]), np.concatenate([*there, closed + m])
-    graph = coo_array((np.ones(one.size, np.int8), (one, two)), shape=(2 * m, 2 * m))
-    number: Ints = connected_components(graph, directed=False)[1].astype(np.int32)
-    return number.reshape(2, m)
+    return components(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
 
 
 def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:

@@ -75,9 +75,10 @@ class Kernel:
         return self.made()(*arguments)
 
     def made(self) -> Callable[..., Any]:
-        """The function that calls the machine code, which is made or loaded if it is not there yet."""
+        """The function that calls the machine code, which is made or loaded if it is not there yet. Raises NoMachineCode."""
         with self._lock:
             if self._run is None:
+                machine.require()
                 types, host = self._types(), machine.host()
                 code = codes.code(self.named(host), lambda: self.text(host))
                 told = Told.read(code.told(_ABOUT))
