@@ -137,6 +137,8 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     subprocess.run([*pip, "--editable", f"{ROOT}[test,quality]", *requirements], check=True)
     # An editable install compiles nothing, and where no bytecode may be written every command would compile it all anew.
     subprocess.run([str(python), "-m", "compileall", "-q", str(ROOT / "antdsl")], check=False)
+    # Installing has compiled the kernels with the LLVM of the build environment: nothing is left to do if it is the same here.
+    subprocess.run([str(python), "-P", "-m", "antdsl.machine_code.build_objects", "--host"], check=False)
     stamp.write_text(wanted)
     return python
 

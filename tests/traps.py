@@ -63,6 +63,10 @@ CONFIGURATION = {
     "fonts.conf": "<fontconfig/>\n",
     ".fonts.conf": "<fontconfig/>\n",
     ".cache/antdsl/native/" + "0" * 64 + ".o": "trap\n",
+    "objects/x86-64-v3.objects": "trap\n",
+    "objects/x86-64-v4.objects": "trap\n",
+    "objects/aarch64.objects": "trap\n",
+    "machine_code/objects/x86-64-v3.objects": "trap\n",
     ".cache/matplotlib/fontlist.json": "{}\n",
     ".local/state/antdsl/key": "0" * 32,
 }

@@ -109,10 +109,23 @@ def _machine_code(problems: list[str]) -> None:
     if why:
         problems.append(why)
         return
+    _kernels()
     stored = ObjectCache()
     stored.prepare()
     for sentence in stored.messages:
         print_result(f"-       {'folder of code':<16} {sentence}")
+
+
+def _kernels() -> None:
+    """Whether the installation has compiled kernels for this processor, this LLVM and these sources."""
+    from antdsl.machine_code import machine, shipped
+    from antdsl.numerics.elementary_compiled import cosines
+
+    host = machine.host()
+    if shipped.find(cosines.named(host), host) is None:
+        print_result(f"-       {'kernels':<16} compiled when they are first used, which takes some seconds once")
+    else:
+        print_result(f"ok      {'kernels':<16} compiled in advance for {shipped.target_name(host)}")
 
 
 def _sandbox(problems: list[str]) -> None:

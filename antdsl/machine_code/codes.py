@@ -1,4 +1,4 @@
-"""The code of a text: that in memory, that which another run has kept, or new code."""
+"""The code of a text: from memory, from the installation (`shipped`), from an earlier run (`object_cache`), or compiled now."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import cache
 from threading import Lock
 
-from antdsl.machine_code import machine, object_cache
+from antdsl.machine_code import machine, object_cache, shipped
 
 _KEPT = 256  # functions whose code stays in memory
 _known: OrderedDict[str, machine.Code] = OrderedDict()
@@ -23,10 +23,10 @@ def code(named: str, write: Callable[[], str] | None = None) -> machine.Code:
         if key in _known:
             _known.move_to_end(key)
             return _known[key]
-    kept = _objects().get(key)
-    made = machine.object_code(named if write is None else write(), target) if kept is None else kept
+    stored = _stored(named, target, key)
+    made = machine.object_code(named if write is None else write(), target) if stored is None else stored
     found = machine.load(made)
-    if kept is None:
+    if stored is None:
         _objects().put(key, made)
     with _guard:
         _known[key] = found
@@ -36,17 +36,24 @@ def code(named: str, write: Callable[[], str] | None = None) -> machine.Code:
 
 
 def kept(named: str) -> bool:
-    """Whether the code of a text, or of what stands for it, is there, in memory or from another run."""
-    key = object_cache.key(named, machine.host(), versions=object_cache.versions())
+    """Whether the code of a text, or of what stands for it, is in memory or stored."""
+    target = machine.host()
+    key = object_cache.key(named, target, versions=object_cache.versions())
     with _guard:
         if key in _known:
             return True
-    return _objects().get(key) is not None
+    return _stored(named, target, key) is not None
+
+
+def _stored(named: str, target: machine.Target, key: str) -> bytes | None:
+    """The object file of a text: that of the installation, or else that of an earlier run, which is stored under a key."""
+    found = shipped.find(named, target)
+    return _objects().get(key) if found is None else found
 
 
 def told() -> list[str]:
-    """Sentences for the user on why compiled code of other runs was not used, or that of this one is not kept."""
-    return list(_objects().messages) if _objects.cache_info().currsize else []
+    """Sentences for the user on why stored code was not used, or why that of this run is not stored."""
+    return shipped.messages() + (list(_objects().messages) if _objects.cache_info().currsize else [])
 
 
 def forget() -> None:
@@ -54,6 +61,7 @@ def forget() -> None:
     with _guard:
         _known.clear()
     _objects.cache_clear()
+    shipped.forget()
 
 
 @cache

@@ -192,10 +192,12 @@ def load(code: bytes) -> Code:
     """Put an object file into memory, ready to run.
 
     Code and constants lie in one piece (`use_lmm`): code names its constants by 32 bits from where it stands, and pieces of their
-    own may lie further apart in a process with gigabytes of arrays, where LLVM ends the process."""
+    own may lie further apart in a process with gigabytes of arrays, where LLVM ends the process. LLVM takes the file for the code
+    of an empty text, which it would compile otherwise: that takes three times as long as all the rest."""
     llvm = _llvm()
     with _LOCK:
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(host()), use_lmm=True)
-        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        loader = llvm.Target.from_triple(host().triple).create_target_machine(opt=0, reloc="pic", codemodel="default")
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), loader, use_lmm=True)
+        engine.set_object_cache(getbuffer_func=lambda _: code)
         engine.finalize_object()
         return Code(engine)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import sys
 import time
 from collections import OrderedDict
 from contextlib import suppress
@@ -38,7 +39,8 @@ _KEY = re.compile("[0-9a-f]{64}")
 _NAME = re.compile(f"[0-9a-f]{{64}}{re.escape(_ENDING)}")
 _LEFT_OVER = re.compile(rf"\.[0-9a-f]{{40}}\.[0-9a-f]{{12}}{re.escape(PART)}")  # by a run that ended while it wrote
 _ABANDONED: Final = 3600.0  # s since such a file was written to; before, another run may be at it
-_PIPELINE: Final = "3"  # of text to object file: another number where that changes beside `machine.py`
+IR_VERSION: Final = "3"  # of texts: another number where one means something else, or `machine.py` is not all that compiles it
+ABI_VERSION: Final = "1"  # of calls: another number where code finds its arguments, or what it calls, in another place
 
 
 def key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
@@ -53,19 +55,29 @@ def key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
 
 
 @cache
-def versions() -> tuple[str, ...]:
-    """What else machine code depends on: antdsl, the passes and how they are called, llvmlite and LLVM. Imports llvmlite."""
-    import llvmlite
+def code_versions() -> tuple[str, ...]:
+    """What the object file of a text depends on, apart from the target: texts, calls, passes and LLVM. Imports llvmlite."""
     import llvmlite.binding as llvm
 
-    import antdsl
     from antdsl.machine_code import machine
 
     try:
         passes = blake2b(read_bounded(machine.__file__, MIB), digest_size=16).hexdigest()
     except OSError:  # shipped without its sources
         passes = ""
-    return antdsl.__version__, _PIPELINE, passes, str(llvmlite.__version__), ".".join(map(str, llvm.llvm_version_info))
+    return IR_VERSION, ABI_VERSION, passes, ".".join(map(str, llvm.llvm_version_info))
+
+
+@cache
+def versions() -> tuple[str, ...]:
+    """The same, and what else may change what a text is or how it is compiled: antdsl, llvmlite, Python and NumPy."""
+    import llvmlite
+    import numpy as np
+
+    import antdsl
+
+    python = ".".join(map(str, sys.version_info[:2]))
+    return antdsl.__version__, *code_versions(), str(llvmlite.__version__), python, np.__version__
 
 
 class ObjectCache:

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from functools import cache
 
-from antdsl.machine_code import codes, machine
+from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.direct_text import GIVEN, PARTS, RESULTS, WORDS
+from antdsl.machine_code.library import library_text
 
 LINE = 8  # words of a line of the processor's memory: what several threads write to lies in lines of its own
 # Places in a pool's words. `left` and `done` of a job; `waits`: whether the one who asks sleeps.
@@ -34,7 +35,12 @@ def code() -> machine.Code:
     table lists the three words that code is called with for each part. `all(pool, 0, 0)` does one; `start(pool, 0, 0)` has the
     workers begin with one, and `finish(pool, 0, 0)` takes back the parts that nobody has, and waits for the rest.
     `worker(pool, its number, 0)` comes back once `end(pool, 0, 0)` has been called; `turns(pool, count, 0)` waits so many."""
-    target = machine.host()
+    return text.code()
+
+
+@library_text
+def text(target: machine.Target) -> str:
+    """What is compiled, in LLVM's language."""
     pause = (
         "  call void @llvm.x86.sse2.pause()\n" if target.x86 else "  call void @llvm.aarch64.hint(i32 1)\n" if target.arm else ""
     )
@@ -43,7 +49,7 @@ def code() -> machine.Code:
         found += "declare void @llvm.x86.sse2.pause()\n" if target.x86 else "declare void @llvm.aarch64.hint(i32)\n"
     for name, place in _PLACES.items():
         found = found.replace(f"${name}$", str(place))
-    return codes.code(found)
+    return found
 
 
 _PLACES = {

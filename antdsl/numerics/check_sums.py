@@ -17,11 +17,12 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code import codes, machine
+from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.kernels.direct import Wanted, direct
 from antdsl.machine_code.kernels.direct_text import RESULTS, WHOLE
 from antdsl.machine_code.lanes import Module
+from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
 from antdsl.numerics import compiled
 
@@ -52,7 +53,7 @@ def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
     target = machine.host()
     if not has_products(target):
         return None
-    code = codes.code(text(target))
+    code = text.code()
     function = code.function("fold")  # what is called lies in `code`
 
     def fold(data: NDArray[np.uint8], before: int) -> int:
@@ -95,9 +96,12 @@ def _table() -> str:
     return f"@table = internal constant [256 x i32] [{', '.join(found)}]"
 
 
+@library_text
 def text(target: machine.Target) -> str:
     """What is compiled, in LLVM's language: a function of a table with an address, a number of bytes (one stride or more) and the
-    CRC-32 before them, which puts that of all into its first word."""
+    CRC-32 before them, which puts that of all into its first word. Empty where the processor has no products without carry."""
+    if not has_products(target):
+        return ""
     module, many = Module(target), blocks(target)
     kinds = {count: (f"<{2 * count} x i64>", "" if count == 1 else f".{128 * count}") for count in {1, many}}
     for kind, ending in kinds.values():

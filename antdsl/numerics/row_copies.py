@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code import codes, machine
+from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.lanes import Module
+from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
 from antdsl.numerics import compiled
 from antdsl.numerics.cores import EACH
@@ -76,10 +77,11 @@ def _parts(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int
 
 @cache
 def _function() -> Callable[[int, int, int], None]:
-    function: Callable[[int, int, int], None] = codes.code(text(machine.host())).function("rows")
+    function: Callable[[int, int, int], None] = text.code().function("rows")
     return function
 
 
+@library_text
 def text(target: machine.Target) -> str:
     """What is compiled, in LLVM's language: a function of such a table that copies rows from the first to before the last."""
     module = Module(target)

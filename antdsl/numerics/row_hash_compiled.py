@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code import codes, machine
+from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.lanes import Module
+from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
 
 _Part = tuple[int, int, int]  # which column, how many bytes from its begin on, and from one value to the next
@@ -98,10 +99,11 @@ class Table:
 
 @cache
 def _function() -> Callable[[int, int, int], None]:
-    function: Callable[[int, int, int], None] = codes.code(text(machine.host())).function("rows")
+    function: Callable[[int, int, int], None] = text.code().function("rows")
     return function
 
 
+@library_text
 def text(target: machine.Target) -> str:
     """What is compiled: a function of such a table, behind two sums and the number of words, that adds to the sums those of the
     rows from the first to before the last."""

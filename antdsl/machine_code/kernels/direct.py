@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code import codes, machine
+from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import direct_text as reading
 
 _PIECE, _ALIGNED, _WRITEABLE = 0x1, 0x100, 0x400  # flags of arrays
@@ -90,7 +90,7 @@ def _step(each: Wanted) -> bytes:
 
 @cache
 def _code() -> machine.Code:
-    return codes.code(reading.text())
+    return reading.text.code()
 
 
 @cache

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.machine_code import machine
+from antdsl.machine_code.library import library_text
+
 WORDS = 256  # of a call's table at most: 2 kB of the stack
 PARTS = 64  # of a job at most
 RESULTS = 8  # words at the beginning of a table for what is given back
@@ -32,7 +35,8 @@ def bytes_at() -> int:
     return object.__basicsize__ + 16  # their number, and a hash
 
 
-def text() -> str:
+@library_text
+def text(_: machine.Target) -> str:
     """`PyObject *direct(PyObject *told, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
     head = object.__basicsize__
     names = (*(f"call.{name}" for name in CALLS), *OBJECTS)

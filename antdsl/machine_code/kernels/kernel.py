@@ -12,7 +12,7 @@ from threading import Lock
 from types import FunctionType, GenericAlias
 from typing import Any
 
-from antdsl.machine_code import codes, machine
+from antdsl.machine_code import codes, library, machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.kernels import sources
 from antdsl.machine_code.kernels.calling import Told, caller, parted
@@ -68,6 +68,7 @@ class Kernel:
         self._run: Callable[..., Any] | None = None
         self._apart: Callable[[], Callable[..., list[Any]] | None] | None = None
         self.__call__ = self._first
+        library.add(self)
 
     def _first(self, *arguments: Any) -> Any:
         """The first call."""
@@ -78,10 +79,8 @@ class Kernel:
         with self._lock:
             if self._run is None:
                 machine.require()
-                types = self._types()
-                key = sources.key(self.part, types)
-                host = machine.host()
-                code = codes.code(self.text(host)) if key is None else codes.code(key, lambda: self.text(host))
+                types, host = self._types(), machine.host()
+                code = codes.code(self.named(host), lambda: self.text(host))
                 told = Told.read(code.told(_ABOUT))
                 self._run = self.__call__ = run = caller(self.__name__, code, types, told)
                 self._apart = cache(lambda: parted(self.__name__, code, types, told, run))
@@ -98,8 +97,11 @@ class Kernel:
         """Whether its machine code is there, in memory or from another run."""
         if self._run is not None:
             return True
-        key = sources.key(self.part, self._types())
-        return codes.kept(self.text(machine.host()) if key is None else key)
+        return codes.kept(self.named(machine.host()))
+
+    def named(self, target: machine.Target) -> str:
+        """What stands for its text: the key of its sources, or else the text."""
+        return sources.key(self.part, self._types()) or self.text(target)
 
     def _types(self) -> list[Any]:
         """What its annotations name."""

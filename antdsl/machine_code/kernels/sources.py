@@ -6,7 +6,6 @@ that write texts. A kernel with a name for anything else has no key, and is know
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from functools import cache
 from hashlib import blake2b
@@ -30,7 +29,7 @@ class _Unknown(Exception):
 
 def key(part: Any, types: list[Any]) -> str | None:
     """What stands for the text of a kernel whose arguments have these types; None where nothing does. A text begins otherwise."""
-    told: list[str] = [_writers(), repr(types)]
+    told: list[str] = [_writers(), *map(_written, types)]
     known: dict[int, int] = {}
     try:
         _function(part, told, known)
@@ -44,11 +43,15 @@ def key(part: Any, types: list[Any]) -> str | None:
 
 
 @cache
+def _written(type: Any) -> str:
+    return repr(type)
+
+
+@cache
 def _writers() -> str:
     """What reads and writes the texts of kernels."""
     here = Path(machine_code.__file__).parent
-    found = "".join(_digest(str(each)) for each in sorted(here.rglob("*.py")))
-    return f"{found} {sys.version_info[:2]} {np.__version__}"
+    return "".join(_digest(str(each)) for each in sorted(here.rglob("*.py")))
 
 
 def _digest(path: str) -> str:
@@ -93,8 +96,9 @@ def _value(value: Any, names: list[str], told: list[str], known: dict[int, int])
         _function(part, told, known)
     elif isinstance(value, ModuleType):
         told.append(f"module {value.__name__}")
+        has = vars(value)  # NumPy takes long to say that it has not
         for name in names:
-            inner = getattr(value, name, None)
+            inner = has.get(name)
             if inner is not None and not isinstance(inner, ModuleType):
                 told.append(name)
                 _value(inner, [], told, known)

@@ -1,0 +1,110 @@
+"""`python -m antdsl.machine_code.build_objects [--host]`: compile all kernels and texts of the package in advance.
+
+It writes a file for each target of `shipped`, or with `--host` only for that of this machine, into the installation. Building and
+installing the package run it. It needs NumPy and llvmlite only. Object files whose keys are there already are not compiled again:
+delete the folder to start from scratch. The same sources and LLVM give the same bytes: no time, path or order of work is in a
+file."""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from pathlib import Path
+
+from antdsl.child_processes import isolate
+from antdsl.machine_code import library, machine, shipped
+from antdsl.whole import write_whole
+
+_MOST = 8  # processes: each takes 200 MB, and two seconds to import what it compiles
+_Place = tuple[str, str]  # a module, and a name in it
+_Task = tuple[_Place, tuple[str, ...]]  # what is compiled, and for which targets
+
+
+def build(folder: Path, entries: Sequence[library.Entry], targets: Iterable[str], processes: int = 1) -> int:
+    """Write the files of targets into a folder, which is created. `entries`: kernels and texts; with several `processes`, of the
+    package. The number of object files that were compiled: all that the folder does not have yet."""
+    keys: dict[str, dict[_Place, str]] = {}
+    done: dict[str, dict[str, bytes]] = {}
+    for name in targets:
+        target = shipped.TARGETS[name]
+        stored = shipped.Objects(shipped.file_of(folder, name))
+        keys[name] = {_place(each): shipped.key(named, target) for each in entries if (named := each.named(target))}
+        done[name] = {key: code for key in keys[name].values() if (code := stored.get(key)) is not None}
+    tasks: list[_Task] = []
+    for each in entries:
+        place = _place(each)
+        missing = tuple(name for name in keys if place in keys[name] and keys[name][place] not in done[name])
+        if missing:
+            tasks.append((place, missing))
+    for (place, names), codes in zip(tasks, _compiled(tasks, entries, processes), strict=True):
+        for name, code in zip(names, codes, strict=True):
+            done[name][keys[name][place]] = code
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, codes_by_key in done.items():
+        write_whole(shipped.file_of(folder, name), shipped.packed(codes_by_key))
+    shipped.forget()
+    return sum(len(names) for _, names in tasks)
+
+
+def _place(entry: library.Entry) -> _Place:
+    return entry.__module__, entry.__name__
+
+
+def _compiled(tasks: list[_Task], entries: Sequence[library.Entry], processes: int) -> Iterator[list[bytes]]:
+    """What each task gives, in their order."""
+    if processes < 2 or len(tasks) < 2:
+        known = {_place(each): each for each in entries}
+        for place, names in tasks:
+            yield _codes(known[place], names)
+        return
+    with ProcessPoolExecutor(min(processes, len(tasks)), multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(_work, tasks)
+
+
+def _work(task: _Task) -> list[bytes]:
+    place, names = task
+    return _codes(_library()[place], names)
+
+
+@cache
+def _library() -> dict[_Place, library.Entry]:
+    """The package's kernels and texts, in a process of the pool."""
+    return {_place(each): each for each in library.load()}
+
+
+def _codes(entry: library.Entry, names: tuple[str, ...]) -> list[bytes]:
+    return [machine.object_code(entry.text(shipped.TARGETS[name]), shipped.TARGETS[name]) for name in names]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m antdsl.machine_code.build_objects", description=__doc__)
+    parser.add_argument("--host", action="store_true", help="only for this machine")
+    host = parser.parse_args().host
+    isolate()  # before processes are started
+    why = machine.unavailable()
+    targets = list(shipped.TARGETS)
+    if host and not why:
+        own = shipped.target_name(machine.host())
+        why = "" if own else f"this machine ({machine.host().triple}, {machine.host().cpu}) is none of {', '.join(targets)}"
+        targets = [own] if own else []
+    if why:
+        print(f"kernels are not compiled in advance, but when they are first used: {why}", file=sys.stderr)
+        return 1
+    start = time.monotonic()
+    entries = library.load()
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = build(shipped.FOLDER, entries, targets, min(there, _MOST))
+    size = sum(shipped.file_of(shipped.FOLDER, name).stat().st_size for name in targets)
+    words = f"{len(entries)} kernels and texts for {', '.join(targets)}: {size / 1e6:.1f} MB"
+    print(f"{words}, {count} compiled in {time.monotonic() - start:.0f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+"""All machine code that the package itself has: its kernels (`@kernel`) and its texts (`@library_text`).
+
+`build_objects` compiles it in advance, on installation. Each kernel and text adds itself when its module is imported, and `load`
+imports the modules that have one: there is no list to maintain."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final, Protocol
+from weakref import WeakSet
+
+import antdsl
+from antdsl.bounded import read_bounded
+from antdsl.limits import MIB
+from antdsl.machine_code import codes, machine
+
+_DECORATED: Final = re.compile(rb"^@(kernel|library_text)\b", re.MULTILINE)
+
+
+class Entry(Protocol):
+    """A kernel or a text. `named` is what stands for its text in keys. Both may depend on the target, and a text is empty where a
+    processor cannot run it."""
+
+    __module__: str
+    __name__: str
+
+    def named(self, target: machine.Target) -> str: ...
+
+    def text(self, target: machine.Target) -> str: ...
+
+
+_entries: WeakSet[Any] = WeakSet()
+
+
+def add(entry: Entry) -> None:
+    """Add a kernel or a text, for as long as it exists."""
+    _entries.add(entry)
+
+
+def modules() -> list[str]:
+    """The names of all modules of the package that have a kernel or a text, in order."""
+    package = Path(antdsl.__file__).parent
+    found = [path for path in package.rglob("*.py") if _DECORATED.search(read_bounded(path, MIB))]
+    return sorted(".".join(path.relative_to(package.parent).with_suffix("").parts) for path in found)
+
+
+def load() -> list[Entry]:
+    """All kernels and texts of the package, in the order of their modules and names. Imports their modules."""
+    names = modules()
+    for name in names:
+        import_module(name)
+    own = [each for each in list(_entries) if each.__module__.startswith(f"{antdsl.__name__}.")]
+    found = {(each.__module__, each.__name__): each for each in own}
+    if len(found) < len(own):
+        raise ValueError("two kernels of a module have one name")
+    return [found[place] for place in sorted(found)]
+
+
+class LibraryText:
+    """A function that writes a text of the package in LLVM's language for a target."""
+
+    def __init__(self, write: Callable[[machine.Target], str]) -> None:
+        self._write = write
+        self.__doc__, self.__name__, self.__module__ = write.__doc__, write.__name__, write.__module__
+
+    def __call__(self, target: machine.Target) -> str:
+        return self._write(target)
+
+    text = named = __call__
+
+    def code(self) -> machine.Code:
+        """Its functions, ready to run on this processor."""
+        return codes.code(self(machine.host()))
+
+
+def library_text(write: Callable[[machine.Target], str]) -> LibraryText:
+    """A text of the package, of a function that writes it for a target."""
+    found = LibraryText(write)
+    add(found)
+    return found

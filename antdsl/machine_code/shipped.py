@@ -1,0 +1,163 @@
+"""Object files of the package's own kernels and texts, compiled when the package was installed: `build_objects` writes them.
+
+There is one file per target in the folder `objects` of this package: an index (key → position, size, hash), then the object
+files. Object code is executed, so these files are read from the installation only. No variable, option or working directory names
+another folder. Each object file is compared with its hash before it is used. A file for another version of LLVM, of the texts or
+of the sources has other keys, so nothing of it is found. Nothing is raised, whatever the file system does."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
+from typing import IO, Final
+
+from antdsl.bounded import open_bounded
+from antdsl.diagnostics.model import printable
+from antdsl.limits import MIB
+from antdsl.machine_code import object_cache
+from antdsl.machine_code.machine import Target
+
+FOLDER: Final = Path(__file__).resolve().parent / "objects"
+_LARGEST: Final = 64 * MIB  # of one file
+_MAGIC: Final = b"antdsl objects 1"
+_HEAD: Final = struct.Struct(f"<{len(_MAGIC)}s32sQ")  # magic, hash of the index, number of entries
+_ENTRY: Final = struct.Struct("<32sQQ32s")  # key, position behind the index, size, hash
+# What code for these levels of x86-64 may use (x86-64 psABI, section 3.1.1), without `fma`, and with products without carry,
+# which all processors of the levels have. `machine` says why registers of 512 bits need `avx512vbmi2`.
+_V3: Final = (
+    "64bit", "cmov", "cx8", "fxsr", "mmx", "sse", "sse2", "cx16", "popcnt", "sahf", "sse3", "sse4.1", "sse4.2", "ssse3", "crc32",
+    "avx", "avx2", "bmi", "bmi2", "f16c", "lzcnt", "movbe", "xsave", "pclmul",
+)  # fmt: skip
+_V4: Final = (*_V3, "avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "avx512vbmi2", "vpclmulqdq")
+
+
+def _features(present: tuple[str, ...], absent: tuple[str, ...]) -> str:
+    return ",".join([*(f"+{name}" for name in present), *(f"-{name}" for name in absent)])
+
+
+# By name, the widest first. What is absent are fused operations, as `machine.named` has it.
+TARGETS: Final[Mapping[str, Target]] = {
+    "x86-64-v4": Target("x86_64-unknown-linux-gnu", "x86-64-v4", _features(_V4, ("fma4",))),
+    "x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3", _features(_V3, ("fma", "fma4", "avx512f"))),
+    "aarch64": Target("aarch64-unknown-linux-gnu", "generic", "+neon"),
+}
+
+
+@cache
+def target_name(host: Target) -> str | None:
+    """The name of the target whose code runs on a processor and gives the bits of its own code; None where there is none."""
+    if "linux" not in host.triple:
+        return None
+    present = _present(host)
+    for name, target in TARGETS.items():
+        levels = target.x86 and host.x86 and _present(target) <= present
+        if levels or (target.arm and host.arm):
+            return name
+    return None
+
+
+def _present(target: Target) -> set[str]:
+    return {word[1:] for word in target.features.split(",") if word.startswith("+")}
+
+
+def key(named: str, target: Target) -> str:
+    """The key of the object file for a text, or for what stands for it, and a target."""
+    return object_cache.key(named, target, versions=object_cache.code_versions())
+
+
+def find(named: str, host: Target) -> bytes | None:
+    """The object file for a text, or for what stands for it, on this processor; None where the installation has none."""
+    name = target_name(host)
+    return None if name is None else _opened(FOLDER, name).get(key(named, TARGETS[name]))
+
+
+def file_of(folder: Path, name: str) -> Path:
+    """The file of a target, by its name."""
+    return folder / f"{name}.objects"
+
+
+def messages() -> list[str]:
+    """Sentences for the user on why object files of the installation are not used, each once."""
+    return [] if _damaged is None else [f"compiled code in `{printable(str(_damaged))}` is damaged: install antdsl again"]
+
+
+def forget() -> None:
+    """Open the files again when one is needed, as in a process that begins."""
+    global _damaged
+    _damaged = None
+    _opened.cache_clear()
+
+
+@cache
+def _opened(folder: Path, name: str) -> Objects:
+    return Objects(file_of(folder, name))
+
+
+class Objects:
+    """The object files in one file, by key. Its index is read once. A file that is missing or of another form has none."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._index: dict[bytes, tuple[int, int, bytes]] = {}
+        try:
+            with open_bounded(path, _LARGEST) as file:
+                self._read_index(file)
+        except FileNotFoundError:
+            pass
+        except OSError:
+            _report(path)
+
+    def _read_index(self, file: IO[bytes]) -> None:
+        head = file.read(_HEAD.size)
+        magic, checked, count = _HEAD.unpack(head) if len(head) == _HEAD.size else (b"", b"", 0)
+        index = file.read(min(_LARGEST, count * _ENTRY.size))
+        if magic != _MAGIC or _hash(index) != checked:
+            _report(self._path)
+            return
+        for key, position, size, content in _ENTRY.iter_unpack(index):
+            self._index[key] = (_HEAD.size + len(index) + position, size, content)
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def get(self, key: str) -> bytes | None:
+        """The object file of a key; None where there is none, or a damaged one."""
+        entry = self._index.get(bytes.fromhex(key))
+        if entry is None:
+            return None
+        position, size, content = entry
+        try:
+            with open_bounded(self._path, _LARGEST) as file:
+                file.seek(position)
+                code = file.read(size)
+        except OSError:
+            code = b""
+        if _hash(code) != content:
+            _report(self._path)
+            return None
+        return code
+
+
+def packed(codes: Mapping[str, bytes]) -> bytes:
+    """The content of a file with these object files, by key. It depends on nothing else."""
+    index, position = [], 0
+    for key, code in sorted(codes.items()):
+        index.append(_ENTRY.pack(bytes.fromhex(key), position, len(code), _hash(code)))
+        position += len(code)
+    entries = b"".join(index)
+    return _HEAD.pack(_MAGIC, _hash(entries), len(index)) + entries + b"".join(code for _, code in sorted(codes.items()))
+
+
+_damaged: Path | None = None
+
+
+def _report(path: Path) -> None:
+    global _damaged
+    _damaged = path
+
+
+def _hash(data: bytes) -> bytes:
+    return blake2b(data, digest_size=32).digest()

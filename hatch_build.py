@@ -1,0 +1,29 @@
+"""Compiles the package's kernels when a wheel is built, or the package is installed from a checkout.
+
+It runs the source tree's own `antdsl.machine_code.build_objects`, with the packages of the build environment. Where that does not
+work, the package is installed all the same: kernels are compiled when they are first used."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+
+class ObjectsHook(BuildHookInterface):
+    PLUGIN_NAME = "custom"
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile for all targets; for an editable install, which stays on this machine, only for this one."""
+        path = [self.root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+        command = [sys.executable, "-P", "-m", "antdsl.machine_code.build_objects"]
+        if version == "editable":
+            command.append("--host")
+        ended = subprocess.run(command, cwd=self.root, env={**os.environ, "PYTHONPATH": os.pathsep.join(path)})
+        if ended.returncode:
+            self.app.display_warning("kernels were not compiled in advance: they are compiled when they are first used")
+        else:
+            build_data["artifacts"].append("/antdsl/machine_code/objects/*.objects")
