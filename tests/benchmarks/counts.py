@@ -1,8 +1,8 @@
 """What a step of some cases is made of, counted exactly, compared with the budgets in `counts.json`.
 
 `python tests/benchmarks/counts.py` prints what differs and exits with 1 if a count is more than 1.1 times the recorded one, so
-that splitting a module breaks nothing; `--record` records the counts again, which is to be said in the commit, with why. `--print` prints them. Compiled kernels are turned off; where no machine code
-can be made, the native backend is left out, and nothing can be recorded."""
+that splitting a module breaks nothing. `--record` records the counts again: say why in the commit. `--print` prints them.
+Compiled kernels are turned off. Without a compiler the native backend is left out, and nothing can be recorded."""
 
 from __future__ import annotations
 

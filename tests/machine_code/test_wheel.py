@@ -20,7 +20,7 @@ from antdsl.machine_code import machine, shipped
 ROOT = Path(__file__).resolve().parents[2]
 # What the package's build reads.
 BUILT = ("antdsl", "grammar", "behaviours", "examples", "docs")
-FILES = ("pyproject.toml", "hatch_build.py", "README.md", "LICENSE", ".gitignore")
+FILES = ("pyproject.toml", ".ci/hatch_build.py", "README.md", "LICENSE", ".gitignore")
 # Runs a command of antdsl, and writes down which functions it had to compile.
 _RECORD = """
 import re, sys
@@ -54,7 +54,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in BUILT:
         shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("node_modules", "__pycache__", "out"))
     for name in FILES:
-        shutil.copy(ROOT / name, tree)
+        (tree / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tree / name)
     command = [sys.executable, "-P", "-m", "hatchling", "build", "-t", "wheel", "-d", "made"]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     ran = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True)
