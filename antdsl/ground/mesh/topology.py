@@ -4,13 +4,14 @@ where the surface is. Input is vertices float64[n,3] and faces int32[m,3] of one
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.self_cuts import Cuts, cuts
-from antdsl.numerics import elementary
-from antdsl.scene.geometry.live_faces import corner_numbers, live_faces
+from antdsl.numerics import elementary, stored_tables
+from antdsl.scene.geometry.live_faces import components, corner_numbers, live_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -68,24 +69,34 @@ class Topology:
 
 
 def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
-    """Tables for faces whose `mesh` int32[m] says which mesh each is of; corners are joined within a mesh only."""
+    """Tables for faces whose `mesh` int32[m] says which mesh each is of; corners are joined within a mesh only. They are stored
+    for other runs."""
+    inputs = (vertices, faces, mesh, extent)
+    found = stored_tables.stored("topology", len(faces), inputs, partial(_tables, *inputs))
+    cut = Cuts(found.pop("first_cut"), found.pop("cut_by"))
+    link, piece = found["link"], found["piece"]
+    return Topology(**found, pieces=int(piece.max(initial=-1)) + 1, forked=bool((link[0] != link[1]).any()), cuts=cut)
+
+
+def _tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
+    """The arrays of `build`, by the names of the fields of `Topology`; of its cuts `first_cut` and `cut_by`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     weld = corner_numbers(vertices, faces, mesh, extent)
     live = live_faces(weld, a, b, c)
     link = _links(vertices, faces, weld, live)
-    piece, pieces = _pieces(link, live)
-    forked = bool((link[0] != link[1]).any())
-    return Topology(
-        live=live,
-        link=link,
-        piece=piece,
-        pieces=pieces,
-        cuts=cuts(vertices[faces], weld, piece, extent * _THROUGH),
-        way=_ways(link, live, piece),
-        forked=forked,
-        weld=weld,
-        **_shape(vertices, faces, weld, live),
-    )
+    piece = _pieces(link, live)
+    cut = cuts(vertices[faces], weld, piece, extent * _THROUGH)
+    way, shape = _ways(link, live, piece), _shape(vertices, faces, weld, live)
+    return {
+        "live": live,
+        "link": link,
+        "piece": piece,
+        "way": way,
+        "weld": weld,
+        "first_cut": cut.first,
+        "cut_by": cut.other,
+        **shape,
+    }
 
 
 def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
@@ -188,20 +199,14 @@ def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
     return link
 
 
-def _pieces(link: Ints, live: NDArray[np.bool_]) -> tuple[Ints, int]:
-    """Which faces hang together, as a number per face, and how many such pieces there are."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    m = len(live)
+def _pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
+    """Which faces hang together, as a number per face, ascending from 0 with their first faces; -1 for those that are not live."""
     half = np.flatnonzero(link[0] != NO_LINK)
-    here, there = half // 3, link[0, half] >> 3
-    graph = coo_array((np.ones(half.size, np.int8), (here, there)), shape=(m, m))
-    _, piece = connected_components(graph, directed=False)
+    piece = components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
     named, numbers = np.unique(piece[live], return_inverse=True)
-    result = np.full(m, -1, np.int32)
+    result = np.full(len(live), -1, np.int32)
     result[live] = numbers
-    return result, int(named.size)
+    return result
 
 
 def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
@@ -211,9 +216,6 @@ def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
     m = len(live)
     if not (link[0].reshape(-1, 3)[live] == NO_LINK).any():
         return np.zeros((2, m), np.int32)
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     here, there = [], []
     for side in (0, 1):
         half = np.flatnonzero(link[side] != NO_LINK)
@@ -224,9 +226,7 @@ def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
     shut[piece[live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
     closed = np.flatnonzero(live)[shut[piece[live]]]
     one, two = np.concatenate([*here, closed]), np.concatenate([*there, closed + m])
-    graph = coo_array((np.ones(one.size, np.int8), (one, two)), shape=(2 * m, 2 * m))
-    number: Ints = connected_components(graph, directed=False)[1].astype(np.int32)
-    return number.reshape(2, m)
+    return components(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
 
 
 def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:
