@@ -21,6 +21,7 @@ import antdsl
 from antdsl.bounded import read_bounded
 from antdsl.limits import MIB
 from antdsl.machine_code import object_cache
+from antdsl.numerics import stages
 
 Tables = dict[str, NDArray[Any]]
 
@@ -52,6 +53,8 @@ def stored(name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], c
     key = _key(name, inputs) if size >= LEAST else None
     found = None if key is None else _unpacked(_store().get(key))
     if found is None:
+        if size >= LEAST:
+            stages.begin(f"{name} of {size:,} faces")
         found = compute()
         _computed += 1
         if key is not None and sum(array.nbytes for array in found.values()) <= _LARGEST - MIB:

@@ -152,7 +152,7 @@ def clear_of_rises(corners: Floats, table: Topology) -> Floats:
         samples = samples[np.lexsort(samples.T)]
         fresh = np.concatenate(([True], (samples[1:] != samples[:-1]).any(axis=1)))
         found = cKDTree(samples[fresh]).query(middle)[0] - radius - reach
-    pieces = np.unique(table.piece[table.live])
+    pieces = np.unique(table.piece[table.live]).astype(np.int64)
     if pieces.size > _PIECES:
         found[:] = 0.0
     elif pieces.size > 1:

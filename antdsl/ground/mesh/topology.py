@@ -200,12 +200,11 @@ def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
 
 
 def _pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
-    """Which faces hang together, as a number per face, ascending from 0 with their first faces; -1 for those that are not live."""
+    """Which faces hang together, as a number per face, ascending from 0 with their first ones; -1 for those that are not live."""
     half = np.flatnonzero(link[0] != NO_LINK)
     piece = components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
-    named, numbers = np.unique(piece[live], return_inverse=True)
     result = np.full(len(live), -1, np.int32)
-    result[live] = numbers
+    result[live] = np.unique(piece[live], return_inverse=True)[1]
     return result
 
 

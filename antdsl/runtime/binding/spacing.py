@@ -97,23 +97,20 @@ class Room:
         self._order = np.concatenate([self._order, order])
         self._there = np.concatenate([self._there, np.ones(len(order), np.bool_)])
         entries = np.arange(first, len(self._order))
-        self._groups += self._grouped(entries)
+        self._group(np.concatenate([entries, *(group.entries for group in self._groups)]))
         return entries
 
     def remove(self, entries: Rows) -> None:
         self._there[entries] = False
 
     def settle(self) -> None:
-        """Put what is left into as few trees as can be."""
-        self._groups = self._grouped(np.flatnonzero(self._there))
+        """Forget what was removed."""
+        self._group(np.flatnonzero(self._there))
 
-    def _grouped(self, entries: Rows) -> list[_Group]:
+    def _group(self, entries: Rows) -> None:
         classes = _size_class(self._radius[entries])
-        found = []
-        for size in np.unique(classes):
-            chosen = entries[classes == size]
-            found.append(_Group(self._place[chosen], chosen, float(self._radius[chosen].max())))
-        return found
+        chosen = [entries[classes == size] for size in np.unique(classes)]
+        self._groups = [_Group(self._place[each], each, float(self._radius[each].max())) for each in chosen]
 
     def met(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
         """Pairs of given discs and entries that overlap: numbers of both, and their distance as a share of that at which they

@@ -76,8 +76,8 @@ def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
 
 
 def components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
-    """A number for each of `count` things, the same for those that `pairs` (k, 2) join, directly or by others between them: ascending
-    from 0 with the first of each."""
+    """A number for each of `count` things, the same for those that `pairs` (k, 2) join, directly or by others between them:
+    ascending from 0 with the first of each."""
     parent = np.arange(count)
     one, two = pairs[:, 0], pairs[:, 1]
     while one.size:  # each round leaves at most half of the roots that are joined with others
