@@ -95,10 +95,10 @@ def versions() -> tuple[str, ...]:
 
 class ObjectCache:
     """`folder`: None for the one that the variable of its `kind` names (none at all where that is empty), or else that of the
-    kind in the user's cache folder; `cap`: bytes of all files in it, of which those go first that were used longest ago;
-    `largest`: bytes of one result. `messages`: sentences for the user on why something is not stored or was not used, each once. May be used
-    by several threads, and a folder by several processes and users: files are put in place atomically, and no user finds the
-    names of another."""
+    kind in the user's cache folder. `cap`: bytes of all files in it, of which those go first that were used longest ago;
+    `largest`: bytes of one result. `messages`: sentences for the user on why something is not stored or was not used, each once.
+    May be used by several threads, and a folder by several processes and users: files are put in place atomically, and no user
+    finds the names of another."""
 
     def __init__(self, folder: Path | None = None, *, kind: Kind = CODE, cap: int = CAP, largest: int | None = None) -> None:
         self.messages: list[str] = []

@@ -131,7 +131,7 @@ def _unpacked(data: bytes | None) -> Tables | None:
     try:
         at = data.index(b"\n") + 1
         for name, kind, shape in json.loads(data[:at]):
-            if kind not in _TYPES:
+            if kind not in _TYPES or min(shape, default=0) < 0:
                 return None
             at += -at % _ALIGNED
             count = math.prod(shape)

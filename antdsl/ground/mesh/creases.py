@@ -177,13 +177,14 @@ def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats
         # Farther off than a tenth of the size of the others, the distance from the box around them will do.
         others = np.arange(len(own)) != k
         least, most = low[others].min(axis=0), high[others].max(axis=0)
-        away = _from_box(middle[rows], least, most)
+        away = _from_box(middle[rows].T, least, most)
         far = away - error[rows] > _FAR * float((most - least).max())
         found[rows[far]] = (away - error[rows])[far]
         near.append(rows[~far])
     rows = np.concatenate(near)
     at = middle[rows]
-    bound = np.stack([_from_box(at, least, most) for least, most in zip(low, high, strict=True)])
+    along = np.ascontiguousarray(at.T)
+    bound = np.stack([_from_box(along, least, most) for least, most in zip(low, high, strict=True)])
     bound[np.searchsorted(pieces, piece[rows]), np.arange(rows.size)] = np.inf
     begin, best = bound.argmin(axis=0), np.full(rows.size, np.inf)
     scenes = [RayScene(corners[each].reshape(-1, 3), np.arange(3 * each.size, dtype=np.int32).reshape(-1, 3)) for each in own]
@@ -196,8 +197,8 @@ def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats
 
 
 def _from_box(places: Floats, low: Floats, high: Floats) -> Floats:
-    """The distance of places [n,3] from a box; 0 within."""
-    x, y, z = np.maximum(np.maximum(low - places, places - high), 0.0).T
+    """The distance of places (3, n) from a box; 0 within."""
+    x, y, z = (np.maximum(np.maximum(a - p, p - b), 0.0) for p, a, b in zip(places, low, high, strict=True))
     away: Floats = np.sqrt(x * x + y * y + z * z)
     return away
 
