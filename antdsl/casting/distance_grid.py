@@ -19,9 +19,10 @@ _MEASURED = 150_000  # cells: about 2 microseconds each
 
 
 class DistanceGrid:
-    """Lower bounds of the distance to a set of triangles, from their corners float64[m,3,3] (mm)."""
+    """Lower bounds of the distance to a set of triangles, from their corners float64[m,3,3] (mm). `lasting`: whether another run
+    may ask for the same ones."""
 
-    def __init__(self, corners: NDArray[np.float64], cells: int = _CELLS) -> None:
+    def __init__(self, corners: NDArray[np.float64], cells: int = _CELLS, lasting: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         extent = (corners.max(axis=(0, 1)) if len(corners) else np.zeros(3)) - self._low
         self._width = cell_width(extent, cells)
@@ -29,7 +30,8 @@ class DistanceGrid:
         self._high = self._low + extent
         self._cells = (self._low, self._high, self._size, self._width)
         work = partial(self._bounds, corners)
-        self._least = stored_tables.stored("distance grid", len(corners), (corners, float(cells)), work)["least"]
+        size = int(np.prod(self._size)) if lasting else 0
+        self._least = stored_tables.stored("distance grid", size, (corners, float(cells)), work, "cells")["least"]
 
     def _bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
         """The least distance of each cell from all triangles."""

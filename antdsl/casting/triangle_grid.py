@@ -42,11 +42,12 @@ class TriangleGrid:
     axis, int64[3]; where the faces of each cube begin and their numbers, int32; of each of these, side by side, its plane and a
     ball around it, float32[e,8]; planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces."""
 
-    def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats) -> None:
+    def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats, lasting: bool = True) -> None:
         corners = faces.corners
         low = corners.min(axis=(0, 1)) - width / 4
         size = np.floor((corners.max(axis=(0, 1)) + width / 4 - low) / width).astype(np.int64) + 1
-        lists = stored_tables.stored("triangle grid", len(corners), (corners, width), partial(_lists, corners, low, size, width))
+        work, count = partial(_lists, corners, low, size, width), len(corners) if lasting else 0
+        lists = stored_tables.stored("triangle grid", count, (corners, width), work)
         first, listed = lists["first"], lists["listed"]
         normals = faces.normal(np.arange(len(corners)))
         off = 1e-6 * (float(np.abs(corners).max()) + (LONGEST + RINGS) * width)  # several times what float32 makes of it
@@ -65,14 +66,14 @@ class TriangleGrid:
         self.crowded = float((many * many).sum() / max(many.sum(), 1.0))
 
     @staticmethod
-    def of(faces: Faces, origin: Floats) -> TriangleGrid | None:
+    def of(faces: Faces, origin: Floats, lasting: bool = True) -> TriangleGrid | None:
         """A grid where one is of use and not too large: its size is reckoned before anything is allocated. `origin`: where in the
-        world the faces' zero is."""
+        world the faces' zero is; `lasting`: whether another run may ask for the same faces."""
         tables = faces.tables()
         width = None if tables is None else _width(faces.corners)
         if tables is None or width is None:
             return None
-        grid = TriangleGrid(faces, tables[0], width, origin)
+        grid = TriangleGrid(faces, tables[0], width, origin, lasting)
         return grid if grid.crowded <= _CROWDED else None
 
     # ---- rays

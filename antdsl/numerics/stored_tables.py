@@ -25,7 +25,7 @@ from antdsl.numerics import stages
 
 Tables = dict[str, NDArray[Any]]
 
-LEAST: Final = 10_000  # faces of a mesh whose tables are stored: those of fewer take less than a tenth of a second
+LEAST: Final = 10_000  # faces of a mesh, or cells, from which on tables are stored: those of fewer take no time
 KIND: Final = object_cache.Kind(
     "tables",
     "ANTDSL_TABLE_CACHE",
@@ -46,15 +46,17 @@ _TYPES: Final = frozenset(["|b1", "|i1", "<i4", "<i8", "<f4", "<f8"])
 _computed = 0  # tables, by this process
 
 
-def stored(name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], compute: Callable[[], Tables]) -> Tables:
-    """What `compute` gives, or gave in an earlier run, for these inputs; `size`: faces of the mesh. `name` stands for the
-    computation. The arrays belong to the caller."""
+def stored(
+    name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], compute: Callable[[], Tables], unit: str = "faces"
+) -> Tables:
+    """What `compute` gives, or gave in an earlier run, for these inputs. `size`: how many faces the mesh has, or what else the
+    `unit` is; 0 for what no other run asks for. `name` stands for the computation. The arrays belong to the caller."""
     global _computed
     key = _key(name, inputs) if size >= LEAST else None
     found = None if key is None else _unpacked(_store().get(key))
     if found is None:
         if size >= LEAST:
-            stages.begin(f"{name} of {size:,} faces")
+            stages.begin(f"{name} of {size:,} {unit}")
         found = compute()
         _computed += 1
         if key is not None and sum(array.nbytes for array in found.values()) <= _LARGEST - MIB:

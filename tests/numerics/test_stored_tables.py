@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces
+from antdsl.casting.rays import RayScene
 from antdsl.casting.triangle_grid import TriangleGrid
 from antdsl.fields.cells import SurfaceCells
 from antdsl.ground.mesh.creases import RiseMap
 from antdsl.ground.mesh.topology import Topology, build
+from antdsl.ground.moving import MovingGround
 from antdsl.machine_code import signing
 from antdsl.numerics import stored_tables
 from antdsl.numerics.stored_tables import KIND, LEAST, stored
@@ -170,3 +172,19 @@ def test_the_sources_of_all_rooms_that_compute_are_in_the_key() -> None:
     for module in ("ground/mesh/self_cuts.py", "casting/rasterise.py", "scene/geometry/live_faces.py", "fields/numbered.py"):
         assert module in named
     assert "numerics/stored_tables.py" in named and "machine_code/machine.py" in named
+
+
+def test_of_what_moves_nothing_is_stored(folder: Path) -> None:
+    vertices, faces = hills(75)
+    ground = MovingGround({"deck": (vertices, faces)}, ["deck"])
+    begin = len(list(folder.iterdir()))
+    for frame in range(3):
+        ground.pose({"deck": vertices + np.array([0.0, frame + 1.0, 0.0])})
+        scene, _ = ground._scene(None)
+        assert scene.cast_within(np.array([[0.0, 40.0 + frame, 0.0]]), np.array([[0.0, -60.0, 0.0]]))[0].size == 1
+    assert len(list(folder.iterdir())) == begin
+    brief = RayScene(vertices, faces, brief=True)
+    brief.clearance(*np.zeros((3, 4), np.float32))
+    assert len(list(folder.iterdir())) == begin
+    RayScene(vertices, faces).clearance(*np.zeros((3, 4), np.float32))
+    assert len(list(folder.iterdir())) == begin + 1
