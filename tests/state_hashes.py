@@ -3,6 +3,7 @@
 `python tests/state_hashes.py --compare` holds every example against `tests/state_hashes.txt` at frames 0, 1, 2, 4, 8, … and tells
 the first frame that differs; `--record` writes that file anew. `--frames 8` stops after frame 8, `--most 200` takes at most
 so many agents of each line of a crowd (and is only printed: the file is of whole crowds). Scenes may be named one by one. With
+`--feet` compares or records `tests/feet_hashes.txt` instead: hashes of the feet of at most 60 agents of each line, to frame 16.
 COMPILED=host in the environment, compiled kernels are used for any number of agents; with COMPILED=oldest they are made for the
 oldest x86-64. Exit code 1 where a hash differs, so that
 `git bisect run python tests/state_hashes.py --compare examples/worth/scene.yaml` finds the commit that changed one."""
@@ -12,17 +13,19 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from antdsl.machine_code import machine
 from antdsl.numerics import compiled
 from antdsl.pipeline import open_scene
-from antdsl.runtime import bind, state_hash, step
+from antdsl.runtime import Options, bind, feet_hash, state_hash, step
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDED = ROOT / "tests" / "state_hashes.txt"
+RECORDED_FEET = ROOT / "tests" / "feet_hashes.txt"
+FEET_FRAMES, FEET_AGENTS = 16, 60
 # `base` and `fields` are what other scenes of their folder extend.
 SCENES = tuple(p for p in sorted((ROOT / "examples").rglob("*.yaml")) if p.stem not in ("base", "fields"))
 
@@ -32,19 +35,24 @@ def named(scene: Path) -> str:
     return scene.resolve().relative_to(ROOT / "examples").with_suffix("").as_posix()
 
 
-def frames_of(scene: Path, frames: int | None, most: int | None) -> Iterator[tuple[int, str]]:
-    """Every frame of a scene with its state hash, up to `frames` or the scene's own end."""
+def frames_of(scene: Path, frames: int | None, most: int | None, feet: bool = False) -> Iterator[tuple[int, str]]:
+    """Every frame of a scene with its state hash, or that of its `feet`, up to `frames` or the scene's own end."""
     shot, report = open_scene(scene)
     if shot is None:
         sys.exit(str(report))
     setting = shot.setting
     if most is not None:
         setting = replace(setting, crowds=tuple(replace(crowd, count=min(crowd.count, most)) for crowd in setting.crowds))
-    world = bind(shot.plan, setting)
-    yield 0, state_hash(world)
+    world = bind(shot.plan, setting, Options(feet=feet))
+    yield 0, feet_hash(world.feet) if feet else state_hash(world)
     for frame in range(1, (shot.frames.last - shot.frames.first if frames is None else frames) + 1):
         step(world)
-        yield frame, state_hash(world)
+        yield frame, feet_hash(world.feet) if feet else state_hash(world)
+
+
+def feet_of(scene: Path) -> dict[int, str]:
+    """The hashes of a scene's feet that are recorded, by frame; none where no body of it has legs."""
+    return {frame: found for frame, found in frames_of(scene, FEET_FRAMES, FEET_AGENTS, feet=True) if kept(frame) and found}
 
 
 def recorded(path: Path = RECORDED) -> dict[str, dict[int, str]]:
@@ -77,12 +85,15 @@ def main() -> int:
     task = parser.add_mutually_exclusive_group()
     task.add_argument("--compare", action="store_true")
     task.add_argument("--record", action="store_true")
+    parser.add_argument("--feet", action="store_true")
     asked = parser.parse_args()
     chosen = os.environ.get("COMPILED")
     if chosen:
         compiled.wanted = lambda count: True
     if chosen == "oldest":
         machine.host = lambda: machine.Target("x86_64-unknown-linux-gnu", "x86-64", "")
+    if asked.feet:
+        return _feet(asked.scenes, record=asked.record)
     known = recorded() if RECORDED.exists() else {}
     wrong = 0
     for scene in asked.scenes:
@@ -95,11 +106,27 @@ def main() -> int:
         print(named(scene), *(f"{frame}:{each}" for frame, each in found), flush=True)
         known[named(scene)] = dict(found)
         if asked.record:
-            lines = [
-                " ".join([name, *(f"{frame}:{each}" for frame, each in rows.items())]) for name, rows in sorted(known.items())
-            ]
-            RECORDED.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            _write(RECORDED, known)
     return 1 if wrong else 0
+
+
+def _feet(scenes: Sequence[Path], *, record: bool) -> int:
+    known = recorded(RECORDED_FEET) if RECORDED_FEET.exists() else {}
+    wrong = 0
+    for scene in scenes:
+        found, name = feet_of(scene), named(scene)
+        wrong += found != known.get(name, {})
+        print(f"{name}: {'as recorded' if found == known.get(name, {}) else 'differs'}", flush=True)
+        if record and found:
+            known[name] = found
+    if record:
+        _write(RECORDED_FEET, known)
+    return 1 if wrong and not record else 0
+
+
+def _write(path: Path, known: Mapping[str, Mapping[int, str]]) -> None:
+    lines = [" ".join([name, *(f"{frame}:{each}" for frame, each in rows.items())]) for name, rows in sorted(known.items())]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from antdsl.casting.grid_filters import distances
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.numerics import compiled, stored_tables
+from antdsl.numerics.vector_rows import dot
 
 _CELLS = 250_000  # a table that stays in the processor's cache beside all else of a step
 _SINGLE = np.dtype(np.float32)
+_LISTED = 4_000_000  # cells of triangles, one in several counted as often
 _MEASURED = 150_000  # cells: about 2 microseconds each
 
 
@@ -25,7 +27,7 @@ class DistanceGrid:
     def __init__(self, corners: NDArray[np.float64], cells: int = _CELLS, lasting: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         extent = (corners.max(axis=(0, 1)) if len(corners) else np.zeros(3)) - self._low
-        self._width = cell_width(extent, cells)
+        self._width = triangle_width(corners, cell_width(extent, cells))
         self._size = np.floor(extent / self._width).astype(np.int64) + 1
         self._high = self._low + extent
         self._cells = (self._low, self._high, self._size, self._width)
@@ -100,3 +102,20 @@ def cell_width(extent: NDArray[np.float64], cells: int) -> float:
         else:
             high = middle
     return high
+
+
+def triangle_width(corners: NDArray[np.float64], width: float) -> float:
+    """Edge of cubes, at least `width`, in which triangles with corners float64[m,3,3] can be listed in a few seconds."""
+    lengths, area = sides_and_area(corners)
+    around = float(lengths.sum())
+    while 3 * area / width**2 + 2 * around / width > _LISTED + 8.0 * len(corners):
+        width *= 1.25
+    return width
+
+
+def sides_and_area(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """The lengths (3, m) of the sides of triangles and the area of all: by sides, area and corners, triangles touch cubes."""
+    sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]
+    normal = np.cross(sides[0], sides[1])
+    lengths: NDArray[np.float64] = np.sqrt(np.stack([dot(side, side) for side in sides]))
+    return lengths, float(np.sqrt(dot(normal, normal)).sum() / 2)

@@ -12,6 +12,8 @@ _TESTED = 1 << 13  # pairs of a triangle and a cell tested at once: what the tes
 _SLACK = 1e-9  # cells
 _OTHER_AXES = ((1, 2), (2, 0), (0, 1))
 _LARGEST = 2.0  # extent in cells above which a triangle is cut in four
+_NUMBERS = float(1 << 62)
+_THIN = 64.0  # cells along a triangle for each that it touches, from where on it is sliced
 
 
 def triangle_cells(
@@ -24,8 +26,17 @@ def triangle_cells(
     `margin` (cells), those too that are as near to a triangle.
     Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap Testing, 2001, p. 2-4.
     """
-    todo = [(corners[a : a + _PIECE], np.arange(a, min(a + _PIECE, len(corners)))) for a in range(0, len(corners), _PIECE)]
-    todo.reverse()
+    for a in range(0, len(corners), _PIECE):
+        yield from _cells(corners[a : a + _PIECE], np.arange(a, min(a + _PIECE, len(corners))), exact, margin)
+
+
+def _cells(
+    tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool, margin: float
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """As `triangle_cells`, for at most `_PIECE` triangles and their names.
+
+    Quarters of a needle are needles: of one that is n cells long they would be n²/4. Slices across it are as wide as it is."""
+    todo = [(tri, name)]
     while todo:
         tri, name = todo.pop()
         low, high = _bounds(tri)
@@ -33,10 +44,67 @@ def triangle_cells(
         small = ~large
         if small.any():
             yield _box_cells(tri[small], name[small], exact, margin)
-        if large.any():
-            quarters, names = _quarter(tri[large]), np.tile(name[large], 4)
+        if not large.any():
+            continue
+        tri, name = tri[large], name[large]
+        thin = _are_thin(tri)
+        if not thin.all():
+            quarters, names = _quarter(tri[~thin]), np.tile(name[~thin], 4)
             for a in range(0, len(quarters), _PIECE):
                 todo.append((quarters[a : a + _PIECE], names[a : a + _PIECE]))
+        if thin.any():
+            for slices, which in _slices(tri[thin]):
+                for found in _cells(slices, name[thin][which], exact, margin):
+                    yield _each_once(*found)
+
+
+def _each_once(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Without most of the pairs that come again: halves of a slice share cells, and so do neighbours."""
+    least = cells.min(axis=0, initial=np.iinfo(np.int64).max)
+    key = name - name.min(initial=0)
+    room = float(key.max(initial=0)) + 1
+    for axis in range(3):
+        span = int(cells[:, axis].max(initial=least[axis]) - least[axis]) + 1
+        key, room = key * span + (cells[:, axis] - least[axis]), room * span
+    if room >= _NUMBERS:
+        return cells, name
+    kept = np.unique(key, return_index=True)[1]
+    return cells[kept], name[kept]
+
+
+def _are_thin(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Of which triangles quarters would be far more than the cells that they touch."""
+    sides = [tri[:, (k + 1) % 3] - tri[:, k] for k in range(3)]
+    square = np.max([(side * side).sum(axis=1) for side in sides], axis=0)
+    across = np.cross(sides[0], sides[1])
+    thin: NDArray[np.bool_] = square > _THIN * (np.sqrt((across * across).sum(axis=1)) + np.sqrt(square))
+    return thin
+
+
+def _slices(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+    """Triangles cut across their longest side: at most `_PIECE` parts at once, and the number of the triangle of each.
+
+    The height cuts a triangle in two. Each half is cut along the height, from its tip on, and each slice into two triangles."""
+    sides = np.stack([((tri[:, (k + 1) % 3] - tri[:, k]) ** 2).sum(axis=1) for k in range(3)])
+    first, row = sides.argmax(axis=0), np.arange(len(tri))
+    start, end, apex = (tri[row, (first + k) % 3] for k in range(3))
+    along = end - start
+    part = ((apex - start) * along).sum(axis=1) / (along * along).sum(axis=1)
+    foot = start + np.clip(part, 0.0, 1.0)[:, None] * along
+    tip, foot, apex = np.concatenate([start, end]), np.tile(foot, (2, 1)), np.tile(apex, (2, 1))
+    height = np.sqrt(((apex - foot) ** 2).sum(axis=1))
+    length = np.sqrt(((foot - tip) ** 2).sum(axis=1))
+    count = np.ceil(length / np.maximum(height, _LARGEST - height)).astype(np.int64)
+    stop = np.cumsum(count)
+    for a in range(0, int(stop[-1]), _PIECE // 2):
+        step = np.arange(a, min(a + _PIECE // 2, int(stop[-1])))
+        half = np.searchsorted(stop, step, "right")
+        near = (step - (stop[half] - count[half])) / count[half]
+        far = (step + 1 - (stop[half] - count[half])) / count[half]
+        low, high = (tip[half] + at[:, None] * (foot[half] - tip[half]) for at in (near, far))
+        left, right = (tip[half] + at[:, None] * (apex[half] - tip[half]) for at in (near, far))
+        parts = np.concatenate([np.stack([low, high, right], axis=1), np.stack([low, right, left], axis=1)])
+        yield parts, np.tile(half % len(tri), 2)
 
 
 def _quarter(tri: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.distance_grid import cell_width
+from antdsl.casting.distance_grid import cell_width, sides_and_area
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.tolerances import CLOSED, FURTHER, LONGEST, NOTHING, RINGS
@@ -277,10 +277,8 @@ def _width(corners: Floats) -> float | None:
     """The edge of cubes (mm): about that of the faces, larger where there would be too many cubes or faces in them."""
     if not len(corners):
         return None
-    sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]
-    lengths = np.sqrt(np.stack([dot(side, side) for side in sides]))
-    normal = np.cross(sides[0], sides[1])
-    area, around = np.sqrt(dot(normal, normal)).sum() / 2, lengths.sum()
+    lengths, area = sides_and_area(corners)
+    around = lengths.sum()
     extent = corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))
     width = max(float(lengths.mean()) * _FACE_EDGES, cell_width(extent, _CELLS))
     if not 0 < width < np.inf:

@@ -23,7 +23,7 @@ from antdsl.machine_code.kernels import (
     scratch,
     whole,
 )
-from antdsl.numerics.vectors_compiled import minus
+from antdsl.numerics.vectors_compiled import minus, of
 
 # As `TriangleGrid.tables`.
 Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
@@ -46,7 +46,7 @@ def firsts(
         high = min(low + AHEAD, end)
         _fetch(grid, origin, (0.0, 0.0, 0.0), way, cells, low, high)
         for i in range(low, high):
-            t[i], face[i] = _first(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
+            t[i], face[i] = first_hit(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
 
 
 @kernel
@@ -72,7 +72,7 @@ def faced(
         hit = 0
         for i in range(low, high):
             a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
-            t, face = _first(grid, a, (way[i, 0], way[i, 1], way[i, 2]))
+            t, face = first_hit(grid, a, (way[i, 0], way[i, 1], way[i, 2]))
             left += 1 if face == FURTHER else 0
             if face >= 0:
                 k = begin + count + hit
@@ -150,7 +150,7 @@ def feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
     far = np.float64(reach)
     a = np.float64(p[0]) - shape[6], np.float64(p[1]) - shape[7], np.float64(p[2]) - shape[8]
     w = np.float64(d[0]) * far, np.float64(d[1]) * far, np.float64(d[2]) * far
-    t, face = _first(grid, a, w)
+    t, face = first_hit(grid, a, w)
     if face < 0:
         return (0.0, 0.0, 0.0, np.nan if face == FURTHER else np.inf), face
     x, y, z = normals[face, 0], normals[face, 1], normals[face, 2]
@@ -160,7 +160,7 @@ def feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
 
 
 @called
-def _first(grid, a, w):  # type: ignore[no-untyped-def]
+def first_hit(grid, a, w):  # type: ignore[no-untyped-def]
     """After what part of its way a ray meets its first face, and which."""
     shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
@@ -221,6 +221,17 @@ def _first(grid, a, w):  # type: ignore[no-untyped-def]
         else:
             z += 2 * uz - 1
     return best, face
+
+
+@inlined
+def fetch_rays(grid, origins, zero, ways, rays, cells, count):  # type: ignore[no-untyped-def]
+    """Prefetch the faces near both ends of rays whose numbers are in `rays`; origins and ways (3, k) count from a `zero`."""
+    for n in range(count):
+        a, w = minus(of(origins, rays[n]), zero), of(ways, rays[n])
+        cells[2 * n] = _look_at(grid, a)
+        cells[2 * n + 1] = _look_at(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
+    for n in range(2 * count):
+        _fetch_list(grid, cells[n])
 
 
 @inlined

@@ -182,10 +182,15 @@ def _command() -> int:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
     except Exception as problem:
+        from antdsl.machine_code.machine import NoMachineCode
+
         if (found := machine_failure(problem)) is not None:
             end = failure(found)
             print(end.message, end.hint, sep="\n", file=sys.stderr)
             return end.code
+        if isinstance(problem, NoMachineCode):
+            print(f"error: feet need machine code: {problem}", file=sys.stderr)
+            return Exit.INPUT_OUTPUT
         import traceback
 
         traceback.print_exc()

@@ -25,6 +25,7 @@ Cells = NDArray[np.int32]
 NEAREST = 16
 _DENSE = 8_000_000  # voxels of a box that may be listed one by one
 _ALONG = 1 << 19  # voxels along an axis; three packed with a side stay in 63 bits
+_SLIVERS = 2.0  # cells along triangles for each that is allowed: of slivers many lie in one
 BLOCK = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
 _CHUNK = 1 << 15
 
@@ -76,6 +77,9 @@ class SurfaceCells:
         along = float(extent.max()) / self.cell
         if along > _ALONG:
             raise FieldTooFine(int(along), _ALONG, in_a_row=True)
+        touched = float((corners.max(axis=1) - corners.min(axis=1)).max(axis=1).sum()) / self.cell
+        if touched > _SLIVERS * cap:
+            raise FieldTooFine(int(touched), cap)
         scaled = corners / self.cell + 0.5
         self._low = np.floor(scaled.min(axis=(0, 1))).astype(np.int64) if len(corners) else np.zeros(3, np.int64)
         self._size = np.floor(scaled.max(axis=(0, 1))).astype(np.int64) - self._low + 1 if len(corners) else np.ones(3, np.int64)

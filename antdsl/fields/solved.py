@@ -50,6 +50,7 @@ class Solved(Flow):
     cost: Floats | None = None  # (t,) of a mm, nobody being there
     start: Index | None = None
     first: Floats | None = None  # what is still to go from there
+    gap: float = 0.0  # mm from the ground to the nearest place of the target, its radius left out
     strength: float = 1.0
     crowding: float = 0.0
     every: int = 1  # steps

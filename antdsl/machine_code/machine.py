@@ -55,6 +55,10 @@ class Target:
 ANY = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")  # for what is to be the same on each machine
 
 
+class NoMachineCode(RuntimeError):
+    """Machine code is needed and cannot be made here: the message says why and what to do about it."""
+
+
 @cache
 def _llvm() -> Any:
     import llvmlite.binding as llvm
@@ -83,6 +87,12 @@ def unavailable() -> str:
 def available() -> bool:
     """Whether code can be made here."""
     return not unavailable()
+
+
+def require() -> None:
+    """Raise NoMachineCode where no code can be made."""
+    if why := unavailable():
+        raise NoMachineCode(why)
 
 
 @cache

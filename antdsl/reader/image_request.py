@@ -48,11 +48,13 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: in
         answer = client.ask("image", said, {"data": np.frombuffer(data, np.uint8)}, size=len(data), digest=digest, files=digest)
         return _checked(answer, said["modes"], pixels)
     except Refusal as why:
-        raise ImageError(f"cannot be read as {format} ({why})") from None
+        raise ImageError(f"cannot be read as {format} ({why})", "export the image again") from None
     except client.ReaderFailure as why:
         raise ImageError(str(why), why.help) from None
     except ProtocolError as why:
-        raise ImageError(f"cannot be read as {format}: the reader's answer makes no sense ({why})") from None
+        raise ImageError(
+            f"cannot be read as {format}: the reader's answer makes no sense ({why})", "export the image again"
+        ) from None
 
 
 def _checked(answer: Message, modes: Any, pixels: int) -> ImageFile:

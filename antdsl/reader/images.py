@@ -32,13 +32,23 @@ def read_image(request: Message) -> tuple[dict[str, Any], Mapping[str, NDArray[A
             columns, rows = image.size
             pages = getattr(image, "n_frames", 1)
             if pages == 1 and columns * rows <= int(said["pixels"]) and image.mode in said["modes"]:
+                _require_all_parts(image)
                 arrays["samples"] = np.asarray(image)
             document = {"mode": image.mode, "columns": columns, "rows": rows, "pages": pages}
             return document | {"texts": _texts(image.info)}, arrays  # texts may come after the samples
-    except MemoryError:
+    except (MemoryError, Refusal):
         raise
     except Exception as problem:  # a library's reader meets a stranger's file
         raise Refusal("bad-image", type(problem).__name__) from problem
+
+
+def _require_all_parts(image: Any) -> None:
+    """Refuse a file whose strips or tiles do not cover the image: Pillow leaves the rest black."""
+    boxes = [part[1] for part in image.tile]
+    if boxes and all(boxes):
+        covered = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)
+        if covered < image.width * image.height:
+            raise Refusal("bad-image", "parts of the image are missing")
 
 
 def _texts(info: Mapping[Any, Any]) -> dict[str, str]:

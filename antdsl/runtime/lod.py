@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import AXES, Population, World
+from antdsl.scene.geometry.live_faces import components
 from antdsl.scene.setting import DetailData, MeshData
 
 Boxes = tuple[NDArray[np.float32], NDArray[np.float32]]  # least and greatest corners
@@ -130,16 +131,11 @@ class Pieces:
 
 def _pieces(mesh: MeshData, used: NDArray[np.int32]) -> NDArray[np.int64]:
     """The number of the piece that each used vertex belongs to."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     if not len(mesh.faces):
         return np.zeros(0, np.int64)
     places, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = same.reshape(-1)[mesh.faces]
-    a, b = np.concatenate([faces[:, :2], faces[:, 1:]]).T
-    links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(len(places), len(places)))
-    of_place = connected_components(links, directed=False)[1]
+    of_place = components(np.concatenate([faces[:, :2], faces[:, 1:]]), len(places))
     numbers: NDArray[np.int64] = np.unique(of_place[same.reshape(-1)[used]], return_inverse=True)[1].reshape(-1)
     return numbers
 

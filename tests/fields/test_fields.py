@@ -158,6 +158,13 @@ def test_a_request_for_a_billion_cells_is_refused_before_it_costs_anything():
     with pytest.raises(FieldTooFine) as told:
         SurfaceCells([ribbon], 0.1)
     assert told.value.in_a_row and told.value.needed > told.value.cap
+    slivers = np.array([[[0, 0, 9 * k], [0, 0, 9 * k + 1e-3], [1e5, 0, 9 * k]] for k in range(600)], float).reshape(-1, 3)
+    tracemalloc.start()
+    with pytest.raises(FieldTooFine) as told:
+        SurfaceCells([(slivers, np.arange(1800, dtype=np.int32).reshape(-1, 3))], 1.0)
+    assert not told.value.in_a_row and told.value.needed == 60_000_000
+    assert tracemalloc.get_traced_memory()[1] < 1e6
+    tracemalloc.stop()
     for cell in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="more than 0"):
             SurfaceCells([grid(100, 4)], cell)

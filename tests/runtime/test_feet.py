@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 import stick_bodies
 from compilers import need_llvmlite
+from foot_frames import BodyFrames, lean
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
 from antdsl.pipeline import Shot
 from antdsl.reload import take_over
 from antdsl.runtime import Options, World, bind, checkpoint, feet_hash, restore, state_hash, step
-from antdsl.runtime.feet.gaits import MOST_CYCLES, SINK
+from antdsl.runtime.feet.gaits import MOST_CYCLES, SINK, resting
 from antdsl.runtime.feet.state import NOTHING, Feet
-from antdsl.runtime.feet.walking import _frames
 
 NUMPY = Options(backend="numpy", feet=True)
 
@@ -45,11 +45,9 @@ def off_ground(world: World, feet: Feet) -> NDArray[np.float64]:
 def far_from_hips(world: World, feet: Feet) -> float:
     """The farthest that a foot joint is from its hip, in lengths of its leg; the trunk as low as it may be."""
     population, legs = world.populations["walker"], world.walkers["walker"].legs
-    body = _frames(population)
-    from antdsl.runtime.feet.trunk import leant
-
-    x, y, z = body.of_places(feet.shown)
-    a, b, c = leant(legs.hip, feet.slope)
+    body = BodyFrames.of(population)
+    x, y, z = body.to_bodies(feet.shown)
+    a, b, c = lean(legs.hip, feet.slope)
     high = (y + legs.foot[:, 1] - b) - (feet.rise / body.size)[:, None]
     high = np.maximum(np.abs(high) - SINK * legs.length * (high < 0), 0)
     return float((np.sqrt((x - a) ** 2 + high**2 + (z - c) ** 2) / legs.length).max())
@@ -96,8 +94,9 @@ def test_standing_bodies_put_their_feet_back_and_then_keep_still(tmp_path: Path)
         step(world)
         lifted.append(before & ~feet_of(world).down)
     feet, population = feet_of(world), world.populations["walker"]
-    x, _, z = _frames(population).of_places(feet.place)
-    off = np.hypot(x - world.walkers["walker"].rest[0], z - world.walkers["walker"].rest[1])
+    x, _, z = BodyFrames.of(population).to_bodies(feet.place)
+    rest = resting(world.walkers["walker"].legs)
+    off = np.hypot(x - rest[0], z - rest[1])
     assert np.median(off) < 0.07 and not any(each.any() for each in lifted[-24:]) and feet.down.mean() > 0.98
     last = max(k for k, each in enumerate(lifted) if each.any())
     assert all(each.sum(axis=1).max() <= 4 for each in lifted[30 : last + 1])  # never all six at once
@@ -237,8 +236,8 @@ def test_feet_go_along_with_ground_that_moves_and_stand_still_on_it(tmp_path: Pa
     assert first.down.all() and feet.down.all() and float(np.abs(feet.place - first.place).max()) > 10
     assert np.array_equal(feet.face, first.face) and np.array_equal(feet.weight, first.weight)
     assert off_ground(world, feet).max() < 1e-9
-    x, y, _ = _frames(world.populations["walker"]).of_places(feet.place)
-    assert np.abs(x - world.walkers["walker"].rest[0]).max() < 0.1 and np.abs(y).max() < 1e-3
+    x, y, _ = BodyFrames.of(world.populations["walker"]).to_bodies(feet.place)
+    assert np.abs(x - resting(world.walkers["walker"].legs)[0]).max() < 0.1 and np.abs(y).max() < 1e-3
 
 
 def test_a_foot_whose_ground_is_dug_away_lifts_and_seeks_again(tmp_path: Path) -> None:
@@ -283,9 +282,10 @@ def test_feet_stand_on_obstacles_and_on_the_side_of_a_sheet_that_they_walk_on(tm
         step(world)
     feet, population = feet_of(world), world.populations["walker"]
     side = np.hypot(population.position[population.in_id_order()][:, 0], population.position[population.in_id_order()][:, 2])
-    up = _frames(population).up
-    inside = (up[0] * _frames(population).place[0] + up[2] * _frames(population).place[2] < 0) & (side > 20)
-    hips = _frames(population).at(*(np.broadcast_to(part, feet.swing.shape) for part in world.walkers["walker"].legs.hip.T))
+    bodies = BodyFrames.of(population)
+    up, place = bodies.axes[:, 1].T, bodies.place.T
+    inside = (up[0] * place[0] + up[2] * place[2] < 0) & (side > 20)
+    hips = bodies.to_world(world.walkers["walker"].legs.hip)
     hit = world.obstacles["ground"].cast_within(
         hips[:, feet.down].T.copy(), ((feet.shown - hips)[:, feet.down] * 0.999).T.copy()
     )[0]

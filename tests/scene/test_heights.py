@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,15 @@ def opened(folder: Path, name: str, data: bytes, more: str = "", scene: str = ""
     )
     shot, report = open_scene(folder / "scene.yaml")
     return shot, " ".join(f"{d.code} {d.message} {d.help}" for d in report.sorted())
+
+
+def test_an_image_whose_strips_are_missing_is_an_error(tmp_path: Path) -> None:
+    """A TIFF file that says it has more rows than its strips: Pillow would fill them with zeros."""
+    data = image(SAMPLES, "TIFF")
+    length = struct.pack("<HHII", 257, 4, 1, len(SAMPLES))  # the tag ImageLength, one number of 32 bits
+    assert data.count(length) == 1
+    shot, told = opened(tmp_path, "h.tif", data.replace(length, struct.pack("<HHII", 257, 4, 1, 80)))
+    assert shot is None and "bad-mesh" in told and "parts of the image are missing" in told and "export the image again" in told
 
 
 @pytest.mark.parametrize(("name", "form"), [("h.png", "PNG"), ("h.tif", "TIFF"), ("h.tiff", "TIFF")])

@@ -17,7 +17,8 @@ Ints = NDArray[np.int32]
 Index = NDArray[np.int64]
 
 _PAIRS = 2_000_000  # of faces in one cell, looked at together
-_CELL = 2.0  # mean sizes of faces: width of a cell
+_CELL = 2.0  # median sizes of faces: width of a cell
+_LARGE = 8.0  # cells that a face may be long, or it is looked at among the larger ones
 _COPLANAR = 1 - 1e-12  # cosine between the normals of faces that cannot cut each other
 _MOST_CELLS = 1 << 20  # along an axis
 
@@ -91,25 +92,41 @@ def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Inde
 
 def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
     """Pairs of `live` faces whose boxes overlap, the lower number first; a pair may come more than once."""
-    if live.size < 2:
-        return
-    a, b, c = (corners[live, k] for k in range(3))
+    a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-    lows, highs = (np.ascontiguousarray(ends.T) for ends in (low, high))
-    begin = low.min(axis=0)
-    width = max(_CELL * float((high - low).max(axis=1).mean()), float((high.max(axis=0) - begin).max()) / _MOST_CELLS, 1e-300)
+    size = (high - low).max(axis=0)
+    smaller, left = live[:0], live
+    while left.size:
+        width = _CELL * float(np.median(size[left]))
+        fits = size[left] <= _LARGE * width
+        now, left = left[fits], left[~fits]
+        for one, two in _in_cells(corners, now, smaller, width):
+            for least, most in zip(low, high, strict=True):  # of axis after axis: less is left to look at
+                beside = np.flatnonzero((least.take(one) <= most.take(two)) & (least.take(two) <= most.take(one)))
+                one, two = one[beside], two[beside]
+            yield np.minimum(one, two), np.maximum(one, two)
+        smaller = np.concatenate([now, smaller])
+
+
+def _in_cells(corners: Floats, now: Index, smaller: Index, width: float) -> Iterator[tuple[Index, Index]]:
+    """Pairs of faces in one cell: of those that are looked at `now` with each other and with `smaller` ones."""
+    listed = np.concatenate([now, smaller])
+    if listed.size < 2:
+        return
+    places = corners[listed]
+    begin = places.min(axis=(0, 1))
+    width = max(width, float((places.max(axis=(0, 1)) - begin).max()) / _MOST_CELLS, 1e-300)
     keys, names = [], []
-    for cell, which in triangle_cells((corners[live] - begin) / width, exact=False):
+    for cell, which in triangle_cells((places - begin) / width, exact=False):
         keys.append((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2])
         names.append(which)
     key, name = np.concatenate(keys), np.concatenate(names)
-    order = np.argsort(key, kind="stable")
+    order = np.lexsort((name, key))
     key, name = key[order], name[order]
     keep = np.concatenate([[True], (key[1:] != key[:-1]) | (name[1:] != name[:-1])])
     key, name = key[keep], name[keep]
-    # Each with those after it in its cell; what comes twice there is looked at twice.
-    ends = np.searchsorted(key, key, "right")
-    count = ends - np.arange(key.size) - 1
+    # Each with those after it in its cell, the smaller ones being last there and left to themselves.
+    count = np.where(name < now.size, np.searchsorted(key, key, "right") - np.arange(key.size) - 1, 0)
     stop = np.cumsum(count)
     start = 0
     while start < key.size:
@@ -117,12 +134,7 @@ def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
         here = count[start:end]
         one = np.repeat(np.arange(start, end), here)
         two = one + 1 + np.arange(one.size) - np.repeat(np.cumsum(here) - here, here)
-        one, two = name[one], name[two]
-        for least, most in zip(lows, highs, strict=True):
-            beside = np.flatnonzero((least.take(one) <= most.take(two)) & (least.take(two) <= most.take(one)))
-            one, two = one[beside], two[beside]
-        one, two = live[one], live[two]
-        yield np.minimum(one, two), np.maximum(one, two)
+        yield listed[name[one]], listed[name[two]]
         start = end
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.distance_grid import cell_width
+from antdsl.casting.distance_grid import cell_width, triangle_width
 from antdsl.casting.grid_filters import greatest_around, least_around
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import RayScene
@@ -63,7 +63,7 @@ class Clearances:
         if not self._several:
             return
         size = corners.max(axis=(0, 1)) - low
-        self._width = cell_width(size, _GRID_CELLS)
+        self._width = triangle_width(corners, cell_width(size, _GRID_CELLS))
         self._scaled = (corners - low) / self._width
         self._size = np.floor(size / self._width).astype(np.int64) + 1
         self._least = np.full(int(self._size.prod()), np.iinfo(np.int32).max, np.int32)

@@ -74,9 +74,10 @@ class Kernel:
         return self.made()(*arguments)
 
     def made(self) -> Callable[..., Any]:
-        """The function that calls the machine code, which is made or loaded if it is not there yet."""
+        """The function that calls the machine code, which is made or loaded if it is not there yet. Raises NoMachineCode."""
         with self._lock:
             if self._run is None:
+                machine.require()
                 types = self._types()
                 key = sources.key(self.part, types)
                 host = machine.host()

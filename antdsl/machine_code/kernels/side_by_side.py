@@ -117,7 +117,7 @@ class SideBySide(Writer):
 
     def _again(self, body: list[ast.stmt]) -> None:
         """After what some turns may have left: who is still here."""
-        if any(isinstance(each, _LEAVES) for statement in body for each in ast.walk(statement)):
+        if _has_leaves(body):
             assert self.mask is not None
             self.mask = self.both(self.mask, self.load(self.turns[-1].now, TRUTH, True))
 
@@ -166,10 +166,13 @@ class SideBySide(Writer):
         if self.mask is None:
             super().counted(name, begin, end, step, body)
             return
-        before, turns = self.mask, self._enter()
         wide = begin.wide or end.wide
-        number = self.slot(INT, wide)
         begin, end = self.convert(begin, INT), self.convert(end, INT)
+        if not wide and not _has_leaves(body):
+            self._uniform(name, begin, end, step, body)
+            return
+        before, turns = self.mask, self._enter()
+        number = self.slot(INT, wide)
         begin, end = (self.widened(begin), self.widened(end)) if wide else (begin, end)
         self.put(number, begin)
         head, inner, done = self.label("for"), self.label("body"), self.label("end")
@@ -189,11 +192,29 @@ class SideBySide(Writer):
         self.begin(done)
         self._left(before, body)
 
+    def _uniform(self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt]) -> None:
+        """A loop over the same numbers for all turns, which none leaves: their mask stays as it is."""
+        number = self.slot(INT)
+        self.put(number, begin)
+        head, inner, done = self.label("for"), self.label("body"), self.label("end")
+        self.jump(head)
+        self.begin(head)
+        at = self.load(number, INT)
+        self.branch(self.compare("lt" if step > 0 else "gt", at, end), inner, done)
+        self.begin(inner)
+        self.variables[name] = at
+        fresh = set(self.fresh)
+        self.block(body)
+        self.fresh &= fresh
+        self.put(number, self.arithmetic(ast.Pass(), ast.Add(), at, constant(step)))
+        self.jump(head)
+        self.begin(done)
+
     def written_out(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
         if self.mask is None:
             super().written_out(node, target, items, body)
             return
-        left = any(isinstance(each, _LEAVES) for statement in body for each in ast.walk(statement))
+        left = _has_leaves(body)
         before, turns = self.mask, self._enter()
         for item in items:
             if left:
@@ -287,6 +308,11 @@ class SideBySide(Writer):
                 self.op(f"extractvalue {result_type(result)} {whole}, {k}", each.kind).name for k, each in enumerate(numbers)
             ]
         return renamed(result, iter(found))
+
+
+def _has_leaves(body: list[ast.stmt]) -> bool:
+    """Whether turns may leave a loop or its function in these statements."""
+    return any(isinstance(each, _LEAVES) for statement in body for each in ast.walk(statement))
 
 
 def written(unit: Unit, part: Any, inputs: list[Item], wide: bool = False) -> tuple[str, Item]:

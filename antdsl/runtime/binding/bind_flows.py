@@ -94,7 +94,7 @@ def _renew(world: World, made: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow)
         assert isinstance(made, Solved) and made.grounds is not None
         made.grounds = _grounds(world, made.lattice, made.grounds.faces, made.grounds.point)
         made.cost = _cost(world, flow, made.grounds)
-        made.start, made.first = _goal(world, flow, made.grounds)
+        made.start, made.first, made.gap = _goal(world, flow, made.grounds)
         return
     now = _made(world, flow)
     made.lattice, made.c, made.s, made.source = now.lattice, now.c, now.s, now.source
@@ -244,7 +244,7 @@ def _solved(world: World, flow: SolvedFlow) -> Flow:
     chosen = _chosen(world, flow.on)
     lattice = _lattice(world, chosen, flow)
     grounds = _grounds(world, lattice, chosen)
-    start, first = _goal(world, flow, grounds)
+    start, first, gap = _goal(world, flow, grounds)
     every = max(1, ceil(flow.every / world.dt - 1e-9))
     changes = bool(flow.crowding or world.setting.moves)
     looked = [_left(world)]
@@ -258,7 +258,7 @@ def _solved(world: World, flow: SolvedFlow) -> Flow:
 
     made = Solved(
         lattice, np.zeros(0), np.zeros(0), None,
-        grounds=grounds, cost=_cost(world, flow, grounds), start=start, first=first, strength=flow.strength,
+        grounds=grounds, cost=_cost(world, flow, grounds), start=start, first=first, gap=gap, strength=flow.strength,
         crowding=flow.crowding, every=every, due=due,
         crowd=np.zeros(len(grounds.land.points), np.int64) if flow.crowding else None,
         stores_reached=any(node.op == "flow.reachable" for node in world.plan.nodes),
@@ -329,14 +329,15 @@ def _links(points: Floats, of: NDArray[np.int32], used: Index, areas: Floats) ->
     return np.concatenate(found)
 
 
-def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floats]:
-    """Points at the target, and how far it still is from there: all within its radius, and those next to each of its places."""
+def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floats, float]:
+    """Points at the target, and how far it still is from there: all within its radius, and those next to each of its places.
+    Also, how far the nearest of these places lies from all points, its radius left out."""
     from scipy.spatial import cKDTree
 
     land = grounds.land
     used = np.unique(land.triangles[land.open])
     if not len(used):
-        return used, np.zeros(0)
+        return used, np.zeros(0), 0.0
     target = _here(world, flow.target)
     places, radii = target.places, target.radii
     side = float(np.sqrt(np.median(grounds.areas[land.open])))
@@ -344,28 +345,17 @@ def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floa
         places = resampled(places, side)
         radii = np.zeros(len(places))
     tree = cKDTree(land.points[used])
-    distance = np.full(len(used), np.inf)
+    distance, away_by = np.full(len(used), np.inf), np.inf if len(places) else 0.0
     for place, radius in zip(places, radii, strict=True):
         gap, least = tree.query(place)
+        away_by = min(away_by, max(0.0, float(gap - radius)))
         near = np.asarray(tree.query_ball_point(place, max(radius, gap + 1.5 * side)), np.int64)
         near = np.append(near, least)
         away = land.points[used[near]] - place
         left = np.maximum(np.sqrt((away * away).sum(axis=1)) - max(radius, gap), 0.0)
         distance[near] = np.minimum(distance[near], left)
     at = np.flatnonzero(np.isfinite(distance))
-    return used[at], distance[at]
-
-
-def target_gap(world: World, flow: SolvedFlow, grounds: Grounds) -> float:
-    """How far (mm) the nearest place of a target lies from the ground that its flow leads over, its radius left out."""
-    from scipy.spatial import cKDTree
-
-    points = grounds.land.points[np.unique(grounds.land.triangles[grounds.land.open])]
-    target = _here(world, flow.target)
-    if not len(points) or not len(target.places):
-        return 0.0
-    gaps = cKDTree(points).query(target.places)[0]
-    return max(0.0, float((gaps if target.line else gaps - target.radii).min()))
+    return used[at], distance[at], away_by
 
 
 def _cost(world: World, flow: SolvedFlow, grounds: Grounds) -> Floats:

@@ -8,7 +8,6 @@ from antdsl.diagnostics import Report
 from antdsl.fields.solved import Solved
 from antdsl.plan.ir import SpeciesPlan
 from antdsl.plan.traverse import blocks, needed, operands, statements
-from antdsl.runtime.binding.bind_flows import target_gap
 from antdsl.runtime.binding.crowding import crowding
 from antdsl.runtime.world import World
 from antdsl.scene import Scene
@@ -25,7 +24,7 @@ def start_findings(scene: Scene, world: World) -> Report:
     for name, flow in world.setting.flows.items():
         if not isinstance(flow, SolvedFlow) or name not in world.flows:
             continue
-        gap = _excessive_gap(world, flow, name)
+        gap = _excessive_gap(world, name)
         if gap:
             words = f"the target of `{name}` is {gap:.4g} mm away from the ground, and the way ends at its nearest place"
             help = "move the target onto the ground, or give it a radius that reaches the ground"
@@ -41,14 +40,14 @@ def start_findings(scene: Scene, world: World) -> Report:
     return report
 
 
-def _excessive_gap(world: World, flow: SolvedFlow, name: str) -> float:
+def _excessive_gap(world: World, name: str) -> float:
     """How far (mm) a target is from the ground, where that is more than a tenth of the ground's extent; else 0. A target is
     often written with another height than the ground has there, which matters little."""
     made = world.flows[name]
     if not isinstance(made, Solved) or made.grounds is None:
         return 0.0
-    gap, points = target_gap(world, flow, made.grounds), made.grounds.land.points
-    return gap if len(points) and gap > 0.1 * float(np.ptp(points, axis=0).max()) else 0.0
+    points = made.grounds.land.points
+    return made.gap if len(points) and made.gap > 0.1 * float(np.ptp(points, axis=0).max()) else 0.0
 
 
 def reaching(world: World, species: str, flow: str) -> int:

@@ -15,6 +15,7 @@ from antdsl.scene.setting import Point
 
 _BURIED = 0.05  # voxels below a solid's surface: no ground to stand on
 _HALVINGS = 24  # of the edges of faces that reach out of a ball
+_THIN = 64.0  # square of the longest edge over twice the area, from where on a triangle is thin
 _CORNERS = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
 # The four triangles that the middles of the edges make, by the corners 0 1 2 and the middles 3 (of 0 1), 4 (of 1 2), 5 (of 2 0).
 _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
@@ -161,8 +162,21 @@ def _within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Fl
         face, weights = face[large], weights[large]
         if not len(face):
             break
-        middles = (weights + np.roll(weights, -1, axis=1)) / 2
-        weights = np.concatenate([weights, middles], axis=1)[:, _QUARTERS].reshape(-1, 3, 2)
-        face = np.repeat(face, 4)
+        face, weights = _cut(face, weights, at[large])
     faces, parts = zip(*kept, strict=True)
     return np.concatenate(faces), np.concatenate(parts)
+
+
+def _cut(face: NDArray[np.int64], weights: Floats, at: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Triangles with corners `at` (m, 3, 3), by face and weights, cut into four at the middles of their edges; thin ones into two
+    at that of the longest: of their quarters ever more would lie side by side in the ball."""
+    sides = ((np.roll(at, -1, axis=1) - at) ** 2).sum(axis=2)
+    across = np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0])
+    thin = sides.max(axis=1) > _THIN * np.sqrt((across * across).sum(axis=1))
+    middles = (weights + np.roll(weights, -1, axis=1)) / 2
+    quarters = np.concatenate([weights, middles], axis=1)[~thin][:, _QUARTERS].reshape(-1, 3, 2)
+    row, first = np.flatnonzero(thin), sides[thin].argmax(axis=1)
+    one, two, three = (weights[row, (first + k) % 3] for k in range(3))
+    middle = middles[row, first]
+    halves = [np.stack(half, axis=1) for half in ((one, middle, three), (middle, two, three))]
+    return np.concatenate([np.repeat(face[~thin], 4), np.tile(face[thin], 2)]), np.concatenate([quarters, *halves])

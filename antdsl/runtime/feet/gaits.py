@@ -1,36 +1,40 @@
-"""Stride, duty, lift and phases of gaits by speed."""
+"""Stride, duty, lift and phases of gaits by speed, and the measures of legs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.machine_code.kernels import inlined
 from antdsl.scene.setting import LegsData
 
 Floats = NDArray[np.float32]
+_F = np.float32
+_ZERO, _ONE, _TWO = _F(0), _F(1), _F(2)
 
 MOST_CYCLES = 1 / 3  # of a gait in one frame: faster legs would seem to go backward or to stand (their stride grows instead)
 REACHED = 0.97  # of a leg's length: how far its foot may be from its hip and stand
 ROOM = 0.38  # of how far a foot can be ahead of its hip: so far it can go either way from where it rests
 SINK = 0.12  # of a leg's length: how far the trunk may come down for a longer step
+_OFF = _F(0.12)  # of a leg: how far from where it rests a foot may stay
 _RESTING = 0.5  # s, of one cycle in which feet are put back where they rest, where the slowest gait has no speed
+_PER_STRIDE = _F(1 / MOST_CYCLES)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stepping:
-    """The cycle of n agents: `stride` (body lengths), `duty`, `lift` (body lengths), float32[n], and `phases` float32[n, L]."""
-
-    stride: Floats
-    duty: Floats
-    lift: Floats
-    phases: Floats
+# Rows of `Gaits.legs`, float32[10, L], in body lengths.
+REST_X, REST_Z = 0, 1  # where a foot rests, ahead and aside
+OFF = 2  # how far from there it may stay while the body does not move
+LENGTH = 3  # from hip to foot joint when the leg is straight
+REACH = 4  # how far ahead or behind of where it rests it can be
+HIP = 5  # three rows: where the leg begins
+FOOT_Y = 8  # the height of the foot joint above its ground
+SQUARE = 9  # of the farthest that a standing foot is from its hip
 
 
 class Gaits:
-    """The gaits of a body by speed. `reach` float32[L]: how far from where it rests a foot may stand, in body lengths; `cycle`:
-    seconds that one takes who only puts its feet back."""
+    """The gaits of a body by speed, and its legs, as tables for kernels. `cycle`: seconds of a cycle in which an agent puts its
+    feet back; `swing`: seconds that a swing takes at most."""
 
     def __init__(self, legs: LegsData) -> None:
         gaits = legs.gaits
@@ -39,23 +43,41 @@ class Gaits:
         self.phases = np.array([g.phases for g in gaits], np.float32)
         slow = gaits[0]
         self.cycle = max(2.0 * slow.stride / slow.speed if slow.speed > 0 else _RESTING, 1e-3)
-        self.swing = (1.0 - slow.duty) * (slow.stride / slow.speed if slow.speed > 0 else _RESTING)  # s, at most
-        self.reach = _reach(legs)
+        self.swing = max((1.0 - slow.duty) * (slow.stride / slow.speed if slow.speed > 0 else _RESTING), 1e-3)
+        reach = _reach(legs)
+        self.least_reach = reach.min()
+        longest = legs.length * REACHED
+        rows = [*resting(legs), _OFF * legs.length, legs.length, reach, *legs.hip.T, legs.foot[:, 1], longest * longest]
+        self.legs: Floats = np.array(rows, np.float32)
+        self.exact = np.array([legs.length, legs.foot[:, 1]])
 
-    def at(self, speed: Floats, most: Floats) -> Stepping:
-        """The cycle at speeds (body lengths a second) of whom cover `most` body lengths in a frame."""
-        last = len(self.speeds) - 1
-        k = np.clip(np.searchsorted(self.speeds, speed, "right") - 1, 0, last)
-        after = np.minimum(k + 1, last)
-        gap = self.speeds[after] - self.speeds[k]
-        share = np.clip((speed - self.speeds[k]) / np.where(gap > 0, gap, np.float32(1)), 0, 1) * (gap > 0)
-        stride, duty, lift = (a + (b - a) * share for a, b in zip(self.values[k].T, self.values[after].T, strict=True))
-        fastest = self.speeds[last]
-        stride = np.where((speed > fastest) & (fastest > 0), stride * speed / np.where(fastest > 0, fastest, 1), stride)
-        stride = np.maximum(stride, most * np.float32(1 / MOST_CYCLES))
-        # A foot stands no longer than its leg can follow: who covers more ground in a cycle flies in between.
-        duty = np.minimum(duty, 2 * self.reach.min() / stride)
-        return Stepping(stride.astype(np.float32), duty.astype(np.float32), lift.astype(np.float32), self.phases.T[:, k].T)
+    @property
+    def tables(self) -> tuple[Floats, Floats, Floats]:
+        """Speeds [g], stride, duty and lift [g, 3], and phases [g, L] of gaits from slow to fast."""
+        return self.speeds, self.values, self.phases
+
+
+@inlined
+def gait_at(gaits: Any, speed: Any, went: Any, reach: Any) -> Any:
+    """The number of the gait, and stride, duty and lift, at a speed (lengths a second) of an agent that covers `went` lengths in
+    a frame. `reach`: that of its shortest leg."""
+    speeds, values = gaits[0], gaits[1]
+    last, k = speeds.size - 1, 0
+    for each in range(1, speeds.size):
+        if speed >= speeds[each]:
+            k = each
+    after = min(k + 1, last)
+    gap = speeds[after] - speeds[k]
+    share = min(max((speed - speeds[k]) / gap, _ZERO), _ONE) if gap > _ZERO else _ZERO
+    stride = values[k, 0] + (values[after, 0] - values[k, 0]) * share
+    duty = values[k, 1] + (values[after, 1] - values[k, 1]) * share
+    lift = values[k, 2] + (values[after, 2] - values[k, 2]) * share
+    fastest = speeds[last]
+    if speed > fastest and fastest > _ZERO:
+        stride = stride * speed / fastest
+    stride = max(stride, went * _PER_STRIDE)
+    # A foot stands no longer than its leg can follow: an agent that covers more ground in a cycle flies in between.
+    return k, stride, min(duty, _TWO * reach / stride), lift
 
 
 def resting(legs: LegsData) -> tuple[Floats, Floats]:

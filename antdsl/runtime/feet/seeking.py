@@ -1,12 +1,14 @@
 """Ground for feet: what a leg can reach of surfaces, obstacles, solids and the plane, and on which side it is.
 
-A foot seeks along the straight way from its hip to where it wants to stand, so that no leg passes through a sheet. Where that
+A foot seeks along the straight line from its hip to where it wants to stand, so that no leg passes through a sheet. Where that
 leads far from the place (an edge, a wall, a step), it looks from above the place along the body's up, as far as the hip sees that
 point, and last for the nearest place. What it finds is in sight of the hip and no farther than the leg is long."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +16,19 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.ground.plane import Plane
 from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
-from antdsl.runtime.feet.gaits import SINK
+from antdsl.runtime.feet import footholds
 from antdsl.runtime.feet.state import NOTHING, PLANE
 from antdsl.runtime.moving.moving_geometry import vertices_at
 from antdsl.runtime.world import World
 
 Places = NDArray[np.float64]  # (3, k)
-Rows = NDArray[np.intp]
+Rows = NDArray[np.int64]
+Arrays = tuple[NDArray[Any], ...]
 
-_NEAR = 0.3  # of a leg: a hit so near to the wanted place is taken
-_BEYOND = 1.6  # times the way to the wanted place: how far the first ray goes
 _SHY = 1e-6  # of a way: how much shorter it is when it is asked whether something is on it
+_RAYS = 256  # for which a thread pays
 
 
 @dataclass(slots=True, eq=False)
@@ -47,14 +50,15 @@ class Found:
             np.zeros((2, count)),
         )  # fmt: skip
 
-    def put(self, rows: Rows | NDArray[np.bool_], other: Found) -> None:
+    @property
+    def columns(self) -> Arrays:
+        """As kernels read them."""
+        return self.part, self.place, self.on, self.face, self.weight
+
+    def put(self, rows: Rows, other: Found) -> None:
         """Put other hits into rows."""
         self.part[rows], self.on[rows], self.face[rows] = other.part, other.on, other.face
         self.place[:, rows], self.weight[:, rows] = other.place, other.weight
-
-    def take(self, rows: Rows | NDArray[np.bool_]) -> Found:
-        """The hits of some rows."""
-        return Found(self.part[rows], self.place[:, rows], self.on[rows], self.face[rows], self.weight[:, rows])
 
 
 class Floor:
@@ -75,18 +79,23 @@ class Floor:
         }
 
     def cast(self, world: World, origin: Places, way: Places, most_hit: bool = True) -> Found:
-        """What the straight ways from `origin` by `way` meet first. `most_hit`: whether most are thought to end on what bodies
-        walk on, so that it costs less to cast than to ask first; the answer is the same."""
-        found = Found.none(origin.shape[1])
+        """What the straight lines from `origin` by `way` hit first. `most_hit`: whether most are expected to end on what bodies
+        walk on, so that Open3D need not test first which do; the answer is the same."""
+        found, threads = Found.none(origin.shape[1]), world.options.threads
         if isinstance(world.ground, Plane):
             _on_plane(world, origin, way, found)
-        low, high = np.minimum(origin, origin + way), np.maximum(origin, origin + way)
         for k, name in enumerate(self.names):
             seen = world.obstacles.get(name)
             box = self._box_of(world, k, seen)
             if box is None:
                 continue
-            near = np.flatnonzero(((low <= box[1][:, None]) & (high >= box[0][:, None])).all(axis=0))
+            tables = seen.tables() if isinstance(seen, RayScene) and k not in self.moving else None
+            if tables is None:
+                near = _meeting(box, origin, way)
+            else:
+                far = np.empty(len(found.part), np.int64)
+                work = partial(footholds.cast, tables, box, k, origin, way, found.columns, far)
+                near = compiled.joined(compiled.in_parts(work, len(far), threads, _RAYS), far)[0]
             if not near.size:
                 continue
             if isinstance(seen, RayScene):
@@ -108,6 +117,7 @@ class Floor:
             if box is None:
                 continue
             near = np.flatnonzero(((points - reach <= box[1][:, None]) & (points + reach >= box[0][:, None])).all(axis=0))
+            near = _within(seen, near, points, reach) if isinstance(seen, RayScene) else near
             if not near.size:
                 continue
             if isinstance(seen, RayScene):
@@ -160,68 +170,80 @@ class Floor:
         return made
 
 
-def seek(
-    world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64],
-    thorough: bool = True,
-) -> Found:  # fmt: skip
-    """Ground for feet that want to stand at places, seen from hips, all float64[3, k]. `leg` float64[k]: how far a foot joint may
-    be from its hip (mm); `sole` float64[k]: how far it is above the ground that it stands on. Without `thorough`
-    only what is on the straight way, wherever that is: for a foot that lifts, and looks again when it lands."""
-    way = (wanted - hip) * _BEYOND
-    found = floor.cast(world, hip, way)
-    if not thorough:
-        return found
-    fits = _in_reach(found, hip, up, leg, sole)
-    off = _length(found.place - wanted)
-    rows = np.flatnonzero(~(fits & (off <= _NEAR * leg)))
+@dataclass(slots=True, eq=False)
+class Seeking:
+    """Feet that need ground: `requests` int64[k], the number of the agent times L plus that of the leg; `columns`: hip, wanted
+    place and up of the body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground;
+    `way` (3, k): from the hip past the wanted place. `is_quick`: the foot lifts, and looks again when it lands."""
+
+    requests: Rows
+    columns: Arrays
+    way: Places
+    is_quick: NDArray[np.bool_]
+
+    @staticmethod
+    def of(requests: Rows, given: tuple[Any, ...], threads: int) -> Seeking:
+        """The feet of some requests; `given`: what `footholds.aim` takes next."""
+        count = len(requests)
+        room = np.empty((14, count))
+        columns = room[:3], room[3:6], room[6:9], room[12], room[13]
+        made = Seeking(requests, columns, room[9:12], np.empty(count, np.bool_))
+        work = partial(footholds.aim, requests, *given, columns, made.way, made.is_quick)
+        compiled.in_parts(work, count, threads, _RAYS)
+        return made
+
+    def settle(self, found: Found, columns: Arrays, threads: int) -> None:
+        """Let feet have the ground that was found: `place`, `on`, `face` and `weight`, legs first."""
+        work = partial(footholds.settle, self.requests, self.columns, found.columns, *columns)
+        compiled.in_parts(work, len(self.requests), threads, _RAYS)
+
+
+def seek(world: World, floor: Floor, seeking: Seeking) -> Found:
+    """Ground for feet. Quick ones have only what is on the straight line, wherever that is."""
+    threads, count = world.options.threads, len(seeking.requests)
+    found = floor.cast(world, seeking.columns[0], seeking.way)
+    fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
+    work = partial(footholds.judge, seeking.columns, found.columns, seeking.is_quick, fits, rows)
+    (rows,) = compiled.joined(compiled.in_parts(work, count, threads, _RAYS), rows)
     if rows.size:
-        eyes, goals, ups = (v[:, rows] for v in (hip, wanted, up))
-        found.put(rows, _searched(world, floor, eyes, goals, ups, leg[rows], sole[rows], found.take(rows), fits[rows]))
+        _look_around(world, floor, seeking, found, fits, rows)
     return found
 
 
-def _searched(
-    world: World, floor: Floor, hip: Places, wanted: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64],
-    first: Found, fits: NDArray[np.bool_],
-) -> Found:  # fmt: skip
-    """As `seek`, for places that the straight way from the hip does not lead to: from above them, then the nearest."""
-    height = np.maximum(vec.dot(hip - wanted, up), 0.2 * leg)
-    above = wanted + up * height
-    level = floor.cast(world, hip, above - hip, most_hit=False)
-    down = floor.cast(world, above, -up * (2.0 * height + leg))
-    free = ~np.isfinite(level.part)
-    best, nearest = Found.none(len(leg)), np.full(len(leg), np.inf)
-    for hits, good in ((first, fits), (level, None), (down, free)):
-        ok = _in_reach(hits, hip, up, leg, sole)
-        ok &= np.isfinite(hits.part) if good is None else good
-        away = np.where(ok, _length(hits.place - wanted), np.inf)
-        better = away < nearest
-        best.put(better, hits.take(better))
-        nearest = np.minimum(nearest, away)
-    rows = np.flatnonzero(nearest > 2 * _NEAR * leg)
-    if rows.size:
-        close = floor.nearest(world, wanted[:, rows], np.minimum(leg[rows], nearest[rows]))
-        seen = floor.cast(world, hip[:, rows], (close.place - hip[:, rows]) * (1.0 - _SHY))
-        sight = ~np.isfinite(seen.part) | (_length(seen.place - close.place) < 1e-3 * leg[rows])
-        ok = _in_reach(close, hip[:, rows], up[:, rows], leg[rows], sole[rows]) & sight
-        best.put(rows[ok], close.take(ok))
-    return best
+def _look_around(world: World, floor: Floor, seeking: Seeking, found: Found, fits: NDArray[np.bool_], rows: Rows) -> None:
+    """Ground for feet whose straight line does not lead to the wanted place: from above it, then the nearest."""
+    threads, count = world.options.threads, len(rows)
+    room = np.empty((13, count))
+    above, to_above, down, hips, reach = room[:3], room[3:6], room[6:9], room[9:12], room[12]
+    compiled.in_parts(partial(footholds.look_around, seeking.columns, rows, above, to_above, down, hips), count, threads, _RAYS)
+    level = floor.cast(world, hips, to_above, most_hit=False)
+    below = floor.cast(world, above, down)
+    lost = np.empty(count, np.int64)
+    given = seeking.columns, rows, found.columns, fits, level.columns, below.columns, lost, reach
+    parts = compiled.in_parts(partial(footholds.choose, *given), count, threads, _RAYS)
+    lost, reach = compiled.joined(parts, lost, reach)
+    if lost.size:
+        rows, hips = rows[lost], np.ascontiguousarray(hips[:, lost])
+        close = floor.nearest(world, np.ascontiguousarray(seeking.columns[1][:, rows]), reach)
+        seen = floor.cast(world, hips, (close.place - hips) * (1.0 - _SHY))
+        footholds.accept(seeking.columns, rows, close.columns, seen.columns, found.columns, 0, len(rows))
+
+
+def _meeting(box: tuple[Places, Places], origin: Places, way: Places) -> Rows:
+    """The rays that may meet a box."""
+    low, high = np.minimum(origin, origin + way), np.maximum(origin, origin + way)
+    return np.flatnonzero(((low <= box[1][:, None]) & (high >= box[0][:, None])).all(axis=0))
 
 
 def _close(seen: RayScene, rows: Rows, origin: Places, way: Places) -> Rows:
     """Those of some rays that a mesh may be near: by the ball about each one's middle."""
-    a, half = origin[:, rows], way[:, rows] * 0.5
-    near = seen.clearance(*(a + half)) <= _length(half) * (1 + 1e-4) + 1e-4
-    return rows[near]
+    half = way * 0.5
+    return _within(seen, rows, origin + half, _length(half))
 
 
-def _in_reach(hits: Found, hip: Places, up: Places, leg: NDArray[np.float64], sole: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whose foot joint would be no farther from its hip than the leg is long."""
-    away = hits.place + up * sole - hip
-    high = vec.dot(away, up)
-    low = np.maximum(np.abs(high) - SINK * leg * (high < 0), 0.0)  # trunks come down for a long step
-    reached: NDArray[np.bool_] = np.isfinite(hits.part) & ((vec.dot(away, away) - high * high) + low * low <= leg * leg)
-    return reached
+def _within(seen: RayScene, rows: Rows, points: Places, reach: NDArray[np.float64]) -> Rows:
+    """Those of some points that a mesh may be within `reach` of."""
+    return rows[seen.clearance(*points[:, rows]) <= reach[rows] * (1 + 1e-4) + 1e-4]
 
 
 def _on_plane(world: World, origin: Places, way: Places, found: Found) -> None:

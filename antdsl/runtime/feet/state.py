@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from antdsl.numerics.row_hash import hashed_rows
+from antdsl.numerics.row_hash import RowHash, named
 
 Array = NDArray[Any]
 
@@ -65,6 +65,7 @@ class Feet:
     # What the feet of this step went over the ground, float32[2, n, L], ahead and aside in body lengths; None between steps.
     covered: NDArray[np.float32] | None = field(default=None)
     stood: NDArray[np.float64] | None = field(default=None)  # where bodies were before the ground went on, float64[3, n], NaN: no
+    rows: RowHash = field(default_factory=RowHash)  # of arrays that mostly stay where they are in memory
 
     @staticmethod
     def none(legs: int) -> Feet:
@@ -108,7 +109,7 @@ class Feet:
             return self, np.zeros(0, np.intp)
         at = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
         known = self.ids[at] == ids if len(self.ids) else np.zeros(len(ids), np.bool_)
-        made: dict[str, Array] = {}
+        made: dict[str, Any] = {}
         for name, array in self.arrays().items():
             axis = _AXIS.get(name, 0)
             shape = list(array.shape)
@@ -126,7 +127,7 @@ class Feet:
         return found, np.flatnonzero(~known)
 
 
-KEPT = tuple(each.name for each in fields(Feet) if each.name not in ("covered", "stood"))
+KEPT = tuple(each.name for each in fields(Feet) if each.name not in ("covered", "stood", "rows"))
 _AXIS = {name: 1 for name in ("place", "shown", "start", "weight", "slope", "position", "heading", "up")}
 _BY_LEG = frozenset(("place", "shown", "start", "swing", "on", "face", "weight", "found"))
 
@@ -138,15 +139,17 @@ def feet_hash(feet: Mapping[str, Feet]) -> str:
     digest = sha256()
     for name in sorted(feet):
         digest.update(f"\0{name}\0{len(feet[name])}".encode())
-        columns = {key: np.moveaxis(array, _AXIS.get(key, 0), -1) for key, array in feet[name].arrays().items()}
-        digest.update(hashed_rows(columns.pop("ids"), columns))
+        arrays = feet[name].arrays()
+        ids = arrays.pop("ids")
+        columns = [part for key, array in arrays.items() for part in (array if key in _AXIS else (array,))]
+        digest.update(named(tuple(arrays), arrays.values()) + feet[name].rows.of(ids, columns))
     return digest.hexdigest()[:32]
 
 
 def from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
     """The feet that `Feet.arrays` gave these of. Raises ValueError where they are not such of agents with these ids."""
     like = Feet.none(legs).arrays()
-    found: dict[str, Array] = {}
+    found: dict[str, Any] = {}
     for name, empty in like.items():
         array = np.asarray(arrays[name]) if name in arrays else None
         axis = _AXIS.get(name, 0)

@@ -1,4 +1,7 @@
-"""Height and tilt of the trunk: a plane through the ground below the feet, smoothed and bounded."""
+"""Height and tilt of the trunk: a plane through the ground below the feet, smoothed and bounded.
+
+Lengths are those of bodies, float32, and sums go over legs in their order. The plane is that of least squares; feet count alike,
+those that hang do not count."""
 
 from __future__ import annotations
 
@@ -7,96 +10,87 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.feet.gaits import REACHED
-from antdsl.scene.setting import LegsData
+from antdsl.machine_code.kernels import inlined
+from antdsl.runtime.feet.gaits import FOOT_Y, HIP, SQUARE
+from antdsl.runtime.feet.state import NOTHING, STANDS
 
 Floats = NDArray[np.float32]
+_F = np.float32
+_ZERO, _ONE, _INFINITE = _F(0), _F(1), _F(np.inf)
 
-STEEPEST = 0.35  # rise over run of the trunk against the body's own up: 19 degrees
+STEEPEST = _F(0.35)  # rise over run of the trunk against the body's own up: 19 degrees
 HIGHEST = 0.3  # of the height of the hips: how much higher or lower the trunk may be
-_SLACK, _SLOWLY = 0.06, 0.2  # s, of the way to a new tilt or lower height, and to a greater height: steps do not bounce
-_STIFF = 0.02  # square of a length: what keeps a plane through feet that stand close together level
-_PLANE = 3  # feet that a plane needs: who has fewer does not tilt
+SLACK, SLOWLY = 0.06, 0.2  # s, of the way to a new tilt or lower height, and to a greater height: steps do not bounce
+_STIFF = _F(0.02)  # square of a length: what keeps a plane through feet that stand close together level
+_PLANE = _F(3)  # feet that a plane needs: an agent that has fewer does not tilt
+_FLAT = _F(1e-6)
 
 
-def fitted(
-    legs: LegsData, beside: tuple[Floats, Floats, Floats], held: NDArray[np.bool_], rise: Floats, slope: Floats, dt: float
-) -> tuple[Floats, Floats]:
-    """The rise [n] and the slopes [2, n] of the trunk on the way from those before to the plane through the ground of the feet.
+@inlined
+def fit_plane(points: Any, held: Any, legs: Any, i: Any) -> Any:
+    """Height and slopes ahead and aside of the plane through the ground of the feet of agent `i`, before they are smoothed.
 
-    `beside`: where the feet's ground is from each agent, ahead, above and aside, [n, L]; `held`: which of these are ground. All
-    in body lengths. Least squares, feet weighted alike; feet that hang do not count."""
-    weight = held.astype(np.float32)
-    count = summed(weight)
-    per = np.float32(1) / np.maximum(count, np.float32(1))
-    middle = [summed(part * weight) * per for part in beside]
-    x, y, z = ((part - mean[:, None]) * weight for part, mean in zip(beside, middle, strict=True))
-    xx, zz, xz = summed(x * x) * per + np.float32(_STIFF), summed(z * z) * per + np.float32(_STIFF), summed(x * z) * per
-    xy, zy = summed(x * y) * per, summed(z * y) * per
+    `points` [3, L, n]: where the ground of each foot is; `held` [L, n]: on what, as `Feet.on`."""
+    count, mean_x, mean_y, mean_z = _ZERO, _ZERO, _ZERO, _ZERO
+    for leg in range(legs):
+        weight = _ONE if held[leg, i] != NOTHING else _ZERO
+        count = count + weight
+        mean_x, mean_y = mean_x + points[0, leg, i] * weight, mean_y + points[1, leg, i] * weight
+        mean_z = mean_z + points[2, leg, i] * weight
+    per = _ONE / max(count, _ONE)
+    mean_x, mean_y, mean_z = mean_x * per, mean_y * per, mean_z * per
+    xx, zz, xz, xy, zy = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    for leg in range(legs):
+        weight = _ONE if held[leg, i] != NOTHING else _ZERO
+        x, y = (points[0, leg, i] - mean_x) * weight, (points[1, leg, i] - mean_y) * weight
+        z = (points[2, leg, i] - mean_z) * weight
+        xx, zz, xz, xy, zy = xx + x * x, zz + z * z, xz + x * z, xy + x * y, zy + z * y
+    xx, zz, xz, xy, zy = xx * per + _STIFF, zz * per + _STIFF, xz * per, xy * per, zy * per
     whole = xx * zz - xz * xz
-    known = count >= np.float32(_PLANE)
-    tilted = [np.where(known, part / whole, np.float32(0)) for part in (zz * xy - xz * zy, xx * zy - xz * xy)]
-    steep = np.sqrt(tilted[0] * tilted[0] + tilted[1] * tilted[1])
-    by = np.minimum(np.float32(1), np.float32(STEEPEST) / np.maximum(steep, np.float32(1e-6)))
-    tilted = [part * by for part in tilted]
-    height = np.float32(np.maximum((legs.hip[:, 1] - legs.foot[:, 1]).max(), 1e-3) * HIGHEST)
-    higher = (middle[1] - tilted[0] * middle[0]) - tilted[1] * middle[2]
-    higher = np.clip(np.where(count > 0, higher, np.float32(0)), -height, height)
-    step, up = np.float32(dt / (dt + _SLACK)), np.float32(dt / (dt + _SLOWLY))
-    turned = np.stack([s + (t - s) * step for s, t in zip(slope, tilted, strict=True)])
-    return (rise + (higher - rise) * np.where(higher > rise, up, step)).astype(np.float32), turned.astype(np.float32)
+    ahead, aside = _ZERO, _ZERO
+    if count >= _PLANE:
+        ahead, aside = (zz * xy - xz * zy) / whole, (xx * zy - xz * xy) / whole
+    by = min(_ONE, STEEPEST / max(np.sqrt(ahead * ahead + aside * aside), _FLAT))
+    ahead, aside = ahead * by, aside * by
+    height = (mean_y - ahead * mean_x) - aside * mean_z if count > _ZERO else _ZERO
+    return height, ahead, aside
 
 
-def lowered(
-    legs: LegsData,
-    beside: tuple[Floats, Floats, Floats],
-    stands: NDArray[np.bool_],
-    rise: Floats,
-    hips: tuple[Floats, Floats, Floats],
-) -> Floats:
-    """The rise of trunks that come down as far as the legs of feet that stand ask for; `hips` as they lean, at no rise."""
-    most = np.full(len(rise), np.inf, np.float32)
-    for k, length in enumerate(legs.length * REACHED):
-        x, y, z = (part[:, k] for part in beside)
-        dx, dz = x - hips[0][:, k], z - hips[2][:, k]
-        square = np.float32(length * length) - dx * dx - dz * dz
-        free = y + np.float32(legs.foot[k, 1]) + np.sqrt(np.maximum(square, np.float32(0))) - hips[1][:, k]
-        most = np.where(stands[:, k] & (square > 0), np.minimum(most, free), most)
-    least = np.float32(-HIGHEST * max(float((legs.hip[:, 1] - legs.foot[:, 1]).max()), 1e-3))
-    return np.asarray(np.maximum(np.minimum(rise, most), np.minimum(rise, least)), np.float32)
+@inlined
+def lower(points: Any, standing: Any, legs: Any, rise: Any, slope: Any, least: Any, i: Any) -> Any:
+    """The rise of a trunk that comes down as far as the legs of its standing feet require; its hips lean by `slope`."""
+    most = _INFINITE
+    for leg in range(legs.shape[1]):
+        x, y, z = lean(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+        dx, dz = points[0, leg, i] - x, points[2, leg, i] - z
+        square = legs[SQUARE, leg] - dx * dx - dz * dz
+        if standing[leg, i] == STANDS and square > _ZERO:
+            most = min(most, points[1, leg, i] + legs[FOOT_Y, leg] + np.sqrt(max(square, _ZERO)) - y)
+    return max(min(rise, most), min(rise, least))
 
 
-def leant(points: NDArray[np.float64], slope: Floats) -> tuple[Floats, Floats, Floats]:
-    """Points [L, 3] of the body, each [n, L], of trunks whose up is turned by the shortest way to the normal of a plane that
-    slopes by [2, n] ahead and aside."""
+@inlined
+def lean(slope: Any, point: Any) -> Any:
+    """A point of a trunk whose up is turned by the shortest way to the normal of a plane with slopes ahead and aside."""
+    x, y, z = point
     a, b = -slope[0], -slope[1]  # the normal is (a, 1, b) by its length
-    size = np.float32(1) / np.sqrt((a * a + np.float32(1)) + b * b)
+    size = _ONE / np.sqrt((a * a + _ONE) + b * b)
     nx, ny, nz = a * size, size, b * size
-    by = np.float32(1) / (np.float32(1) + ny)
-    p = points.astype(np.float32)
-    x, y, z = p.T[:, :, None]
+    by = _ONE / (_ONE + ny)
     # R = 1 + [v] + [v][v] / (1 + n·y), v = y × n = (nz, 0, -nx)
     skew = nx * nz * by
     return (
-        (x * (1 - nx * nx * by) + y * nx - z * skew).T,
-        (-x * nx + y * ny - z * nz).T,
-        (-x * skew + y * nz + z * (1 - nz * nz * by)).T,
+        x * (_ONE - nx * nx * by) + y * nx - z * skew,
+        -x * nx + y * ny - z * nz,
+        -x * skew + y * nz + z * (_ONE - nz * nz * by),
     )
 
 
 def quaternions(slope: Floats) -> Floats:
-    """The same turns as unit quaternions float32[n, 4], x y z w."""
+    """The turns of trunks with slopes [2, n] as unit quaternions float32[n, 4], x y z w."""
     a, b = -slope[0].astype(np.float64), -slope[1].astype(np.float64)
     size = 1 / np.sqrt((a * a + 1) + b * b)
     x, y, z = b * size, np.zeros_like(a), -a * size
     w = 1 + size
     long = np.sqrt(((x * x + y * y) + z * z) + w * w)
     return np.stack([x / long, y / long, z / long, w / long], axis=1).astype(np.float32)
-
-
-def summed(parts: NDArray[Any]) -> Floats:
-    """Sums [n] over feet, in one order."""
-    total: Floats = parts[:, 0].astype(np.float32)
-    for k in range(1, parts.shape[1]):
-        total += parts[:, k]
-    return total

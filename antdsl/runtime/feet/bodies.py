@@ -1,0 +1,127 @@
+"""Places and axes of bodies as one table, rows by id, and points of bodies in the world.
+
+A table is float64[13, n]: place (mm), and the unit vectors ahead, up and aside, three rows each; the size (mm) is the last row.
+Points of a body count in its lengths: ahead, above, aside."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
+from antdsl.numerics import compiled
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors_compiled import cross, dot, minus, times
+from antdsl.runtime.world import Population
+
+PLACE, AHEAD, UP, ASIDE, SIZE = 0, 3, 6, 9, 12
+ROWS = 13
+_LEAST = 1e-12
+_F = np.float32
+
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+
+
+def place_bodies(population: Population, room: str, threads: int) -> NDArray[np.float64]:
+    """The table of a population. `room`: the name of the memory that it is written to, which the next call with it reuses."""
+    n, now = len(population), population.now
+    (bodies,) = population.room(room, 1, (ROWS, n), np.float64)
+    if n:
+        columns = vec.named(now, "heading"), vec.named(now, "up"), now["size"]
+        work = partial(_place_bodies, population.position, *columns, population.in_id_order(), bodies)
+        compiled.in_parts(work, n, threads, compiled.LIGHT)
+    return bodies
+
+
+@kernel
+def _place_bodies(
+    position: Strided2[F64],
+    heading: Three,
+    up: Three,
+    size: Array1[F32],
+    rows: Array1[I64],
+    bodies: Array2[F64],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Write the bodies from `begin` to before `end`."""
+    for i in independent(begin, end):
+        k = rows[i]
+        place = position[k, 0], position[k, 1], position[k, 2]
+        forward = np.float64(heading[0][k]), np.float64(heading[1][k]), np.float64(heading[2][k])
+        above = np.float64(up[0][k]), np.float64(up[1][k]), np.float64(up[2][k])
+        ahead, straight, aside = orthonormal_axes(forward, above)
+        for axis in range(3):
+            bodies[axis, i], bodies[3 + axis, i] = place[axis], ahead[axis]
+            bodies[6 + axis, i], bodies[9 + axis, i] = straight[axis], aside[axis]
+        bodies[12, i] = np.float64(size[k])
+
+
+@inlined
+def orthonormal_axes(heading: Any, up: Any) -> Any:
+    """The unit vectors ahead, up and aside of a body: the heading as it is, and up made perpendicular to it."""
+    ahead = _unit(heading, _perpendicular(up))
+    straight = _unit(_flatten(up, ahead), _perpendicular(ahead))
+    return ahead, straight, cross(ahead, straight)
+
+
+@inlined
+def body_at(bodies: Any, i: Any) -> Any:
+    """Place, ahead, up, aside and size of a body."""
+    place = bodies[0, i], bodies[1, i], bodies[2, i]
+    ahead = bodies[3, i], bodies[4, i], bodies[5, i]
+    up = bodies[6, i], bodies[7, i], bodies[8, i]
+    aside = bodies[9, i], bodies[10, i], bodies[11, i]
+    return place, ahead, up, aside, bodies[12, i]
+
+
+@inlined
+def to_world(body: Any, x: Any, y: Any, z: Any) -> Any:
+    """The place (mm) in the world of a point of a body, float32 lengths."""
+    place, ahead, up, aside, size = body
+    a, b, c = np.float64(x) * size, np.float64(y) * size, np.float64(z) * size
+    return (
+        place[0] + ((a * ahead[0] + b * up[0]) + c * aside[0]),
+        place[1] + ((a * ahead[1] + b * up[1]) + c * aside[1]),
+        place[2] + ((a * ahead[2] + b * up[2]) + c * aside[2]),
+    )
+
+
+@inlined
+def to_body(body: Any, at: Any) -> Any:
+    """Where a place (mm) of the world is from a body, float32 lengths."""
+    place, ahead, up, aside, size = body
+    by = _F(1.0 / max(size, _LEAST))
+    away = _single(minus(at, place))
+    return dot(away, _single(ahead)) * by, dot(away, _single(up)) * by, dot(away, _single(aside)) * by
+
+
+@inlined
+def _single(v: Any) -> Any:
+    return _F(v[0]), _F(v[1]), _F(v[2])
+
+
+@inlined
+def _unit(v: Any, otherwise: Any) -> Any:
+    """A unit vector along `v`, or another one where it has no direction."""
+    size = np.sqrt(dot(v, v))
+    if size > _LEAST and np.isfinite(size):
+        return times(v, 1 / size)
+    return otherwise
+
+
+@inlined
+def _perpendicular(up: Any) -> Any:
+    """A unit vector perpendicular to a unit vector."""
+    axis = (0.0, 1.0, 0.0) if abs(up[0]) > 0.9 else (1.0, 0.0, 0.0)
+    side = _flatten(axis, up)
+    return times(side, 1 / np.sqrt(dot(side, side)))
+
+
+@inlined
+def _flatten(v: Any, up: Any) -> Any:
+    """The part of a vector perpendicular to a unit vector."""
+    return minus(v, times(up, dot(v, up)))

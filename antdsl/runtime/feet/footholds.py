@@ -1,0 +1,277 @@
+"""Ground for the feet that need some, as kernels: what their rays hit, and which hits a leg can use.
+
+Requests are columns: arrays (3, k) of places (mm), float64[k] of lengths. Rays are short, so a `TriangleGrid` answers them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from antdsl.casting.tolerances import FURTHER
+from antdsl.casting.triangle_grid_compiled import AHEAD, Grid, fetch_rays, first_hit
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I16,
+    I32,
+    I64,
+    U8,
+    Array1,
+    Array2,
+    Array3,
+    inlined,
+    kernel,
+    scratch,
+)
+from antdsl.numerics.vectors_compiled import dot, minus, of, put
+from antdsl.runtime.feet.bodies import body_at
+from antdsl.runtime.feet.gaits import HIP, REACHED, SINK
+from antdsl.runtime.feet.state import NOTHING
+from antdsl.runtime.feet.stepping import LIFTS, Legs, Trunks
+from antdsl.runtime.feet.trunk import lean
+
+_F = np.float32
+NEAR = 0.3  # of a leg: a hit so near to the wanted place is used
+BEYOND = 1.6  # times the way to the wanted place: how far the first ray goes
+_LOWEST = 0.2  # of a leg: the least height above a wanted place from which it is looked for
+
+Hits = tuple[Array1[F64], Array2[F64], Array1[I16], Array1[I32], Array2[F64]]  # as `Found`
+# Hip, wanted place, up of the body, how far the foot joint may be from the hip, and how high it is above its ground.
+Seekers = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]
+
+
+@kernel
+def aim(
+    requests: Array1[I64],
+    bodies: Array2[F64],
+    covered: Array3[F32],
+    measures: tuple[Legs, Array2[F64]],
+    trunks: Trunks,
+    targets: tuple[Array2[F32], Array2[F32], Array2[F32]],
+    what: Array2[U8],
+    seekers: Seekers,
+    ways: Array2[F64],
+    quick: Array1[BOOL],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Where hips will be when feet land, the places that these want, and the first ray between them, of requests (agent times L
+    plus leg) from `begin` to before `end`. `measures`: as `Gaits.legs` and `Gaits.exact`. `quick`: the foot lifts, and looks
+    again when it lands."""
+    legs, exact = measures
+    count = legs.shape[1]
+    target_x, target_z, left = targets
+    hips, wanted, ups, longest, soles = seekers
+    for k in range(begin, end):
+        i, leg = requests[k] // count, requests[k] % count
+        place, ahead, up, aside, size = body_at(bodies, i)
+        rise, slope = trunks[1], trunks[2]
+        x, y, z = lean((slope[0, i], slope[1, i]), (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+        frames = left[leg, i]
+        a, c = np.float64(x + covered[0, leg, i] * frames), np.float64(z + covered[1, leg, i] * frames)
+        b = np.float64(y + rise[i] / _F(size))
+        to_x, to_z = np.float64(target_x[leg, i]), np.float64(target_z[leg, i])
+        for axis in range(3):
+            hip = place[axis] + ((a * ahead[axis] + b * up[axis]) + c * aside[axis]) * size
+            goal = place[axis] + (to_x * ahead[axis] + to_z * aside[axis]) * size
+            hips[axis, k], wanted[axis, k], ups[axis, k] = hip, goal, up[axis]
+            ways[axis, k] = (goal - hip) * BEYOND
+        longest[k], soles[k] = exact[0, leg] * size * REACHED, exact[1, leg] * size
+        quick[k] = what[leg, i] == LIFTS
+
+
+@kernel
+def cast(
+    grid: Grid,
+    box: tuple[Array1[F64], Array1[F64]],
+    number: I64,
+    origins: Array2[F64],
+    ways: Array2[F64],
+    hits: Hits,
+    far: Array1[I64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where that is nearer than `hits` so far.
+    Into `far`, from `begin` on: the rays that are too long for the grid. Returns where they begin, and how many there are."""
+    shape, (low, high), count = grid[0], box, 0
+    zero = shape[6], shape[7], shape[8]
+    part, place, on, face, weight = hits
+    cells, rays, near = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), 0
+    for k in range(begin, end + 1):
+        if k < end:
+            inside = True
+            for axis in range(3):
+                tail, head = origins[axis, k], origins[axis, k] + ways[axis, k]
+                inside = inside and min(tail, head) <= high[axis] and max(tail, head) >= low[axis]
+            if inside:
+                rays[near] = k
+                near += 1
+        if near == AHEAD or (k == end and near > 0):
+            fetch_rays(grid, origins, zero, ways, rays, cells, near)
+            for n in range(near):
+                ray = rays[n]
+                a, w = of(origins, ray), of(ways, ray)
+                t, named = first_hit(grid, minus(a, zero), w)
+                if named == FURTHER:
+                    far[begin + count] = ray
+                    count += 1
+                elif named >= 0 and t < part[ray]:
+                    part[ray], on[ray], face[ray], weight[0, ray], weight[1, ray] = t, number, 0, 0.0, 0.0
+                    for axis in range(3):
+                        place[axis, ray] = a[axis] + w[axis] * t
+            near = 0
+    return begin, count
+
+
+@kernel
+def judge(
+    seekers: Seekers, hits: Hits, quick: Array1[BOOL], fits: Array1[BOOL], rows: Array1[I64], begin: I64, end: I64
+) -> tuple[I64, I64]:
+    """Which hits legs can reach, into `fits`; and, into `rows` from `begin` on, the seekers that are not `quick` and whose hit is
+    none of those or far from the wanted place. Returns where these begin, and how many there are."""
+    longest, count = seekers[3], 0
+    for k in range(begin, end):
+        if quick[k]:
+            continue
+        fits[k] = _reaches(seekers, hits, k, k)
+        if not (fits[k] and _miss(seekers, hits, k, k) <= NEAR * longest[k]):
+            rows[begin + count] = k
+            count += 1
+    return begin, count
+
+
+@kernel
+def look_around(
+    seekers: Seekers,
+    rows: Array1[I64],
+    above: Array2[F64],
+    level: Array2[F64],
+    down: Array2[F64],
+    origins: Array2[F64],
+    begin: I64,
+    end: I64,
+) -> None:
+    """The rays of seekers `rows` to the point above their wanted place, from `origins`, and from there (`above`) down."""
+    hips, wanted, ups, longest, _ = seekers
+    for n in range(begin, end):
+        k = rows[n]
+        hip, goal, up, leg = of(hips, k), of(wanted, k), of(ups, k), longest[k]
+        height = max(dot(minus(hip, goal), up), _LOWEST * leg)
+        for axis in range(3):
+            top = goal[axis] + up[axis] * height
+            above[axis, n], level[axis, n], origins[axis, n] = top, top - hip[axis], hip[axis]
+            down[axis, n] = -up[axis] * (2.0 * height + leg)
+
+
+@kernel
+def choose(
+    seekers: Seekers,
+    rows: Array1[I64],
+    hits: Hits,
+    fits: Array1[BOOL],
+    level: Hits,
+    down: Hits,
+    lost: Array1[I64],
+    reach: Array1[F64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Put into `hits` what is nearest to the wanted place: the hit of the first ray, of that to the point above, or of that down.
+
+    Into `lost` and `reach`, from `begin` on: the numbers in `rows` of seekers of which none is near enough, and within which
+    distance (mm) a place would be nearer. Returns where they begin, and how many there are."""
+    longest = seekers[3]
+    count = 0
+    for n in range(begin, end):
+        k = rows[n]
+        least = np.inf
+        if fits[k]:
+            least = _miss(seekers, hits, k, k)
+        if not least < np.inf:
+            _clear(hits, k)
+        if np.isfinite(level[0][n]):
+            if _reaches(seekers, level, k, n):
+                miss = _miss(seekers, level, k, n)
+                if miss < least:
+                    least = miss
+                    _copy(hits, k, level, n)
+        elif _reaches(seekers, down, k, n):
+            miss = _miss(seekers, down, k, n)
+            if miss < least:
+                least = miss
+                _copy(hits, k, down, n)
+        if least > 2.0 * NEAR * longest[k]:
+            lost[begin + count], reach[begin + count] = n, min(longest[k], least)
+            count += 1
+    return begin, count
+
+
+@kernel
+def accept(seekers: Seekers, rows: Array1[I64], close: Hits, seen: Hits, hits: Hits, begin: I64, end: I64) -> None:
+    """Put the nearest places `close` of seekers `rows` into `hits` where a leg reaches them and its hip sees them: `seen` is what
+    rays from there hit."""
+    for n in range(begin, end):
+        k = rows[n]
+        gap = minus(of(seen[1], n), of(close[1], n))
+        sight = not np.isfinite(seen[0][n]) or np.sqrt(dot(gap, gap)) < 1e-3 * seekers[3][k]
+        if sight and _reaches(seekers, close, k, n):
+            _copy(hits, k, close, n)
+
+
+@kernel
+def settle(
+    requests: Array1[I64],
+    seekers: Seekers,
+    hits: Hits,
+    place: Array3[F64],
+    on: Array2[I16],
+    face: Array2[I32],
+    weight: Array3[F64],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Let feet have the ground that was found for requests; where there is none they hang at the wanted place."""
+    count = on.shape[0]
+    for k in range(begin, end):
+        i, leg = requests[k] // count, requests[k] % count
+        found = of(seekers[1], k) if hits[2][k] == NOTHING else of(hits[1], k)
+        for axis in range(3):
+            place[axis, leg, i] = found[axis]
+        on[leg, i], face[leg, i] = hits[2][k], hits[3][k]
+        weight[0, leg, i], weight[1, leg, i] = hits[4][0, k], hits[4][1, k]
+
+
+@inlined
+def _reaches(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
+    """Whether the foot joint of seeker `k`, on hit `n`, would be no farther from its hip than its leg is long."""
+    hip, up, leg, sole = of(seekers[0], k), of(seekers[2], k), seekers[3][k], seekers[4][k]
+    place = of(hits[1], n)
+    joint = place[0] + up[0] * sole, place[1] + up[1] * sole, place[2] + up[2] * sole
+    away = minus(joint, hip)
+    high = dot(away, up)
+    low = max(abs(high) - (SINK * leg if high < 0 else 0.0), 0.0)  # trunks come down for a long step
+    return np.isfinite(hits[0][n]) and (dot(away, away) - high * high) + low * low <= leg * leg
+
+
+@inlined
+def _miss(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
+    """How far hit `n` is from the place that seeker `k` wants."""
+    gap = minus(of(hits[1], n), of(seekers[1], k))
+    return np.sqrt(dot(gap, gap))
+
+
+@inlined
+def _copy(to: Any, k: Any, hits: Any, n: Any) -> None:
+    to[0][k], to[2][k], to[3][k] = hits[0][n], hits[2][n], hits[3][n]
+    to[4][0, k], to[4][1, k] = hits[4][0, n], hits[4][1, n]
+    put(to[1], k, of(hits[1], n))
+
+
+@inlined
+def _clear(hits: Any, k: Any) -> None:
+    hits[0][k], hits[2][k], hits[3][k] = np.inf, NOTHING, 0
+    hits[4][0, k], hits[4][1, k] = 0.0, 0.0
+    put(hits[1], k, (0.0, 0.0, 0.0))

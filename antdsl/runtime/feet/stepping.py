@@ -1,0 +1,333 @@
+"""One step of all feet of a species, as kernels: `plan_steps` up to the ground that is sought, `take_steps` from there.
+
+The phase of a gait advances by the ground that the feet covered, their turning included, over the stride. A foot lifts when its
+share of the cycle to stand is over, or its leg would be too short. It swings in an arc to where it will stand half of the stance
+ahead of its resting place, and stands from then on. An agent that does not move puts its feet back where they rest, in the order
+of the gait. Phases by ground covered, and stance and swing by duty, follow M. H. Raibert and J. K. Hodgins, Animation of Dynamic
+Legged Locomotion, SIGGRAPH 1991, and N. M. Thalmann et al.'s survey of walking; nothing here is a simulation of forces.
+
+Arrays of legs are [..., L, n]. Lengths are those of bodies, float32, and places mm, float64."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I16,
+    I64,
+    U8,
+    Array1,
+    Array2,
+    Array3,
+    independent,
+    inlined,
+    kernel,
+)
+from antdsl.numerics.vectors_compiled import dot, minus
+from antdsl.runtime.feet import trunk
+from antdsl.runtime.feet.bodies import body_at, orthonormal_axes, to_body, to_world
+from antdsl.runtime.feet.gaits import (
+    FOOT_Y,
+    HIP,
+    LENGTH,
+    MOST_CYCLES,
+    OFF,
+    REACH,
+    REACHED,
+    REST_X,
+    REST_Z,
+    SINK,
+    gait_at,
+)
+from antdsl.runtime.feet.state import NOTHING, STANDS
+
+_F = np.float32
+_ZERO, _HALF, _ONE, _TWO, _THREE, _FOUR = _F(0), _F(0.5), _F(1), _F(2), _F(3), _F(4)
+_SINK, _REACHED, _MOST_CYCLES = _F(SINK), _F(REACHED), _F(MOST_CYCLES)
+
+_SLOW = _F(0.02)  # cycles in a frame, below which feet are put back where they rest
+_LEFT = _F(1.25)  # times its reach: a foot so far from where it rests is lifted, whatever its share of the cycle
+_AGAIN = _F(0.45)  # of a leg: a landing place so far from the one that is wanted by now is sought again
+_STRETCHED = _F(0.99)  # of a leg: a foot so far from its hip is lifted
+_SMALL = _F(0.4)  # of a stride: shorter swings are lower
+_LATE = _F(0.6)  # of a swing, in which a foot whose turn was missed may still lift
+_BEHIND = _F(0.3)  # of its reach: a foot that is so far behind has missed its turn
+_LOWEST = _F(0.1)  # of a leg: the least height of a hip above a foot that a straight line is drawn through
+_AT_ONCE = _F(1e-3)  # of a cycle, by which the phase goes past the turn of the foot that sets out
+_LEAST, _TINY, _LONG = _F(1e-6), _F(1e-9), _F(1e4)
+
+STAYS, LIFTS, LANDS, SEEKS_AGAIN = 0, 1, 2, 3  # of `what` a foot does in this step
+
+Legs = Array2[F32]  # as `Gaits.legs`
+GaitTables = tuple[Array1[F32], Array2[F32], Array2[F32]]  # as `Gaits.tables`
+Places = tuple[Array3[F64], Array3[F64], Array3[F64]]  # where feet stand or land, where swings began, where feet are
+States = tuple[Array2[F32], Array2[I16], Array2[F32]]  # `swing`, `on` and `found` of feet
+Trunks = tuple[Array1[F32], Array1[F32], Array2[F32]]  # `phase`, `rise` and `slope`
+Columns = tuple[Places, States, Trunks]
+# For each leg: where its foot is to stand ahead and aside, after how many frames, how much of its swing will be done then, how
+# far it is from where it rests, and from the body [3, L, n]; and what it does.
+Targets = tuple[Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array3[F32], Array2[U8]]
+Pace = tuple[Array1[F32], Array1[F32], Array1[BOOL]]  # stride, lift, and whether the agent hardly moves
+
+
+@kernel
+def measure_cover(
+    bodies: Array2[F64],
+    before: tuple[Array2[F64], Array2[F32], Array2[F32]],
+    legs: Legs,
+    new: Array1[BOOL],
+    covered: Array3[F32],
+    begin: I64,
+    end: I64,
+) -> None:
+    """How far the resting place of each foot went over the ground, ahead and aside of bodies as they are now, into `covered`
+    [2, L, n]. `before`: place, heading and up of bodies at the end of the last frame; nothing is covered by `new` agents."""
+    position, heading, up = before
+    for i in independent(begin, end):
+        place, ahead, _, aside, size = body_at(bodies, i)
+        forward = np.float64(heading[0, i]), np.float64(heading[1, i]), np.float64(heading[2, i])
+        above = np.float64(up[0, i]), np.float64(up[1, i]), np.float64(up[2, i])
+        ahead_before, _, aside_before = orthonormal_axes(forward, above)
+        way = minus((position[0, i], position[1, i], position[2, i]), place)
+        away = way[0] / size, way[1] / size, way[2] / size
+        moved_x, along_x, across_x = _F(dot(away, ahead)), _F(dot(ahead_before, ahead)), _F(dot(aside_before, ahead))
+        moved_z, along_z, across_z = _F(dot(away, aside)), _F(dot(ahead_before, aside)), _F(dot(aside_before, aside))
+        for leg in range(legs.shape[1]):
+            rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
+            x = rest_x - ((moved_x + along_x * rest_x) + across_x * rest_z)
+            z = rest_z - ((moved_z + along_z * rest_x) + across_z * rest_z)
+            covered[0, leg, i] = x if np.isfinite(x) and not new[i] else _ZERO
+            covered[1, leg, i] = z if np.isfinite(z) and not new[i] else _ZERO
+
+
+@kernel
+def plan_steps(
+    bodies: Array2[F64],
+    covered: Array3[F32],
+    legs: Legs,
+    gaits: GaitTables,
+    times: tuple[F32, F32, F32, F32],
+    undermined: Array2[BOOL],
+    feet: Columns,
+    pace: Pace,
+    targets: Targets,
+    requests: Array1[I64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Decide which feet of agents from `begin` to before `end` lift and land, and where, and advance the phase.
+
+    `times`: the time of a frame, the cycles in it of an agent that puts its feet back, the least share of a swing in it, and the
+    reach of the shortest leg. `undermined`: feet whose ground was dug away. Into `requests`, from L times `begin` on: the feet
+    that need ground, the number of the agent times L plus that of the leg. Returns where they begin, and how many there are."""
+    count = legs.shape[1]
+    dt, rests, swings, shortest = times
+    place, start, _ = feet[0]
+    swing, on, found = feet[1]
+    phase, rise, slope = feet[2]
+    target_x, target_z, left, share, off, at, what = targets
+    stride, lift, slow = pace
+    for i in independent(begin, end):
+        body = body_at(bodies, i)
+        lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body[4])
+        went = _ZERO
+        for leg in range(count):
+            went = went + np.sqrt(covered[0, leg, i] * covered[0, leg, i] + covered[1, leg, i] * covered[1, leg, i])
+        went = went / _F(max(1, count))
+        gait, long, duty, high = gait_at(gaits, went / dt, went, shortest)
+        stride[i], lift[i] = long, high
+        ahead = went / long
+        still = ahead < _SLOW
+        slow[i] = still
+        restless, stands = False, True
+        for leg in range(count):
+            here = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+            at[0, leg, i], at[1, leg, i], at[2, leg, i] = here
+            away = _off(legs, leg, here, _hip(legs, leg, lean, raised))
+            off[leg, i] = away
+            down = swing[leg, i] == STANDS
+            if swing[leg, i] >= _ZERO or (down and away > legs[OFF, leg] + found[leg, i]):
+                restless = True
+            if not down or not away <= legs[OFF, leg]:
+                stands = False
+        if still and restless:
+            ahead = max(ahead, rests)
+        ahead = min(ahead, _MOST_CYCLES)
+        # An agent that sets out from a stand lifts the foot whose turn is next at once: none waits until it is left behind.
+        gap = _F(np.inf)
+        for leg in range(count):
+            before = phase[i] + gaits[2][gait, leg]
+            before = before - np.floor(before)
+            wait = duty - before
+            wait = wait if wait > _ZERO else wait + _ONE
+            gap = min(gap, wait)
+        advance = gap + _AT_ONCE if stands and not still and gap > ahead else ahead
+        rate = min(max(ahead / (_ONE - duty), swings), _ONE)
+        stance = max(_ONE / max(ahead, _LEAST) - _ONE / rate, _ZERO)  # frames that a foot will stand
+        for leg in range(count):
+            here = at[0, leg, i], at[1, leg, i], at[2, leg, i]
+            hip = _hip(legs, leg, lean, raised)
+            x, z = here[0] - legs[REST_X, leg], here[2] - legs[REST_Z, leg]
+            cover_x, cover_z = covered[0, leg, i], covered[1, leg, i]
+            before = phase[i] + gaits[2][gait, leg]
+            before = before - np.floor(before)
+            after = before + advance
+            crosses = (before < duty and after >= duty) or after >= _ONE + duty
+            # A foot missed its turn, as the gait changed or something else moved it: behind where it rests, in time to swing.
+            behind = x * cover_x + z * cover_z < _ZERO
+            late = before >= duty and before < duty + _LATE * (_ONE - duty)
+            late = late and behind and off[leg, i] > _BEHIND * legs[REACH, leg]
+            due = (crosses or late) and (not still or off[leg, i] > _HALF * legs[OFF, leg] + found[leg, i])
+            lost = off[leg, i] > _LEFT * legs[REACH, leg] or undermined[leg, i] or _is_too_far(legs, leg, here, hip, _STRETCHED)
+            down = swing[leg, i] == STANDS
+            lifts = down and (due or lost)
+            flies = lifts or swing[leg, i] >= _ZERO
+            if lifts:
+                for axis in range(3):
+                    start[axis, leg, i] = place[axis, leg, i]
+            done, more = STANDS, rate
+            frames = _ZERO
+            if flies:
+                over = after - duty
+                over = over - _ONE if over >= _ONE else over
+                if lifts and crosses and over >= _ZERO:
+                    more = over / (_ONE - duty)
+                done = min((_ZERO if lifts else swing[leg, i]) + more, _ONE)
+                frames = (_ONE - done) / rate
+            half_x, half_z = min(stance, _LONG) * cover_x * _HALF, min(stance, _LONG) * cover_z * _HALF
+            by = min(_ONE, legs[REACH, leg] / max(np.sqrt(half_x * half_x + half_z * half_z), _TINY))
+            to_x = legs[REST_X, leg] + cover_x * frames + half_x * by
+            to_z = legs[REST_Z, leg] + cover_z * frames + half_z * by
+            lands = flies and done >= _ONE
+            past = ((_ZERO if lifts else swing[leg, i]) + more - _ONE if lands else _ZERO) / rate  # frames ago
+            to_x, to_z = to_x - cover_x * past, to_z - cover_z * past
+            target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, done
+            miss_x, miss_z = here[0] - to_x, here[2] - to_z
+            most = legs[OFF, leg] if still else _AGAIN * legs[LENGTH, leg]
+            again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NOTHING
+            again = lands and (again or _is_too_far(legs, leg, here, hip, _REACHED))
+            what[leg, i] = (SEEKS_AGAIN if again else LANDS) if lands else (LIFTS if lifts else STAYS)
+        turned = phase[i] + advance
+        phase[i] = turned - np.floor(turned)
+    many = 0
+    for i in range(begin, end):
+        for leg in range(count):
+            if what[leg, i] == LIFTS or what[leg, i] == SEEKS_AGAIN:
+                requests[begin * count + many] = i * count + leg
+                many += 1
+    return begin * count, many
+
+
+@kernel
+def take_steps(
+    bodies: Array2[F64],
+    legs: Legs,
+    trunk_steps: tuple[F32, F32, F32],
+    feet: Columns,
+    pace: Pace,
+    targets: Targets,
+    last: tuple[Array2[F64], Array2[F32], Array2[F32]],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Swing feet to the ground that was found, move the trunks of agents over them, and place all feet.
+
+    `trunk_steps`: how much of the way to a new tilt or lower height, and to a greater height, a trunk goes in a frame, and how
+    much higher or lower than at rest it may be. `last`: takes place, heading and up of bodies for the next frame."""
+    count = legs.shape[1]
+    slower, faster, highest = trunk_steps
+    place, start, shown = feet[0]
+    swing, on, found = feet[1]
+    _, rise, slope = feet[2]
+    share, at, what = targets[3], targets[5], targets[6]
+    stride, lift, slow = pace
+    for i in independent(begin, end):
+        body = body_at(bodies, i)
+        size = _F(body[4])
+        lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
+        for leg in range(count):
+            lands = what[leg, i] >= LANDS
+            swing[leg, i] = STANDS if lands and on[leg, i] != NOTHING else share[leg, i]
+            here = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+            at[0, leg, i], at[1, leg, i], at[2, leg, i] = here
+            if not slow[i]:
+                found[leg, i] = _ZERO
+            elif lands:
+                found[leg, i] = _off(legs, leg, here, _hip(legs, leg, lean, raised))
+        height, ahead, aside = trunk.fit_plane(at, on, count, i)
+        height = min(max(height, -highest), highest)
+        tilt = lean[0] + (ahead - lean[0]) * slower, lean[1] + (aside - lean[1]) * slower
+        raised = raised + (height - raised) * (faster if height > raised else slower)
+        high = trunk.lower(at, swing, legs, raised, tilt, -highest, i) * size
+        torn = False
+        for leg in range(count):
+            here = at[0, leg, i], at[1, leg, i], at[2, leg, i]
+            if swing[leg, i] == STANDS and _is_too_far(legs, leg, here, _hip(legs, leg, tilt, high / size), _STRETCHED):
+                torn = True
+        if not torn:  # else the trunk stays as it was, where all standing feet are in reach
+            rise[i], slope[0, i], slope[1, i] = high, tilt[0], tilt[1]
+        lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
+        for leg in range(count):
+            if swing[leg, i] >= _ZERO:
+                before = to_body(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
+                here = at[0, leg, i], at[1, leg, i], at[2, leg, i]
+                hip = _hip(legs, leg, lean, raised)
+                x, y, z = _swung(legs, leg, (before, here, hip), swing[leg, i], stride[i], lift[i])
+                foot = to_world(body, x, y, z)
+                shown[0, leg, i], shown[1, leg, i], shown[2, leg, i] = foot
+            else:
+                for axis in range(3):
+                    shown[axis, leg, i] = place[axis, leg, i]
+        for axis in range(3):
+            last[0][axis, i] = bodies[axis, i]
+            last[1][axis, i], last[2][axis, i] = _F(bodies[3 + axis, i]), _F(bodies[6 + axis, i])
+
+
+@inlined
+def _hip(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
+    """Where a leg begins, of a trunk that leans and is raised."""
+    x, y, z = trunk.lean(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+    return x, y + raised, z
+
+
+@inlined
+def _off(legs: Any, leg: Any, here: Any, hip: Any) -> Any:
+    """How far a foot is from where it rests: on the ground perpendicular to that place, or on the straight line from the hip
+    through it, whichever is nearer."""
+    rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
+    x, z = here[0] - rest_x, here[2] - rest_z
+    by = hip[1] / max(hip[1] - here[1], _LOWEST * legs[LENGTH, leg])
+    a, c = hip[0] + (here[0] - hip[0]) * by - rest_x, hip[2] + (here[2] - hip[2]) * by - rest_z
+    return np.sqrt(min(x * x + z * z, a * a + c * c))
+
+
+@inlined
+def _is_too_far(legs: Any, leg: Any, here: Any, hip: Any, most: Any) -> Any:
+    """Whether a foot is farther from its hip than `most` of its leg, the trunk as low as it may be."""
+    length = legs[LENGTH, leg]
+    x, z = here[0] - hip[0], here[2] - hip[2]
+    y = here[1] - hip[1] + legs[FOOT_Y, leg]
+    high = max(abs(y) - (_SINK * length if y < _ZERO else _ZERO), _ZERO)
+    far = most * length
+    return (x * x + high * high) + z * z > far * far
+
+
+@inlined
+def _swung(legs: Any, leg: Any, ends: Any, done: Any, stride: Any, lift: Any) -> Any:
+    """Where a foot is on its arc, no farther from its hip than its leg reaches."""
+    before, here, hip = ends
+    eased = done * done * (_THREE - _TWO * done)
+    dx, dy, dz = here[0] - before[0], here[1] - before[1], here[2] - before[2]
+    far = np.sqrt((dx * dx + dy * dy) + dz * dz)
+    arc = lift * min(_ONE, far / (stride * _SMALL)) * (_FOUR * done * (_ONE - done))
+    # The foot joint is above the ground of its foot, so the hip is lowered by as much to measure from.
+    a, b, c = hip[0], hip[1] - legs[FOOT_Y, leg], hip[2]
+    x, y, z = before[0] + dx * eased - a, before[1] + dy * eased + arc - b, before[2] + dz * eased - c
+    long = np.sqrt((x * x + y * y) + z * z)
+    by = min(_ONE, legs[LENGTH, leg] * _REACHED / max(long, _TINY))
+    return a + x * by, b + y * by, c + z * by

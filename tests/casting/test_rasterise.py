@@ -1,0 +1,124 @@
+"""Cells that triangles touch: thin ones are sliced, and named are still the cells that a test of boxes one by one finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from antdsl.casting import rasterise
+from antdsl.casting.rasterise import triangle_cells
+from antdsl.diagnostics import Report
+from antdsl.pipeline import open_scene
+from antdsl.runtime import bind
+
+Floats = NDArray[np.float64]
+Cell = tuple[int, ...]
+HAIR = 1e-6  # cells: what is nearer to touching than this may be named or not
+
+
+def gaps(triangle: Floats, cells: NDArray[np.int64]) -> Floats:
+    """How far apart (cells) a triangle and cells are along the axis that separates them best; below 0 where none does."""
+    edges = np.roll(triangle, -1, axis=0) - triangle
+    axes = [*np.eye(3), np.cross(edges[0], edges[1]), *(np.cross(one, edge) for one in np.eye(3) for edge in edges)]
+    apart = np.full(len(cells), -np.inf)
+    for axis in axes:
+        if (length := float(np.linalg.norm(axis))) < 1e-12:
+            continue
+        along = (triangle[None] - (cells[:, None] + 0.5)) @ (axis / length)
+        half = 0.5 * np.abs(axis / length).sum()
+        apart = np.maximum(apart, np.maximum(along.min(axis=1) - half, -half - along.max(axis=1)))
+    return apart
+
+
+def needles(count: int) -> list[Floats]:
+    """Thin triangles along axes, in planes of axes and aslant, corners in any order, some without any width."""
+    rng = np.random.default_rng(7)
+    made = []
+    for k in range(count):
+        way = np.eye(3)[k % 3] if k % 4 == 0 else rng.normal(size=3)
+        if k % 4 == 1:
+            way[k % 3] = 0.0
+        long = rng.uniform(70, 110) * way / np.linalg.norm(way)
+        wide = rng.normal(size=3) * (0.0 if k % 8 == 2 else rng.uniform(0, 0.6))
+        start = rng.uniform(-5, 5, 3)
+        made.append(np.stack([start, start + long, start + long * rng.uniform(-0.2, 1.2) + wide])[rng.permutation(3)])
+    return made
+
+
+def named(triangles: Floats, **how: float) -> list[set[Cell]]:
+    """The cells of each triangle."""
+    found: list[set[Cell]] = [set() for _ in triangles]
+    for cells, which in triangle_cells(triangles, **how):
+        for cell, triangle in zip(cells.tolist(), which.tolist(), strict=True):
+            found[triangle].add(tuple(cell))
+    return found
+
+
+def test_of_thin_triangles_the_cells_are_those_that_no_axis_separates():
+    triangles = np.stack(needles(24))
+    assert rasterise._are_thin(triangles).sum() >= 16
+    exact, around, wider = named(triangles), named(triangles, exact=False), named(triangles, margin=0.25)
+    for triangle, touched, loose, reached in zip(triangles, exact, around, wider, strict=True):
+        low, high = np.floor(triangle.min(axis=0)).astype(int) - 1, np.floor(triangle.max(axis=0)).astype(int) + 2
+        cells = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
+        apart = gaps(triangle, cells)
+        must = {tuple(cell) for cell in cells[apart < -HAIR].tolist()}
+        may = {tuple(cell) for cell in cells[apart < HAIR].tolist()}
+        assert must <= touched <= may
+        assert touched <= loose and touched <= reached
+        assert reached <= {tuple(cell) for cell in cells[apart < 0.25 * 3**0.5 + HAIR].tolist()}
+
+
+def test_wide_triangles_are_quartered_as_ever(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(rasterise, "_slices", lambda tri: pytest.fail("a triangle that is not thin was sliced"))
+    wide = np.array([[[0.0, 0, 0], [200, 0, 0], [0, 1, 200]], [[0, 0, 0], [60, 0, 0], [60, 0, 1e-3]]])
+    assert [len(cells) > 60 for cells in named(wide)] == [True, True]
+
+
+@pytest.mark.parametrize("way", [(1, 0, 0), (1, 0, 1), (3, 2, 4)])
+def test_a_needle_is_cut_into_no_more_parts_than_it_touches_cells(way: tuple[float, ...], monkeypatch: pytest.MonkeyPatch):
+    parts = counted(monkeypatch)
+    long, side = 50_000.0 * np.array(way, float), np.array([0, 0.5, 0.0])
+    cells = sum(len(cells) for cells, _ in triangle_cells(np.array([[[0.3, 0.2, 0.1], long, long + side]])))
+    assert cells > 50_000
+    assert max(parts) <= rasterise._PIECE
+    assert sum(parts) <= 2 * cells
+
+
+def test_two_needles_are_bound(tmp_path, monkeypatch: pytest.MonkeyPatch):
+    """Two faces, 400 m long and 2 mm wide: quartered they were ten billion parts."""
+    (tmp_path / "ground.obj").write_text(
+        "v 0 0 0\nv 400000 0 0\nv 400000 0 2\nv 0 0 4\nv 400000 0 4\nv 0 0 6\nf 1 3 2\nf 4 6 5\n", encoding="utf-8"
+    )
+    (tmp_path / "walker.ant").write_text(
+        "ant 1\nuse steering\nworld { surface ground }\nfield trail on ground { cell 6 mm; half_life 12 s }\n"
+        'species walker {\n  max_speed 30 mm/s\n  state stroll "" amber {\n    steer climb(trail)\n    deposit trail 1 /s\n  }\n'
+        "  layers { state }\n}\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "scene.yaml").write_text(
+        "antdsl: 1\nunits: mm\nup: y\nfps: 24\nframes: 1..2\nworld:\n  ground: {mesh: ground.obj}\n"
+        "crowd:\n  - {species: walker, from: walker.ant, count: 5, place: {on: ground}}\n",
+        encoding="utf-8",
+    )
+    shot, report = open_scene(tmp_path / "scene.yaml")
+    assert isinstance(report, Report) and shot is not None, str(report)
+    parts = counted(monkeypatch)
+    world = bind(shot.plan, shot.setting)
+    assert len(world.fields["trail"].cells) > 60_000
+    assert world.ground.extent == 400_000.0
+    assert 0 < sum(parts) <= 2_000_000
+
+
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many parts of triangles are held against cells, call by call."""
+    parts: list[int] = []
+    real = rasterise._box_cells
+
+    def counting(tri, *rest):
+        parts.append(len(tri))
+        return real(tri, *rest)
+
+    monkeypatch.setattr(rasterise, "_box_cells", counting)
+    return parts
