@@ -42,10 +42,11 @@ def can_sign() -> bool:
 
 
 # What a test compiles is no business of the user's own folder; the tests of one run may share it. Without a private key, as where
-# the home folder is only read, code stays in memory, and nothing is said of it.
-if "ANTDSL_NATIVE_CACHE" not in os.environ:
-    os.environ["ANTDSL_NATIVE_CACHE"] = tempfile.mkdtemp(prefix="antdsl-code-") if can_sign() else ""
-    atexit.register(shutil.rmtree, os.environ["ANTDSL_NATIVE_CACHE"], ignore_errors=True)
+# the home folder is only read, code stays in memory, and nothing is said of it. The same for tables of meshes.
+for variable in ("ANTDSL_NATIVE_CACHE", "ANTDSL_TABLE_CACHE"):
+    if variable not in os.environ:
+        os.environ[variable] = tempfile.mkdtemp(prefix="antdsl-code-") if can_sign() else ""
+        atexit.register(shutil.rmtree, os.environ[variable], ignore_errors=True)
 
 # Time says nothing here: whoever runs the tests may have a slow machine, or a busy one.
 settings.register_profile("few", max_examples=40, deadline=None)

@@ -22,6 +22,7 @@ from antdsl.bench.counting import count_step
 from antdsl.bench.ratios import in_turn
 from antdsl.machine_code import machine
 from antdsl.machine_code.object_cache import VARIABLE
+from antdsl.numerics import stored_tables
 from antdsl.outputs.writer.process_memory import memory
 from antdsl.pipeline import Shot
 from antdsl.plan.traverse import blocks, needed, operands, statements
@@ -92,18 +93,22 @@ def _any(name: str) -> Any:
 
 @contextmanager
 def _folder_for_code() -> Iterator[None]:
-    """An empty folder keeps the machine code that is made within; what other runs have kept is not looked for."""
-    before = os.environ.get(VARIABLE)
+    """An empty folder keeps the machine code that is made within, and tables of meshes; what other runs have kept is not looked
+    for."""
+    before = {name: os.environ.get(name) for name in (VARIABLE, stored_tables.KIND.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
-        os.environ[VARIABLE] = folder
+        os.environ |= dict.fromkeys(before, folder)
         ready.forget()
+        stored_tables.forget()
         try:
             yield
         finally:
-            os.environ.pop(VARIABLE)
-            if before is not None:
-                os.environ[VARIABLE] = before
+            for name, value in before.items():
+                os.environ.pop(name)
+                if value is not None:
+                    os.environ[name] = value
             ready.forget()
+            stored_tables.forget()
 
 
 def with_kernels() -> None:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.grid_filters import distances
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.numerics import compiled
+from antdsl.numerics import compiled, stored_tables
 from antdsl.numerics.vector_rows import dot
 
 _CELLS = 250_000  # a table that stays in the processor's cache beside all else of a step
@@ -20,24 +21,30 @@ _MEASURED = 150_000  # cells: about 2 microseconds each
 
 
 class DistanceGrid:
-    """Lower bounds of the distance to a set of triangles, from their corners float64[m,3,3] (mm)."""
+    """Lower bounds of the distance to a set of triangles, from their corners float64[m,3,3] (mm). `lasting`: whether another run
+    may ask for the same ones."""
 
-    def __init__(self, corners: NDArray[np.float64], cells: int = _CELLS) -> None:
-        from scipy.ndimage import distance_transform_edt
-
+    def __init__(self, corners: NDArray[np.float64], cells: int = _CELLS, lasting: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         extent = (corners.max(axis=(0, 1)) if len(corners) else np.zeros(3)) - self._low
         self._width = triangle_width(corners, cell_width(extent, cells))
         self._size = np.floor(extent / self._width).astype(np.int64) + 1
         self._high = self._low + extent
         self._cells = (self._low, self._high, self._size, self._width)
+        work = partial(self._bounds, corners)
+        size = int(np.prod(self._size)) if lasting else 0
+        self._least = stored_tables.stored("distance grid", size, (corners, float(cells)), work, "cells")["least"]
+
+    def _bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
+        """The least distance of each cell from all triangles."""
         free = np.ones(tuple(self._size), bool)
         for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
             cell = np.minimum(cell, self._size - 1)
             free[cell[:, 0], cell[:, 1], cell[:, 2]] = False
-        away = distance_transform_edt(free) if len(corners) else np.full(tuple(self._size), np.inf)
+        away = distances(free) if len(corners) else np.full(tuple(self._size), np.inf)
         # Both the asker and the triangle may stand anywhere in their cells: two half diagonals.
-        self._least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
+        least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
+        return {"least": least}
 
     def refine(self, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
         """Measure the distance (mm) from the middles [n,3] of the cells near triangles: left is one half diagonal of two.

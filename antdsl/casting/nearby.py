@@ -49,6 +49,7 @@ class Nearby:
 
     origin: Vectors
     _brief: bool
+    _lasting: bool
     _faces: Faces
     _first_face: Index
     _scene: Any
@@ -85,8 +86,8 @@ class Nearby:
         return self._grid.at_least(x, y, z, threads)
 
     def _distances(self) -> DistanceGrid:
-        args = (_BRIEF_CELLS,) if self._brief else ()
-        return DistanceGrid(self._faces.corners + self.origin, *args)
+        corners = self._faces.corners + self.origin
+        return DistanceGrid(corners, _BRIEF_CELLS, False) if self._brief else DistanceGrid(corners, lasting=self._lasting)
 
     def feelers(
         self,

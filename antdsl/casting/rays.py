@@ -92,7 +92,8 @@ class RayScene(Nearby):
     processor. So it only names faces, of triangles that are a hair wider than they are: what a ray meets and where, and which
     place is nearest, is worked out in float64 from the face named and those that meet it there. Of equally near ones the first
     mesh counts, then the first face. A scene that is `brief`, asked for a single step, knows less well who is far from it, and
-    is made faster. A hair goes by the largest coordinate, or by `largest` (mm) where what lies beyond it is a backdrop.
+    is made faster; of one that is not `lasting` no table is stored for other runs. A hair goes by the largest coordinate, or by
+    `largest` (mm) where what lies beyond it is a backdrop.
 
     Rays with an end, and nearest faces that are asked for within a distance, go to a `TriangleGrid` where one is of use: it asks
     all faces nearby in float64, and passes on to Open3D whose ray or face is too far away for it. What decides is the scene and
@@ -101,10 +102,18 @@ class RayScene(Nearby):
     """
 
     _brief = False
+    _lasting = True
     _largest: float | None = None
 
-    def __init__(self, vertices: Vectors, faces: NDArray[np.int32], brief: bool = False, largest: float | None = None) -> None:
-        self._brief, self._largest = brief, largest
+    def __init__(
+        self,
+        vertices: Vectors,
+        faces: NDArray[np.int32],
+        brief: bool = False,
+        largest: float | None = None,
+        lasting: bool = True,
+    ) -> None:
+        self._brief, self._largest, self._lasting = brief, largest, lasting
         self._fill([(vertices, faces)])
 
     @classmethod
@@ -183,7 +192,7 @@ class RayScene(Nearby):
         """The grid for short rays and near faces, made when it is first asked for: none for a scene of a single step."""
         if not self._sought:
             self._sought = True
-            self._short = TriangleGrid.of(self._faces, self.origin)
+            self._short = TriangleGrid.of(self._faces, self.origin, self._lasting)
         return self._short
 
     def _within(self, origin: Vectors, way: Vectors, threads: int, most_hit: bool = False) -> tuple[Index, Vectors, Index]:

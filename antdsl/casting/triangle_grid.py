@@ -18,7 +18,7 @@ from antdsl.casting.distance_grid import cell_width, sides_and_area
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.tolerances import CLOSED, FURTHER, LONGEST, NOTHING, RINGS
-from antdsl.numerics import compiled
+from antdsl.numerics import compiled, stored_tables
 from antdsl.numerics.vector_rows import dot
 
 Floats = NDArray[np.float64]
@@ -42,26 +42,21 @@ class TriangleGrid:
     axis, int64[3]; where the faces of each cube begin and their numbers, int32; of each of these, side by side, its plane and a
     ball around it, float32[e,8]; planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces."""
 
-    def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats) -> None:
+    def __init__(self, faces: Faces, planes: Floats, width: float, origin: Floats, lasting: bool = True) -> None:
         corners = faces.corners
         low = corners.min(axis=(0, 1)) - width / 4
         size = np.floor((corners.max(axis=(0, 1)) + width / 4 - low) / width).astype(np.int64) + 1
-        count = len(corners)
-        keys = [np.empty(0, np.int64)]
-        for cell, face in triangle_cells((corners - low) / width, margin=_MARGIN):
-            cell = np.minimum(np.maximum(cell, 0), size - 1)
-            keys.append(((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]) * count + face)
-        cells, listed = np.divmod(np.unique(np.concatenate(keys)), count)
-        first = np.zeros(int(np.prod(size)) + 1, np.int32)
-        np.cumsum(np.bincount(cells, minlength=len(first) - 1), out=first[1:])
-        normals = faces.normal(np.arange(count))
+        work, count = partial(_lists, corners, low, size, width), len(corners) if lasting else 0
+        lists = stored_tables.stored("triangle grid", count, (corners, width), work)
+        first, listed = lists["first"], lists["listed"]
+        normals = faces.normal(np.arange(len(corners)))
         off = 1e-6 * (float(np.abs(corners).max()) + (LONGEST + RINGS) * width)  # several times what float32 makes of it
         self._hair = faces.hair
         self.tables: Tables = (
             np.array([*low, width, off, faces.hair, *origin]),  # the grid's lowest corner and the world's place of its zero
             size,
             first,
-            listed.astype(np.int32),
+            listed,
             _bounds(corners, normals)[listed],
             np.ascontiguousarray(_sound(corners, planes)),
             np.ascontiguousarray(corners),
@@ -71,14 +66,14 @@ class TriangleGrid:
         self.crowded = float((many * many).sum() / max(many.sum(), 1.0))
 
     @staticmethod
-    def of(faces: Faces, origin: Floats) -> TriangleGrid | None:
+    def of(faces: Faces, origin: Floats, lasting: bool = True) -> TriangleGrid | None:
         """A grid where one is of use and not too large: its size is reckoned before anything is allocated. `origin`: where in the
-        world the faces' zero is."""
+        world the faces' zero is; `lasting`: whether another run may ask for the same faces."""
         tables = faces.tables()
         width = None if tables is None else _width(faces.corners)
         if tables is None or width is None:
             return None
-        grid = TriangleGrid(faces, tables[0], width, origin)
+        grid = TriangleGrid(faces, tables[0], width, origin, lasting)
         return grid if grid.crowded <= _CROWDED else None
 
     # ---- rays
@@ -264,6 +259,18 @@ def _plain(*columns: Singles) -> tuple[Singles, ...]:
 
 def _pieces(count: int, most: int = 1 << 16) -> Iterator[slice]:
     return (slice(k, k + most) for k in range(0, count, most))
+
+
+def _lists(corners: Floats, low: Floats, size: Index, width: float) -> stored_tables.Tables:
+    """Where the faces of each cube begin, and their numbers, of a grid of so many cubes from its lowest corner on."""
+    count, keys = len(corners), [np.empty(0, np.int64)]
+    for cell, face in triangle_cells((corners - low) / width, margin=_MARGIN):
+        cell = np.minimum(np.maximum(cell, 0), size - 1)
+        keys.append(((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]) * count + face)
+    cells, listed = np.divmod(np.unique(np.concatenate(keys)), count)
+    first = np.zeros(int(np.prod(size)) + 1, np.int32)
+    np.cumsum(np.bincount(cells, minlength=len(first) - 1), out=first[1:])
+    return {"first": first, "listed": listed.astype(np.int32)}
 
 
 def _width(corners: Floats) -> float | None:

@@ -30,6 +30,7 @@ def doctor() -> None:
     for package, purpose in EXTRAS.items():
         _optional(package, purpose)
     _machine_code(problems)
+    _tables()
     _sandbox(problems)
     _files(problems)
     if problems:
@@ -126,6 +127,16 @@ def _kernels() -> None:
         print_result(f"-       {'kernels':<16} compiled when they are first used, which takes some seconds once")
     else:
         print_result(f"ok      {'kernels':<16} compiled in advance for {shipped.target_name(host)}")
+
+
+def _tables() -> None:
+    """Whether tables of meshes are stored for other runs, and where not, why."""
+    from antdsl.numerics import stored_tables
+
+    stored = stored_tables.store()
+    stored.prepare()
+    for sentence in stored.messages:
+        print_result(f"-       {'folder of tables':<16} {sentence}")
 
 
 def _sandbox(problems: list[str]) -> None:

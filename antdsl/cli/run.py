@@ -123,7 +123,7 @@ def run(
     )
     writing = report_failures("cannot write the cache", f"go on with: {again}")
     with writing, _setting_up(again), keeping_inputs(files, folders):  # another cache too, that the scene begins with
-        recording = _begin(shot, folder, options, choices, resume, force)
+        recording = _begin(shot, folder, options, choices, resume, force, quiet)
     with words_aside(summary) as output:
         if profile:
             from antdsl.runtime.profiling import Meter
@@ -192,7 +192,8 @@ def _setting_up(again: str) -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool) -> Recording:
+def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool, quiet: bool) -> Recording:
+    from antdsl.cli.printing.progress import set_up
     from antdsl.cli.printing.reports import demand, show
     from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, InTheWay, OtherHashes
     from antdsl.outputs.recording import NothingToResume, begin
@@ -201,7 +202,8 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
     from antdsl.runtime.binding.start_findings import start_findings
 
     try:
-        recording = begin(shot, folder, options, resume=resume, force=force)
+        with set_up(quiet):
+            recording = begin(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
             show(start_findings(shot.scene, recording.world), to_stderr=True)
         for note in recording.notes:

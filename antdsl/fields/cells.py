@@ -17,7 +17,7 @@ from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import Mesh
 from antdsl.fields.numbered import NO_CELLS, NO_INDEX, Index, rank, summed
 from antdsl.ground.mesh.topology import facing
-from antdsl.numerics import compiled
+from antdsl.numerics import compiled, stored_tables
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
@@ -83,12 +83,19 @@ class SurfaceCells:
         scaled = corners / self.cell + 0.5
         self._low = np.floor(scaled.min(axis=(0, 1))).astype(np.int64) if len(corners) else np.zeros(3, np.int64)
         self._size = np.floor(scaled.max(axis=(0, 1))).astype(np.int64) - self._low + 1 if len(corners) else np.ones(3, np.int64)
-        self._gather(corners, scaled, across / np.maximum(area, 1e-300)[:, None], cap)
+        normal = across / np.maximum(area, 1e-300)[:, None]
+        work = partial(self._gather, corners, scaled, normal, cap)
+        found = stored_tables.stored("surface cells", len(corners), (corners, self.cell), work)
+        if len(found["keys"]) > cap:
+            raise FieldTooFine(len(found["keys"]), cap)
+        self._keys: NDArray[np.int64] = found["keys"]
+        self.position: Floats = found["position"]
+        self.normal: Floats = found["normal"]
         self._voxels = self._keys // 6
         self._start_table = self._starts()
         self._tables: dict[int, Cells] = {}
 
-    def _gather(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> None:
+    def _gather(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
         """Keys, positions and normals of all cells, from the part of each triangle in each voxel that it touches."""
         side = facing(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
@@ -104,12 +111,8 @@ class SurfaceCells:
                 if len(keys) > cap:
                     raise FieldTooFine(len(keys), cap)
         keys, sums = summed(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
-        if len(keys) > cap:
-            raise FieldTooFine(len(keys), cap)
-        self._keys = keys
-        self.position: Floats = sums[:, :3] / sums[:, 6:]
-        length = np.sqrt((sums[:, 3:6] ** 2).sum(axis=1))
-        self.normal: Floats = sums[:, 3:6] / np.maximum(length, 1e-300)[:, None]
+        length = np.sqrt((sums[:, 3:6] ** 2).sum(axis=1))[:, None]
+        return {"keys": keys, "position": sums[:, :3] / sums[:, 6:], "normal": sums[:, 3:6] / np.maximum(length, 1e-300)}
 
     def __len__(self) -> int:
         return len(self._keys)

@@ -102,14 +102,14 @@ class MovingGround(MeshGround):
             still = tuple(k for k in chosen if not self._moves[k])
             if still not in self._still_scenes:
                 self._still_scenes[still] = self._rays(still)
-            moved, live = self._rays(tuple(k for k in chosen if self._moves[k]))
+            moved, live = self._rays(tuple(k for k in chosen if self._moves[k]), lasting=False)
             first, first_live = self._still_scenes[still]
             self._scenes[chosen] = _Both(first, moved, len(first_live)), np.concatenate([first_live, live])  # type: ignore[assignment]
         return self._scenes[chosen]
 
-    def _rays(self, chosen: tuple[int, ...]) -> tuple[RayScene, Index]:
+    def _rays(self, chosen: tuple[int, ...], lasting: bool = True) -> tuple[RayScene, Index]:
         live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
-        return RayScene(self._vertices, self._faces[live]), live
+        return RayScene(self._vertices, self._faces[live], lasting=lasting), live
 
 
 def _ends(vertices: Floats) -> tuple[Floats, Floats]:

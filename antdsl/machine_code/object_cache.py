@@ -1,9 +1,9 @@
-"""Machine code that is stored from run to run: key → the object file that LLVM made, from memory or a folder.
+"""Results that are stored from run to run: key → bytes, from memory or a folder. Above all the object files that LLVM made.
 
-What lies in the folder is run, so each file begins with a signature that only this user's antdsl can make on this machine
-(`signing`). A file without a valid one is never run, whoever wrote it and wherever the folder is: it is removed and the code
-compiled again. Where no key or folder can be had, code stays in memory and `messages` says why. Nothing is raised, whatever the
-file system does."""
+What lies in the folder is run, or read by code that trusts it, so each file begins with a signature that only this user's antdsl
+can make on this machine (`signing`). A file without a valid one is never used, whoever wrote it and wherever the folder is: it is
+removed and the result computed again. Where no key or folder can be had, code stays in memory and `messages` says why. Nothing is
+raised, whatever the file system does."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from functools import cache
 from hashlib import blake2b
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from antdsl.bounded import NotRegular, open_regular, read_bounded, read_handle
 from antdsl.diagnostics.model import printable
@@ -34,13 +34,38 @@ VARIABLE: Final = "ANTDSL_NATIVE_CACHE"
 CAP: Final = 256 * MIB
 _IN_MEMORY: Final = 16 * MIB
 _LARGEST: Final = 64 * MIB  # of one object file
-_ENDING: Final = ".object"
 _KEY = re.compile("[0-9a-f]{64}")
-_NAME = re.compile(f"[0-9a-f]{{64}}{re.escape(_ENDING)}")
 _LEFT_OVER = re.compile(rf"\.[0-9a-f]{{40}}\.[0-9a-f]{{12}}{re.escape(PART)}")  # by a run that ended while it wrote
 _ABANDONED: Final = 3600.0  # s since such a file was written to; before, another run may be at it
 IR_VERSION: Final = "3"  # of texts: another number where one means something else, or `machine.py` is not all that compiles it
 ABI_VERSION: Final = "1"  # of calls: another number where code finds its arguments, or what it calls, in another place
+
+
+class Kind(NamedTuple):
+    """What a store holds: its folder in that of antdsl, the variable that names another, the ending of its files, and words."""
+
+    folder: str
+    variable: str
+    ending: str
+    name: str
+    verb: str  # that goes with the name: is, are
+    used: str  # what is done with it, and only where it is signed
+    unit: str  # what one result is of
+    again: str  # what each run does without a store
+    anew: str  # what is done where a file is not used
+
+
+CODE: Final = Kind(
+    "native",
+    VARIABLE,
+    ".object",
+    "compiled code",
+    "is",
+    "code is only run where a private key signs it",
+    "one program",
+    "each run compiles it again",
+    "it is compiled again",
+)
 
 
 def key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
@@ -81,27 +106,32 @@ def versions() -> tuple[str, ...]:
 
 
 class ObjectCache:
-    """`folder`: None for the one that ANTDSL_NATIVE_CACHE names (none at all where that is empty), or else `antdsl/native` in the
-    user's cache folder; `cap`: bytes of all files in it, of which those go first that were used longest ago. `messages`:
-    sentences for the user on why something is not stored or was not used, each once. May be used by several threads, and a
-    folder by several processes and users: files are put in place atomically, and nobody finds the names of another."""
+    """`folder`: None for the one that the variable of its `kind` names (none at all where that is empty), or else that of the
+    kind in the user's cache folder. `cap`: bytes of all files in it, of which those go first that were used longest ago;
+    `largest`: bytes of one result. `messages`: sentences for the user on why something is not stored or was not used, each once.
+    May be used by several threads, and a folder by several processes and users: files are put in place atomically, and no user
+    finds the names of another."""
 
-    def __init__(self, folder: Path | None = None, *, cap: int = CAP) -> None:
+    def __init__(self, folder: Path | None = None, *, kind: Kind = CODE, cap: int = CAP, largest: int | None = None) -> None:
         self.messages: list[str] = []
+        self._kind = kind
+        self._largest = _LARGEST if largest is None else largest
         self._cap = cap
         self._memory: OrderedDict[str, bytes] = OrderedDict()
         self._lock = Lock()
         self._signer: signing.Signer | None = None
         self._folder = folder
-        if folder is None and (named := os.environ.get(VARIABLE)) is not None:
+        if folder is None and (named := os.environ.get(kind.variable)) is not None:
             self._folder = Path(named) if named else None
         elif folder is None:
             try:
-                self._folder = cache_folder() / "antdsl" / "native"
+                self._folder = cache_folder() / "antdsl" / kind.folder
             except OSError as problem:
-                self._report(f"compiled code is not stored: {_words(problem)}; each run compiles it again")
+                self._report(f"{kind.name} {kind.verb} not stored: {_words(problem)}; {kind.again}")
         if self._folder is not None and not self._folder.is_absolute():
-            self._report_not_stored(self._folder, "the path does not begin at the root", f"write an absolute path in {VARIABLE}")
+            self._report_not_stored(
+                self._folder, "the path does not begin at the root", f"write an absolute path in {kind.variable}"
+            )
             self._folder = None
 
     def get(self, key: str) -> bytes | None:
@@ -137,19 +167,19 @@ class ObjectCache:
             try:
                 self._signer = signing.signer(create=create)
             except OSError as problem:
-                what = f"code is only run where a private key signs it, and there is none ({_words(problem)})"
-                self._report_not_stored(folder, what, "each run compiles it again")
+                what = f"{self._kind.used}, and there is none ({_words(problem)})"
+                self._report_not_stored(folder, what, self._kind.again)
                 self._folder = None
         return self._signer
 
     def _read(self, folder: Path, signer: signing.Signer, key: str) -> bytes | None:
         """The code of a file; None where there is none, or it is not to be used, which is reported."""
-        path = folder / (signer.name(key) + _ENDING)
+        path = folder / (signer.name(key) + self._kind.ending)
         try:
             handle = open_regular(path, follow=False)
             with suppress(OSError):  # a disk that is only read
                 os.utime(handle if os.utime in os.supports_fd else path)
-            data = read_handle(handle, signing.SIGNATURE_BYTES + _LARGEST)
+            data = read_handle(handle, signing.SIGNATURE_BYTES + self._largest)
         except FileNotFoundError:
             return None
         except OSError as problem:
@@ -165,17 +195,17 @@ class ObjectCache:
     def _write(self, folder: Path, signer: signing.Signer, key: str, code: bytes) -> bool:
         """Whether code was put into the folder; what keeps it out is reported."""
         data = signer.sign(key, code) + code
-        if len(code) > _LARGEST or len(data) > self._cap:
-            self._report_not_stored(folder, f"{len(code):,} bytes of one program are too many", "each run compiles it again")
+        if len(code) > self._largest or len(data) > self._cap:
+            self._report_not_stored(folder, f"{len(code):,} bytes of {self._kind.unit} are too many", self._kind.again)
             return False
-        name = signer.name(key) + _ENDING
+        name = signer.name(key) + self._kind.ending
         if not self._make(folder):
             return False
         try:
             write_whole(folder / name, data, sync=False)
             _make_room(folder, self._cap, name)
         except (OSError, ValueError) as problem:
-            self._report_not_stored(folder, _words(problem), _advice(problem))
+            self._report_not_stored(folder, _words(problem), self._advice(problem))
             return False
         return True
 
@@ -184,18 +214,23 @@ class ObjectCache:
         try:
             os.makedirs(folder, 0o700, exist_ok=True)
         except (OSError, ValueError) as problem:
-            self._report_not_stored(folder, _words(problem), _advice(problem))
+            self._report_not_stored(folder, _words(problem), self._advice(problem))
             return False
         return True
+
+    def _advice(self, problem: OSError | ValueError) -> str:
+        full = isinstance(problem, OSError) and problem.errno == errno.ENOSPC
+        return f"{'make room there, or ' if full else ''}name another folder in {self._kind.variable}"
 
     def _refuse(self, path: Path, why: str) -> None:
         """Report a file that is not used, and remove it. A link is removed, what it leads to is not."""
         with suppress(OSError, ValueError):
             os.unlink(path)
-        self._report(f"compiled code in {_shown(path.parent)} is not used: {why}; it is compiled again")
+        kind = self._kind
+        self._report(f"{kind.name} in {_shown(path.parent)} {kind.verb} not used: {why}; {kind.anew}")
 
     def _report_not_stored(self, folder: Path, why: str, advice: str) -> None:
-        self._report(f"compiled code is not stored in {_shown(folder)}: {why}; {advice}")
+        self._report(f"{self._kind.name} {self._kind.verb} not stored in {_shown(folder)}: {why}; {advice}")
 
     def _report(self, sentence: str) -> None:
         with self._lock:
@@ -206,10 +241,11 @@ class ObjectCache:
 def _make_room(folder: Path, cap: int, keep: str) -> None:
     """Remove what was used longest ago until at most `cap` bytes are left, and what runs that were killed left behind. Files of
     other names stay; what another run removes meanwhile, or another user's in a shared folder, is passed over."""
+    stored_name = re.compile(f"[0-9a-f]{{64}}{re.escape(Path(keep).suffix)}")
     found: list[tuple[int, str, int]] = []
     with os.scandir(folder) as entries:
         for entry in entries:
-            stored = _NAME.fullmatch(entry.name)
+            stored = stored_name.fullmatch(entry.name)
             if not (stored or _LEFT_OVER.fullmatch(entry.name)):
                 continue
             with suppress(OSError):
@@ -231,11 +267,6 @@ def _make_room(folder: Path, cap: int, keep: str) -> None:
 def _require_key(key: str) -> None:
     if not _KEY.fullmatch(key):
         raise ValueError(f"{key!r} is not 64 hexadecimal digits")
-
-
-def _advice(problem: OSError | ValueError) -> str:
-    full = isinstance(problem, OSError) and problem.errno == errno.ENOSPC
-    return f"{'make room there, or ' if full else ''}name another folder in {VARIABLE}"
 
 
 def _words(problem: OSError | ValueError) -> str:

@@ -114,7 +114,8 @@ def _replay(name: str, files: list[Path]) -> int:
 
 
 def _use_private_code_cache() -> None:
-    """Compiled code of this run goes into a folder of its own."""
+    """Compiled code of this run goes into a folder of its own; tables of meshes are computed each time."""
+    os.environ.setdefault("ANTDSL_TABLE_CACHE", "")
     if "ANTDSL_NATIVE_CACHE" not in os.environ:
         os.environ["ANTDSL_NATIVE_CACHE"] = tempfile.mkdtemp(prefix="antdsl-code-")
         atexit.register(shutil.rmtree, os.environ["ANTDSL_NATIVE_CACHE"], ignore_errors=True)

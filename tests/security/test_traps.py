@@ -226,7 +226,8 @@ def may_change(path: str, case: Case, project: TrappedProject) -> bool:
         project.home / ".local",
         own / ".cache/antdsl",
     ]
-    folders += [own / ".local/state/antdsl", Path(os.environ.get("ANTDSL_NATIVE_CACHE", "/nowhere"))]
+    folders += [own / ".local/state/antdsl"]
+    folders += [Path(os.environ.get(name) or "/nowhere") for name in ("ANTDSL_NATIVE_CACHE", "ANTDSL_TABLE_CACHE")]
     stored = path.startswith((str(PYTHON.parents[1]), str(installed_package()))) and "/__pycache__/" in path
     return stored or path.startswith(SYSTEM) or any(below(path, folder) is not None for folder in folders)
 

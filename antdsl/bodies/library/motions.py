@@ -88,7 +88,7 @@ class Motion:
         up from that of the rest pose, or goes with the shank (0)."""
         rig = self.rig
         upper, lower, ankle, end = (rig.joint(name) for name in (chain.upper, chain.lower, chain.ankle, chain.tip))
-        places, turns = _places(rig, self._move, self._turn)
+        places, turns = _places(rig, self._move, self._turn, _line(rig, upper))
         parent = turns[:, rig.parents[upper]]
         rest_hip, rest_knee, rest_ankle, rest_tip = (self._rest[j] for j in (upper, lower, ankle, end))
         hip = places[:, upper]
@@ -186,10 +186,19 @@ def _eased(share: Array) -> Array:
     return np.asarray(share * share * (3 - 2 * share))
 
 
-def _places(rig: Rig, move: Array, turn: Array) -> tuple[Array, Array]:
-    """World places [F, J, 3] and turns [F, J, 3, 3] of all joints."""
+def _line(rig: Rig, joint: int) -> list[int]:
+    """A joint and all above it, from the top."""
+    found = [joint]
+    while (parent := int(rig.parents[found[-1]])) >= 0:
+        found.append(parent)
+    return found[::-1]
+
+
+def _places(rig: Rig, move: Array, turn: Array, joints: Sequence[int] | None = None) -> tuple[Array, Array]:
+    """World places [F, J, 3] and turns [F, J, 3, 3] of all joints; of some `joints` alone, whose parents come before them."""
     places, turns = np.empty_like(move), np.empty_like(turn)
-    for joint, parent in enumerate(rig.parents):
+    for joint in range(len(rig.parents)) if joints is None else joints:
+        parent = rig.parents[joint]
         if parent < 0:
             places[:, joint], turns[:, joint] = move[:, joint], turn[:, joint]
         else:

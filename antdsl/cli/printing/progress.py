@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from antdsl.cli.printing.messages import notes, say
+from antdsl.numerics import stages
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.summary import states
 
@@ -81,6 +82,35 @@ class Bar(Watch):
             self.drawn = now
             self.bar.update(self.task, words=f"frame {self.recording.frame} · {self.rate():.1f} fps · {self.words()}")
         self.bar.advance(self.task)
+
+
+@contextmanager
+def set_up(quiet: bool) -> Iterator[None]:
+    """Meanwhile shows the stages of a set-up: on a line that goes away on a terminal, elsewhere a plain line now and then."""
+    if quiet:
+        yield
+    elif fancy():
+        from rich.progress import Progress, TextColumn
+
+        with notes(), Progress(TextColumn("set up: {task.fields[words]}"), transient=True) as bar:
+            task = bar.add_task("", total=None, words="")
+            with stages.reported(lambda words: bar.update(task, words=words)):
+                yield
+    else:
+        with stages.reported(_plain_stages()):
+            yield
+
+
+def _plain_stages() -> Callable[[str], None]:
+    said = time.perf_counter()
+
+    def show(words: str) -> None:
+        nonlocal said
+        if (now := time.perf_counter()) - said > _EVERY:
+            said = now
+            say(f"set up: {words}")
+
+    return show
 
 
 @contextmanager

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.grid_filters import greatest_around, least_around
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.topology import NO_LINK, Topology
-from antdsl.numerics import compiled
+from antdsl.numerics import compiled, stored_tables
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -119,15 +120,19 @@ class Creases:
         return self._around[rung]
 
     def _spread(self, rings: int) -> NDArray[np.bool_]:
-        from scipy.ndimage import maximum_filter, minimum_filter
-
-        window = 2 * rings + 1
-        found: NDArray[np.bool_] = maximum_filter(self._sharp, window, mode="nearest") if self._sharp.any() else self._sharp
-        if self._least is not None:
-            least = minimum_filter(self._least, window, mode="nearest")
-            most = maximum_filter(self._most, window, mode="nearest")
+        found: NDArray[np.bool_] = greatest_around(self._sharp, rings) if self._sharp.any() else self._sharp
+        if self._least is not None and self._most is not None:
+            least, most = least_around(self._least, rings), greatest_around(self._most, rings)
             found = found | ((least != most) & (most >= 0))
         return found
+
+
+def _stored_clearance(corners: Floats, table: Topology) -> Floats:
+    """As `clear_of_rises`, stored for other runs."""
+    inputs = (corners, table.live, table.link, table.piece, table.cuts.cut)
+    found = stored_tables.stored("clear of rises", len(corners), inputs, lambda: {"clear": clear_of_rises(corners, table)})
+    clear: Floats = found["clear"]
+    return clear
 
 
 def clear_of_rises(corners: Floats, table: Topology) -> Floats:
@@ -143,26 +148,59 @@ def clear_of_rises(corners: Floats, table: Topology) -> Floats:
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
         part = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
         reach = np.sqrt(((two - one) ** 2).sum(axis=1).max()) / (2 * (_SAMPLES - 1))
-        found = cKDTree((one + part * (two - one)).reshape(-1, 3)).query(middle)[0] - radius - reach
-    pieces = np.unique(table.piece[table.live])
-    if pieces.size > 1:
+        samples = (one + part * (two - one)).reshape(-1, 3)  # most of them twice, from both sides of the crease
+        samples = samples[np.lexsort(samples.T)]
+        fresh = np.concatenate(([True], (samples[1:] != samples[:-1]).any(axis=1)))
+        found = cKDTree(samples[fresh]).query(middle)[0] - radius - reach
+    pieces = np.unique(table.piece[table.live]).astype(np.int64)
+    if pieces.size > _PIECES:
+        found[:] = 0.0
+    elif pieces.size > 1:
         noise = _NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
-        for piece in pieces if pieces.size <= _PIECES else pieces[:0]:
-            own, other = np.flatnonzero(table.piece == piece), np.flatnonzero(table.live & (table.piece != piece))
-            # Farther off than a tenth of the size of the others, the distance from the box around them will do.
-            low, high = corners[other].min(axis=(0, 1)), corners[other].max(axis=(0, 1))
-            off = np.maximum(np.maximum(low - middle[own], middle[own] - high), 0.0)
-            away = np.sqrt(off[:, 0] * off[:, 0] + off[:, 1] * off[:, 1] + off[:, 2] * off[:, 2])
-            far = away - radius[own] - noise > _FAR * float((high - low).max())
-            found[own[far]] = np.minimum(found[own[far]], (away - radius[own] - noise)[far])
-            own = own[~far]
-            scene = RayScene(corners[other].reshape(-1, 3), np.arange(3 * other.size, dtype=np.int32).reshape(-1, 3))
-            found[own] = np.minimum(found[own], scene.closest(middle[own])[3] - radius[own] - noise)
-        if pieces.size > _PIECES:
-            found[:] = 0.0
+        found = np.minimum(found, _to_other_pieces(corners, table.piece, pieces, middle, radius + noise))
     found[table.cuts.cut] = 0.0
     clear: Floats = np.maximum(found, 0.0)
     return clear
+
+
+def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
+    """Of each face, float64[m], a distance (mm) from its `middle`, less an `error`, to faces of other `pieces`; inf for faces of
+    none.
+
+    Each piece is a scene of rays of its own. A face is measured from the piece whose box is nearest, and then from those alone
+    whose boxes are nearer than what it found: about two of them, however many there are."""
+    found = np.full(len(corners), np.inf)
+    own = [np.flatnonzero(piece == each) for each in pieces]
+    low, high = (np.stack([ends(corners[rows], axis=(0, 1)) for rows in own]) for ends in (np.min, np.max))
+    near = []
+    for k, rows in enumerate(own):
+        # Farther off than a tenth of the size of the others, the distance from the box around them will do.
+        others = np.arange(len(own)) != k
+        least, most = low[others].min(axis=0), high[others].max(axis=0)
+        away = _from_box(middle[rows].T, least, most)
+        far = away - error[rows] > _FAR * float((most - least).max())
+        found[rows[far]] = (away - error[rows])[far]
+        near.append(rows[~far])
+    rows = np.concatenate(near)
+    at = middle[rows]
+    along = np.ascontiguousarray(at.T)
+    bound = np.stack([_from_box(along, least, most) for least, most in zip(low, high, strict=True)])
+    bound[np.searchsorted(pieces, piece[rows]), np.arange(rows.size)] = np.inf
+    begin, best = bound.argmin(axis=0), np.full(rows.size, np.inf)
+    scenes = [RayScene(corners[each].reshape(-1, 3), np.arange(3 * each.size, dtype=np.int32).reshape(-1, 3)) for each in own]
+    for first in (True, False):
+        for k, scene in enumerate(scenes):
+            some = np.flatnonzero(begin == k if first else (begin != k) & (bound[k] < best))
+            best[some] = np.minimum(best[some], scene.closest(at[some])[3])
+    found[rows] = best - error[rows]
+    return found
+
+
+def _from_box(places: Floats, low: Floats, high: Floats) -> Floats:
+    """The distance of places (3, n) from a box; 0 within."""
+    x, y, z = (np.maximum(np.maximum(a - p, p - b), 0.0) for p, a, b in zip(places, low, high, strict=True))
+    away: Floats = np.sqrt(x * x + y * y + z * z)
+    return away
 
 
 class RiseMap:
@@ -173,7 +211,7 @@ class RiseMap:
         still = np.ones(len(corners), np.bool_)
         for own in moving:
             still &= ~own
-        self._clear = clear_of_rises(corners, table) if not moving else np.zeros(len(corners))
+        self._clear = _stored_clearance(corners, table) if not moving else np.zeros(len(corners))
         self._least = float(self._clear.min(initial=np.inf))
         self._size: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
         self._creases = Creases(corners, table, still)

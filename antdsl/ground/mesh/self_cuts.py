@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rasterise import triangle_cells
+from antdsl.numerics.vector_rows import dot, length
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -58,25 +59,30 @@ def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Inde
     """Pairs of faces of one piece, one of which has an edge that goes through the other, or ends or lies on it."""
     found = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.sqrt((normal * normal).sum(axis=1)), 1e-300)[:, None]
+    normal /= np.maximum(length(normal), 1e-300)[:, None]
+    places = np.ascontiguousarray(weld.T)  # of corner after corner: three arrays are faster than an axis of three
     for one, two in _near(corners, np.flatnonzero(piece >= 0)):
-        own = piece[one] == piece[two]
+        own = np.flatnonzero(piece.take(one) == piece.take(two))
         one, two = one[own], two[own]
-        same = weld[one][:, :, None] == weld[two][:, None, :]
+        same = [[here.take(one) == there.take(two) for there in places] for here in places]
         # Who share an edge fold along it and cannot cut each other. Who share a corner can.
-        apart = (same.sum(axis=(1, 2)) < 2) & (np.abs((normal[one] * normal[two]).sum(axis=1)) < _COPLANAR)
-        one, two, same = one[apart], two[apart], same[apart]
-        shared = [same.any(axis=2), same.any(axis=1)]
+        count = sum(each.view(np.int8) for row in same for each in row)
+        apart = np.flatnonzero(count < 2)
+        apart = apart[np.abs(dot(normal[one[apart]], normal[two[apart]])) < _COPLANAR]
+        one, two = one[apart], two[apart]
+        same = [[each[apart] for each in row] for row in same]
+        shared = [[a | b | c for a, b, c in rows] for rows in (same, zip(*same, strict=True))]
         for _ in range(2):  # each has other corners on both sides of the other, or on it
-            height = ((corners[one] - corners[two, :1]) * normal[two][:, None]).sum(axis=2)
-            low = np.where(shared[0], np.inf, height).min(axis=1)
-            high = np.where(shared[0], -np.inf, height).max(axis=1)
-            across = (low <= grain) & (high >= -grain)
-            one, two, shared = two[across], one[across], [v[across] for v in shared[::-1]]
+            ground, up = corners[two, 0], normal[two]
+            height = [dot(corners[one, k] - ground, up) for k in range(3)]
+            low = np.minimum.reduce([np.where(own, np.inf, h) for own, h in zip(shared[0], height, strict=True)])
+            high = np.maximum.reduce([np.where(own, -np.inf, h) for own, h in zip(shared[0], height, strict=True)])
+            across = np.flatnonzero((low <= grain) & (high >= -grain))
+            one, two, shared = two[across], one[across], [[v[across] for v in row] for row in shared[::-1]]
         cuts = np.zeros(one.size, bool)
         for f, g, meets in ((one, two, shared[0]), (two, one, shared[1])):
             for k in range(3):
-                free = np.flatnonzero(~(meets[:, k] | meets[:, (k + 1) % 3] | cuts))
+                free = np.flatnonzero(~(meets[k] | meets[(k + 1) % 3] | cuts))
                 ends = corners[f[free], k], corners[f[free], (k + 1) % 3]
                 cuts[free] = _pierces(*ends, corners[g[free]], grain)
         found.append(np.stack([one[cuts], two[cuts]]))
@@ -86,16 +92,19 @@ def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Inde
 
 def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
     """Pairs of `live` faces whose boxes overlap, the lower number first; a pair may come more than once."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    size = (high - low).max(axis=1)
+    a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    size = (high - low).max(axis=0)
     smaller, left = live[:0], live
     while left.size:
         width = _CELL * float(np.median(size[left]))
         fits = size[left] <= _LARGE * width
         now, left = left[fits], left[~fits]
         for one, two in _in_cells(corners, now, smaller, width):
-            beside = ((low[one] <= high[two]) & (low[two] <= high[one])).all(axis=1)
-            yield np.minimum(one, two)[beside], np.maximum(one, two)[beside]
+            for least, most in zip(low, high, strict=True):  # of axis after axis: less is left to look at
+                beside = np.flatnonzero((least.take(one) <= most.take(two)) & (least.take(two) <= most.take(one)))
+                one, two = one[beside], two[beside]
+            yield np.minimum(one, two), np.maximum(one, two)
         smaller = np.concatenate([now, smaller])
 
 
@@ -135,8 +144,8 @@ def _pierces(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDAr
     start, and where it goes across an edge of the triangle that one touches it."""
     a, e1, e2 = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     normal = np.cross(e1, e2)
-    size = np.sqrt((normal * normal).sum(axis=1))
-    above, below = (((v - a) * normal).sum(axis=1) / size for v in (start, end))
+    size = length(normal)
+    above, below = (dot(v - a, normal) / size for v in (start, end))
     result = np.zeros(len(start), bool)
     rows = np.flatnonzero((above * below < 0) | (np.minimum(np.abs(above), np.abs(below)) <= grain))
     above, below = above[rows], below[rows]
@@ -144,8 +153,7 @@ def _pierces(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDAr
     part = np.where(level, 0.0, np.clip(above / np.where(level, 1.0, above - below), 0.0, 1.0))
     place = start[rows] + part[:, None] * (end[rows] - start[rows]) - a[rows]
     e1, e2, normal, square = e1[rows], e2[rows], normal[rows], size[rows] ** 2
-    b1 = (np.cross(place, e2) * normal).sum(axis=1) / square
-    b2 = (np.cross(e1, place) * normal).sum(axis=1) / square
-    over = grain * np.sqrt(np.maximum((e1 * e1).sum(axis=1), (e2 * e2).sum(axis=1))) / size[rows]
+    b1, b2 = dot(np.cross(place, e2), normal) / square, dot(np.cross(e1, place), normal) / square
+    over = grain * np.sqrt(np.maximum(dot(e1, e1), dot(e2, e2))) / size[rows]
     result[rows] = (b1 >= -over) & (b2 >= -over) & (b1 + b2 <= 1 + 2 * over)
     return result

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import cell_width, triangle_width
+from antdsl.casting.grid_filters import greatest_around, least_around
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import RayScene
 
@@ -131,10 +132,8 @@ class Clearances:
         return found
 
     def _spread(self, rings: int) -> NDArray[np.bool_]:
-        from scipy.ndimage import maximum_filter, minimum_filter
-
-        shape, window = tuple(self._size), 2 * rings + 1
-        least = minimum_filter(self._least.reshape(shape), window, mode="nearest")
-        most = maximum_filter(self._most.reshape(shape), window, mode="nearest")
+        shape = tuple(self._size)
+        least = least_around(self._least.reshape(shape), rings)
+        most = greatest_around(self._most.reshape(shape), rings)
         mixed: NDArray[np.bool_] = ((least != most) & (most >= 0)).ravel()
         return mixed

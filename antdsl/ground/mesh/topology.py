@@ -4,12 +4,13 @@ where the surface is. Input is vertices float64[n,3] and faces int32[m,3] of one
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.self_cuts import Cuts, cuts
-from antdsl.numerics import elementary
+from antdsl.numerics import elementary, stored_tables
 from antdsl.scene.geometry.live_faces import components, corner_numbers, live_faces
 
 Floats = NDArray[np.float64]
@@ -68,24 +69,34 @@ class Topology:
 
 
 def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
-    """Tables for faces whose `mesh` int32[m] says which mesh each is of; corners are joined within a mesh only."""
+    """Tables for faces whose `mesh` int32[m] says which mesh each is of; corners are joined within a mesh only. They are stored
+    for other runs."""
+    inputs = (vertices, faces, mesh, extent)
+    found = stored_tables.stored("topology", len(faces), inputs, partial(_tables, *inputs))
+    cut = Cuts(found.pop("first_cut"), found.pop("cut_by"))
+    link, piece = found["link"], found["piece"]
+    return Topology(**found, pieces=int(piece.max(initial=-1)) + 1, forked=bool((link[0] != link[1]).any()), cuts=cut)
+
+
+def _tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
+    """The arrays of `build`, by the names of the fields of `Topology`; of its cuts `first_cut` and `cut_by`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     weld = corner_numbers(vertices, faces, mesh, extent)
     live = live_faces(weld, a, b, c)
     link = _links(vertices, faces, weld, live)
-    piece, pieces = _pieces(link, live)
-    forked = bool((link[0] != link[1]).any())
-    return Topology(
-        live=live,
-        link=link,
-        piece=piece,
-        pieces=pieces,
-        cuts=cuts(vertices[faces], weld, piece, extent * _THROUGH),
-        way=_ways(link, live, piece),
-        forked=forked,
-        weld=weld,
-        **_shape(vertices, faces, weld, live),
-    )
+    piece = _pieces(link, live)
+    cut = cuts(vertices[faces], weld, piece, extent * _THROUGH)
+    way, shape = _ways(link, live, piece), _shape(vertices, faces, weld, live)
+    return {
+        "live": live,
+        "link": link,
+        "piece": piece,
+        "way": way,
+        "weld": weld,
+        "first_cut": cut.first,
+        "cut_by": cut.other,
+        **shape,
+    }
 
 
 def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
@@ -188,15 +199,13 @@ def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
     return link
 
 
-def _pieces(link: Ints, live: NDArray[np.bool_]) -> tuple[Ints, int]:
-    """Which faces hang together, as a number per face, and how many such pieces there are."""
-    m = len(live)
+def _pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
+    """Which faces hang together, as a number per face, ascending from 0 with their first ones; -1 for those that are not live."""
     half = np.flatnonzero(link[0] != NO_LINK)
-    piece = components(np.stack([half // 3, link[0, half] >> 3], axis=1), m)
-    named, numbers = np.unique(piece[live], return_inverse=True)
-    result = np.full(m, -1, np.int32)
-    result[live] = numbers
-    return result, int(named.size)
+    piece = components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
+    result = np.full(len(live), -1, np.int32)
+    result[live] = np.unique(piece[live], return_inverse=True)[1]
+    return result
 
 
 def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:

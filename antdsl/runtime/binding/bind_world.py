@@ -18,6 +18,7 @@ from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Ground
 from antdsl.ground.solid import Unusable, Volume
 from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.numerics import stages
 from antdsl.numerics.float_environment import standard
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
@@ -49,8 +50,10 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, bui
 
     Raises BindError with a report when plan and setting do not go together."""
     world = unpeopled(plan, setting, options, built=built)
+    stages.begin("placing agents")
     with np.errstate(all="ignore"):
         populate(world)
+    stages.begin("feet")
     walking.begin(world)
     return world
 
@@ -71,6 +74,7 @@ def unpeopled(
     meshes = {name: _moved(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
     solids = _solids(setting, origin, built)
     surfaces = {name: meshes[name] for name in setting.surfaces}
+    stages.begin("ground")
     ground = _ground(surfaces, solids, up, setting.moves.meshes, setting.by_rays, built)
     world = World(
         plan=plan,
@@ -96,6 +100,7 @@ def unpeopled(
         motion=Motion(),
     )
     _params(world)
+    stages.begin("fields")
     _fields(world, {**meshes, **{name: _moved(solid.mesh, origin) for name, solid in setting.solids.items()}}, built)
     _flows(world, built)
     _detail(world, {name: meshes[name] for name in setting.obstacles})

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Floats, Footing
+from antdsl.numerics.near_pairs import pairs_between
 
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
@@ -53,13 +55,20 @@ Draw = Callable[[NDArray[np.int64], range], Drawn]
 """Places for agents by their ids: the tries of a range one after the other, all agents within each."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Group:
-    """Some discs of much the same size, in a tree. `entries` are their numbers."""
+    """Some discs of much the same size: where they stand, and their numbers."""
 
-    tree: Any
+    place: Floats
     entries: Rows
     widest: float
+
+    @cached_property
+    def tree(self) -> Any:
+        """Their places in a tree."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.place)
 
 
 class Room:
@@ -88,44 +97,37 @@ class Room:
         self._order = np.concatenate([self._order, order])
         self._there = np.concatenate([self._there, np.ones(len(order), np.bool_)])
         entries = np.arange(first, len(self._order))
-        self._groups += self._grouped(entries)
+        self._group(np.concatenate([entries, *(group.entries for group in self._groups)]))
         return entries
 
     def remove(self, entries: Rows) -> None:
         self._there[entries] = False
 
     def settle(self) -> None:
-        """Put what is left into as few trees as can be."""
-        self._groups = self._grouped(np.flatnonzero(self._there))
+        """Forget what was removed."""
+        self._group(np.flatnonzero(self._there))
 
-    def _grouped(self, entries: Rows) -> list[_Group]:
-        from scipy.spatial import cKDTree
-
+    def _group(self, entries: Rows) -> None:
         classes = _size_class(self._radius[entries])
-        found = []
-        for size in np.unique(classes):
-            chosen = entries[classes == size]
-            found.append(_Group(cKDTree(self._place[chosen]), chosen, float(self._radius[chosen].max())))
-        return found
+        chosen = [entries[classes == size] for size in np.unique(classes)]
+        self._groups = [_Group(self._place[each], each, float(self._radius[each].max())) for each in chosen]
 
     def met(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
         """Pairs of given discs and entries that overlap: numbers of both, and their distance as a share of that at which they
         would touch. With the `order` of the discs only entries before them, and of smaller ones, of which thousands may lie
         below one disc, the one that it meets most."""
-        from scipy.spatial import cKDTree
-
         pairs: list[tuple[Rows, Rows, Floats]] = []
         classes = _size_class(radius)
         for size in np.unique(classes):
             rows = np.flatnonzero(classes == size)
-            tree, widest = cKDTree(place[rows]), float(radius[rows].max())
+            widest = float(radius[rows].max())
             for group in self._groups:
                 if order is not None and 2 * group.widest < widest:
                     i, entry, share = self._met_most(place, radius, order, rows, group)
                 else:
                     reach = (widest + group.widest) * _APART * 1.001 + self._rounding
-                    near = tree.sparse_distance_matrix(group.tree, reach, output_type="ndarray")
-                    i, entry = rows[near["i"]], group.entries[near["j"]]
+                    i, entry = pairs_between(place[rows], group.place, reach)
+                    i, entry = rows[i], group.entries[entry]
                     share = self._share(place[i], radius[i], entry)
                 meets = (share < 1) & self._there[entry]
                 if order is not None:

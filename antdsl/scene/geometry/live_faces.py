@@ -6,6 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.near_pairs import pairs_within
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
@@ -74,27 +76,27 @@ def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
 
 
 def components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
-    """A number for each of `count` things, the same for those that `pairs` (k, 2) join, directly or by others between them."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    graph = coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(count, count))
-    numbers: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+    """A number for each of `count` things, the same for those that `pairs` (k, 2) join, directly or by others between them:
+    ascending from 0 with the first of each."""
+    parent = np.arange(count)
+    one, two = pairs[:, 0], pairs[:, 1]
+    while one.size:  # each round leaves at most half of the roots that are joined with others
+        low, high = np.minimum(parent[one], parent[two]), np.maximum(parent[one], parent[two])
+        joined = np.flatnonzero(low != high)
+        one, two = one[joined], two[joined]
+        np.minimum.at(parent, high[joined], low[joined])
+        while not np.array_equal(above := parent[parent], parent):
+            parent = above
+    numbers: NDArray[np.int32] = (np.cumsum(parent == np.arange(count))[parent] - 1).astype(np.int32)
     return numbers
 
 
 def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
     """Numbers of cells, one for those of an owner that have corners nearer than `grain` on both sides of a border of cells."""
-    from scipy.spatial import KDTree
-
     begin = np.unique(cell, return_index=True)[1]
-    near = KDTree(places[begin]).query_pairs(grain, output_type="ndarray") if begin.size else np.empty((0, 2), np.int64)
+    near = np.stack(pairs_within(places[begin], grain), axis=1)
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
     if not near.size:
         return cell
-    number = components(near, begin.size)
-    _, least = np.unique(number, return_index=True)  # its first cell gives each its place, whatever the library's numbers
-    rank = np.empty(least.size, np.int64)
-    rank[np.argsort(least)] = np.arange(least.size)
-    joined: NDArray[np.int64] = rank[number][cell]
+    joined: NDArray[np.int64] = components(near, begin.size).astype(np.int64)[cell]
     return joined

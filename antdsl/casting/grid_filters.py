@@ -1,0 +1,57 @@
+"""Filters of grids: the least or greatest of the cells around, and how far the nearest cell of a kind is.
+
+What SciPy's `ndimage` gives, to the bit. Importing that takes longer than all filters of a scene.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+T = TypeVar("T", np.bool_, np.int32)
+
+_FARTHEST = 1 << 29  # cells squared: more than any grid is long, and the sum of two is an int32
+
+
+def greatest_around(grid: NDArray[T], rings: int) -> NDArray[T]:
+    """The greatest of the cells within so many `rings` of each, along all axes."""
+    return _around(grid, rings, np.maximum)
+
+
+def least_around(grid: NDArray[T], rings: int) -> NDArray[T]:
+    """The least of the cells within so many `rings` of each, along all axes."""
+    return _around(grid, rings, np.minimum)
+
+
+def _around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
+    for axis in range(grid.ndim):
+        for flip in (False, True):  # those after each, then those before as well
+            line = np.moveaxis(grid, axis, 0)
+            line = line[::-1] if flip else line
+            covered, wanted = 1, min(rings + 1, len(line))
+            while covered < wanted:
+                step = min(covered, wanted - covered)
+                ahead = line.copy()
+                better(line[:-step], line[step:], out=ahead[:-step])
+                line, covered = ahead, covered + step
+            grid = np.moveaxis(line[::-1] if flip else line, 0, axis)
+    return np.ascontiguousarray(grid)
+
+
+def distances(free: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """How many cells the nearest one that is not `free` is away, middle to middle; some are not.
+
+    Along one axis after the other: of each cell the least square of a cell in its line, plus that of the way there."""
+    square = np.where(free, np.int32(_FARTHEST), np.int32(0))
+    for axis in np.argsort(free.shape, kind="stable"):  # after the shortest few cells are far from all
+        line = np.moveaxis(square, axis, 0)
+        nearest = line.copy()
+        for step in range(1, len(line)):
+            if step * step >= int(nearest.max()):
+                break
+            np.minimum(nearest[step:], line[:-step] + np.int32(step * step), out=nearest[step:])
+            np.minimum(nearest[:-step], line[step:] + np.int32(step * step), out=nearest[:-step])
+        square = np.moveaxis(nearest, 0, axis)
+    return np.sqrt(np.ascontiguousarray(square).astype(np.float64))

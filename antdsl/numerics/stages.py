@@ -1,0 +1,26 @@
+"""Which stage of a set-up is under way: whoever shows progress listens, and the code that sets up names its stages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
+
+
+def begin(words: str) -> None:
+    """A stage begins: `ground`, `placing 500 agents`."""
+    listener = _listener.get()
+    if listener is not None:
+        listener(words)
+
+
+@contextmanager
+def reported(listener: Callable[[str], None]) -> Iterator[None]:
+    """Meanwhile `listener` is called with the words of each stage of this thread as it begins."""
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)

@@ -1,0 +1,144 @@
+"""Tables that are computed from meshes, stored from run to run: plain arrays, found by a hash of all that they depend on.
+
+That is the arrays and numbers they are computed from, the sources of the rooms that compute them, and NumPy's version. They are
+stored as machine code is (`object_cache`): signed by this user, since kernels trust the numbers of rows in them, and never in a
+folder of a scene. Small meshes are not worth it. A table is the same whether it was stored or not."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import antdsl
+from antdsl.bounded import read_bounded
+from antdsl.limits import MIB
+from antdsl.machine_code import object_cache
+from antdsl.numerics import stages
+
+Tables = dict[str, NDArray[Any]]
+
+LEAST: Final = 10_000  # faces of a mesh, or cells, from which on tables are stored: those of fewer take no time
+KIND: Final = object_cache.Kind(
+    "tables",
+    "ANTDSL_TABLE_CACHE",
+    ".tables",
+    "tables of meshes",
+    "are",
+    "they are only used where a private key signs them",
+    "one mesh",
+    "each run computes them again",
+    "they are computed again",
+)
+_CAP: Final = 1024 * MIB
+_LARGEST: Final = 256 * MIB
+_ROOMS: Final = ("machine_code", "numerics", "scene/geometry", "casting", "ground", "fields")  # whose code computes tables
+_ALIGNED: Final = 64  # bytes: where arrays begin
+_TYPES: Final = frozenset(["|b1", "|i1", "<i4", "<i8", "<f4", "<f8"])
+
+_computed = 0  # tables, by this process
+
+
+def stored(
+    name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], compute: Callable[[], Tables], unit: str = "faces"
+) -> Tables:
+    """What `compute` gives, or gave in an earlier run, for these inputs. `size`: how many faces the mesh has, or what else the
+    `unit` is; 0 for what no other run asks for. `name` stands for the computation. The arrays belong to the caller."""
+    global _computed
+    key = _key(name, inputs) if size >= LEAST else None
+    found = None if key is None else _unpacked(_store().get(key))
+    if found is None:
+        if size >= LEAST:
+            stages.begin(f"{name} of {size:,} {unit}")
+        found = compute()
+        _computed += 1
+        if key is not None and sum(array.nbytes for array in found.values()) <= _LARGEST - MIB:
+            _store().put(key, _packed(found))
+    return found
+
+
+def computed() -> int:
+    """How many tables this process has computed, which were not stored."""
+    return _computed
+
+
+def forget() -> None:
+    """Look for the folder again, as a process that begins."""
+    _store.cache_clear()
+
+
+def store() -> object_cache.ObjectCache:
+    """The store of this user."""
+    return object_cache.ObjectCache(kind=KIND, cap=_CAP, largest=_LARGEST)
+
+
+_store = cache(store)
+
+
+def _key(name: str, inputs: Sequence[NDArray[Any] | float | str]) -> str:
+    hashed = blake2b(digest_size=32)
+    for part in (name, antdsl.__version__, np.__version__, _sources(), *inputs):
+        if isinstance(part, np.ndarray):
+            hashed.update(f"{part.dtype.str}{part.shape};".encode())
+            hashed.update(np.ascontiguousarray(part).data)
+        else:
+            text = part if isinstance(part, str) else float(part).hex()
+            hashed.update(f"{type(part).__name__} {len(text)} {text};".encode())
+    return hashed.hexdigest()
+
+
+@cache
+def _sources() -> str:
+    """A hash of the modules that compute tables; empty where they were shipped without their sources."""
+    hashed = blake2b(digest_size=16)
+    try:
+        for path in _modules():
+            data = read_bounded(path, 4 * MIB)
+            hashed.update(f"{path.name} {len(data)};".encode() + data)
+    except OSError:
+        return ""
+    return hashed.hexdigest()
+
+
+def _modules() -> Iterator[Path]:
+    package = Path(antdsl.__file__).parent
+    for room in _ROOMS:
+        yield from sorted((package / room).rglob("*.py"))
+
+
+def _packed(tables: Mapping[str, NDArray[Any]]) -> bytes:
+    """A line of JSON, the name, type and shape of each array, then the arrays."""
+    arrays = {name: np.ascontiguousarray(array) for name, array in tables.items()}
+    line = json.dumps([[name, array.dtype.str, array.shape] for name, array in arrays.items()]).encode() + b"\n"
+    parts, at = [line], len(line)
+    for array in arrays.values():
+        gap = -at % _ALIGNED
+        parts += [bytes(gap), array.tobytes()]
+        at += gap + array.nbytes
+    return b"".join(parts)
+
+
+def _unpacked(data: bytes | None) -> Tables | None:
+    """The arrays of `_packed`; None where there is nothing, or anything else."""
+    if data is None:
+        return None
+    found: Tables = {}
+    try:
+        at = data.index(b"\n") + 1
+        for name, kind, shape in json.loads(data[:at]):
+            if kind not in _TYPES or min(shape, default=0) < 0:
+                return None
+            at += -at % _ALIGNED
+            count = math.prod(shape)
+            found[name] = np.frombuffer(data, kind, count, at).reshape(shape).copy()
+            at += found[name].nbytes
+    except (ValueError, TypeError):
+        return None
+    return found if at == len(data) else None

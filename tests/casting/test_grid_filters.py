@@ -1,0 +1,31 @@
+"""Filters of grids against those of SciPy, to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
+
+from antdsl.casting.grid_filters import distances, greatest_around, least_around
+
+SHAPES = [(1, 1, 1), (5, 1, 7), (30, 4, 50), (2, 90, 3), (40, 40, 40)]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("rings", [0, 1, 2, 5, 31, 200])
+def test_the_best_around(shape: tuple[int, ...], rings: int) -> None:
+    random = np.random.default_rng(rings)
+    for grid in (random.random(shape) < 0.02, random.integers(-9, 50, shape).astype(np.int32)):
+        before = grid.copy()
+        most, least = greatest_around(grid, rings), least_around(grid, rings)
+        assert most.dtype == least.dtype == grid.dtype and (grid == before).all()
+        assert np.array_equal(most, maximum_filter(grid, 2 * rings + 1, mode="nearest"))
+        assert np.array_equal(least, minimum_filter(grid, 2 * rings + 1, mode="nearest"))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.05, 0.7])
+def test_distances_to_the_nearest(shape: tuple[int, ...], share: float) -> None:
+    taken = np.random.default_rng(5).random(shape) < share
+    taken.flat[taken.size // 3] = True
+    assert np.array_equal(distances(~taken), distance_transform_edt(~taken))

@@ -1,0 +1,71 @@
+"""What a run shows while it sets up: stages on a terminal, plain lines now and then elsewhere, nothing with `--quiet`."""
+
+from __future__ import annotations
+
+import io
+import sys
+from threading import Thread
+
+import numpy as np
+import pytest
+
+from antdsl.cli.printing import progress
+from antdsl.cli.printing.progress import set_up
+from antdsl.numerics import stages, stored_tables
+
+
+class Terminal(io.StringIO):
+    encoding = "utf-8"
+
+    def isatty(self) -> bool:
+        return True
+
+
+def stage_twice(clock: list[float] | None = None) -> None:
+    for words in ("ground", "feet"):
+        stages.begin(words)
+        if clock is not None:
+            clock[0] += 4.0
+
+
+def test_a_terminal_shows_each_stage_and_takes_it_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = Terminal()
+    monkeypatch.setattr(sys, "stdout", shown)
+    monkeypatch.setenv("TERM", "xterm")
+    with set_up(quiet=False):
+        stage_twice()
+    text = shown.getvalue()
+    assert "set up: feet" in text and text.endswith("\x1b[2K"), "the line is cleared"
+
+
+def test_a_pipe_has_a_line_after_five_seconds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    clock = [100.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: clock[0])
+    with set_up(quiet=False):
+        stage_twice(clock)
+        assert capsys.readouterr().out == ""
+        stage_twice(clock)
+    assert capsys.readouterr().out == "set up: ground\n"
+
+
+def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = Terminal()
+    monkeypatch.setattr(sys, "stdout", shown)
+    with set_up(quiet=True):
+        stage_twice()
+    assert shown.getvalue() == ""
+
+
+def test_only_large_tables_that_are_computed_are_stages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(stored_tables.KIND.variable, "")
+    stored_tables.forget()
+    seen: list[str] = []
+    with stages.reported(seen.append):
+        for size in (20, 124_000):
+            stored_tables.stored("cuts", size, (np.arange(3),), lambda: {"found": np.arange(3)})
+        other = Thread(target=stages.begin, args=("of another thread",))
+        other.start()
+        other.join()
+    stages.begin("afterwards")
+    stored_tables.forget()
+    assert seen == ["cuts of 124,000 faces"]

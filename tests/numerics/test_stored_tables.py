@@ -1,0 +1,190 @@
+"""Tables of meshes stored from run to run: the same bits as those computed, and nothing is read that is not what was written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from antdsl.casting.distance_grid import DistanceGrid
+from antdsl.casting.faces import Faces
+from antdsl.casting.rays import RayScene
+from antdsl.casting.triangle_grid import TriangleGrid
+from antdsl.fields.cells import SurfaceCells
+from antdsl.ground.mesh.creases import RiseMap
+from antdsl.ground.mesh.topology import Topology, build
+from antdsl.ground.moving import MovingGround
+from antdsl.machine_code import signing
+from antdsl.numerics import stored_tables
+from antdsl.numerics.stored_tables import KIND, LEAST, stored
+
+Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+pytestmark = pytest.mark.skipif(signing.signer(create=True) is None, reason="this user can have no private key")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty store."""
+    monkeypatch.setenv(KIND.variable, str(tmp_path / "tables"))
+    stored_tables.forget()
+    yield tmp_path / "tables"
+    stored_tables.forget()
+
+
+def hills(rows: int, high: float = 6.0) -> Mesh:
+    """A sheet of 2 · rows² faces, and a plate over a part of it."""
+    along = np.linspace(-200.0, 200.0, rows + 1)
+    x, z = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
+    i = (np.arange(rows)[:, None] * (rows + 1) + np.arange(rows)).ravel()
+    sheet = np.concatenate([np.stack([i, i + 1, i + rows + 1], 1), np.stack([i + 1, i + rows + 2, i + rows + 1], 1)])
+    ground = np.stack([x, high * np.sin(x / 25.0) * np.cos(z / 31.0), z], axis=1)
+    plate = np.array([[-30.0, 9.0, -30.0], [30.0, 9.0, -30.0], [30.0, 9.0, 30.0], [-30.0, 9.0, 30.0]])
+    faces = np.concatenate([sheet, np.array([[0, 1, 2], [0, 2, 3]]) + len(ground)])
+    return np.concatenate([ground, plate]), faces.astype(np.int32)
+
+
+def topology(mesh: Mesh) -> Topology:
+    return build(*mesh, np.zeros(len(mesh[1]), np.int32), 400.0)
+
+
+def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
+    """All that is stored of a mesh, computed or not."""
+    table, corners = topology(mesh), mesh[0][mesh[1]]
+    grid = TriangleGrid.of(Faces(corners), np.zeros(3))
+    assert grid is not None
+    cells = SurfaceCells([mesh], 8.0)
+    plain = [getattr(table, each.name) for each in fields(table) if each.name != "cuts"]
+    other = [table.cuts.first, table.cuts.other, RiseMap(corners, table, [])._clear, DistanceGrid(corners)._least]
+    return [np.asarray(each) for each in [*plain, *other, *grid.tables, cells._keys, cells.position, cells.normal]]
+
+
+def same(one: list[NDArray[np.generic]], other: list[NDArray[np.generic]]) -> bool:
+    return len(one) == len(other) and all(
+        a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True)
+    )
+
+
+def test_stored_tables_have_the_bits_of_computed_ones(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = hills(75)
+    assert len(mesh[1]) >= LEAST
+    begin = stored_tables.computed()
+    monkeypatch.setenv(KIND.variable, "")
+    stored_tables.forget()
+    computed = arrays(mesh)
+    assert stored_tables.computed() == begin + 5 and not folder.exists()
+    monkeypatch.setenv(KIND.variable, str(folder))
+    stored_tables.forget()
+    assert same(arrays(mesh), computed) and stored_tables.computed() == begin + 10
+    stored_tables.forget()
+    assert same(arrays(mesh), computed) and stored_tables.computed() == begin + 10
+    assert len(list(folder.iterdir())) == 5
+
+
+def test_stored_arrays_belong_to_the_caller(folder: Path) -> None:
+    mesh = hills(75)
+    before = topology(mesh).normal.copy()
+    for _ in range(2):
+        table = topology(mesh)
+        table.normal[:] = 7.0
+    assert (topology(mesh).normal == before).all()
+
+
+def test_small_meshes_are_not_stored(folder: Path) -> None:
+    begin = stored_tables.computed()
+    for _ in range(2):
+        topology(hills(20))
+    assert stored_tables.computed() == begin + 2 and not folder.exists()
+
+
+@pytest.mark.parametrize("harm", ["a bit", "short", "empty", "long", "of another key", "a link"])
+def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Path) -> None:
+    mesh, begin = hills(75), stored_tables.computed()
+    table = topology(mesh)
+    (file,) = folder.iterdir()
+    whole = data = file.read_bytes()
+    if harm == "a bit":
+        data = data[:-9] + bytes([data[-9] ^ 1]) + data[-8:]
+    elif harm in ("short", "empty", "long"):
+        data = {"short": data[:-64], "empty": b"", "long": data + bytes(64)}[harm]
+    elif harm == "of another key":
+        topology(hills(76))
+        data = next(each for each in folder.iterdir() if each != file).read_bytes()
+        begin += 1
+    file.unlink()
+    if harm == "a link":
+        (tmp_path / "elsewhere").write_bytes(whole)
+        file.symlink_to(tmp_path / "elsewhere")
+    else:
+        file.write_bytes(data)
+    stored_tables.forget()
+    again = topology(mesh)
+    assert stored_tables.computed() == begin + 2
+    assert again.link.tobytes() == table.link.tobytes() and again.smooth.tobytes() == table.smooth.tobytes()
+    assert file.read_bytes() == whole and not file.is_symlink()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\n",
+        b"[]\nmore",
+        b'[["link", "|O", [2]]]\n' + bytes(128),
+        b'[["link", "<f8", [-1]]]\n' + bytes(128),
+        b'[["link", "<f8", ["x"]]]\n' + bytes(128),
+        b'[["link", "<i8", [1000000]]]\n' + bytes(128),
+        b"{1: 2}\n",
+    ],
+)
+def test_signed_nonsense_is_not_used(folder: Path, data: bytes) -> None:
+    inputs = (np.arange(4.0), 2.0)
+    made = {"link": np.arange(7)}
+    stored_tables._store().put(stored_tables._key("some", inputs), data)
+    begin = stored_tables.computed()
+    assert stored("some", LEAST, inputs, lambda: made)["link"] is made["link"]
+    assert stored("some", LEAST, inputs, dict)["link"].tolist() == list(range(7))
+    assert stored_tables.computed() == begin + 1
+
+
+def test_all_that_tables_depend_on_is_in_their_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    key = stored_tables._key
+    one = np.arange(6.0)
+    keys = {
+        key("some", (one, 1.0)),
+        key("other", (one, 1.0)),
+        key("some", (one, 1.5)),
+        key("some", (one, 1.0, "x")),
+        key("some", (one.reshape(2, 3), 1.0)),
+        key("some", (one.astype(np.float32), 1.0)),
+        key("some", (-one, 1.0)),
+    }
+    assert len(keys) == 7 and key("some", (one.copy(), 1.0)) in keys
+    monkeypatch.setattr(stored_tables, "_sources", lambda: "others")
+    assert key("some", (one, 1.0)) not in keys
+
+
+def test_the_sources_of_all_rooms_that_compute_are_in_the_key() -> None:
+    named = {path.relative_to(Path(stored_tables.__file__).parents[1]).as_posix() for path in stored_tables._modules()}
+    for module in ("ground/mesh/self_cuts.py", "casting/rasterise.py", "scene/geometry/live_faces.py", "fields/numbered.py"):
+        assert module in named
+    assert "numerics/stored_tables.py" in named and "machine_code/machine.py" in named
+
+
+def test_of_what_moves_nothing_is_stored(folder: Path) -> None:
+    vertices, faces = hills(75)
+    ground = MovingGround({"deck": (vertices, faces)}, ["deck"])
+    begin = len(list(folder.iterdir()))
+    for frame in range(3):
+        ground.pose({"deck": vertices + np.array([0.0, frame + 1.0, 0.0])})
+        scene, _ = ground._scene(None)
+        assert scene.cast_within(np.array([[0.0, 40.0 + frame, 0.0]]), np.array([[0.0, -60.0, 0.0]]))[0].size == 1
+    assert len(list(folder.iterdir())) == begin
+    brief = RayScene(vertices, faces, brief=True)
+    brief.clearance(*np.zeros((3, 4), np.float32))
+    assert len(list(folder.iterdir())) == begin
+    RayScene(vertices, faces).clearance(*np.zeros((3, 4), np.float32))
+    assert len(list(folder.iterdir())) == begin + 1
