@@ -27,7 +27,7 @@ def read(
 def written(x: Array1[F64], out: Array2[F64], any_way: Strided2[F32]) -> None:
     for i in range(out.shape[0]):
         for k in range(out.shape[1]):
-            out[i, k] = x[i] + any_way[i, k]
+            out[i, k] = x[i] + np.float64(any_way[i, k])
 
 
 @kernel
