@@ -182,12 +182,12 @@ def _command() -> int:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
     except Exception as problem:
-        from antdsl.machine_code.machine import NoMachineCode
-
         if (found := machine_failure(problem)) is not None:
             end = failure(found)
             print(end.message, end.hint, sep="\n", file=sys.stderr)
             return end.code
+        from antdsl.machine_code.machine import NoMachineCode
+
         if isinstance(problem, NoMachineCode):
             print(f"error: feet need machine code: {problem}", file=sys.stderr)
             return Exit.INPUT_OUTPUT

@@ -15,7 +15,7 @@ the keys and looks for one that is missed: this finds faults, not forgeries.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -59,13 +59,6 @@ def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> 
 
 def _told(sums: Sequence[int]) -> bytes:
     return b"".join((int(each) & _WHOLE).to_bytes(8, "little") for each in sums)
-
-
-def hashed_rows(ids: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """What a digest has to take in of agents with these ids: the names and types of their columns, and the hash of the rows. The
-    agents are the last axis of a column."""
-    parts = [part for column in columns.values() for part in _parts(column)] if len(ids) else []
-    return named(tuple(columns), columns.values()) + row_hash(ids, parts)
 
 
 class RowHash:

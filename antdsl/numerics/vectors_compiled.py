@@ -6,6 +6,8 @@ import numpy as np
 
 from antdsl.machine_code.kernels import inlined
 
+_LEAST, _STEEP = 1e-12, 0.9  # as `vectors.unit` and `vectors.across`
+
 
 @inlined
 def at(table, k):  # type: ignore[no-untyped-def]
@@ -48,6 +50,29 @@ def dot(a, b):  # type: ignore[no-untyped-def]
 @inlined
 def cross(a, b):  # type: ignore[no-untyped-def]
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def flat(a, up):  # type: ignore[no-untyped-def]
+    """As `vectors.flat`."""
+    return minus(a, times(up, dot(a, up)))
+
+
+@inlined
+def across(up):  # type: ignore[no-untyped-def]
+    """As `vectors.across`, in float64."""
+    steep = abs(up[0]) > _STEEP
+    side = flat(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
+    return times(side, 1 / np.sqrt(dot(side, side)))
+
+
+@inlined
+def direction(v, up):  # type: ignore[no-untyped-def]
+    """The unit vector along `v`, or one across a unit vector where it has no direction, in float64."""
+    size = np.sqrt(dot(v, v))
+    if size > _LEAST and np.isfinite(size):
+        return times(v, 1 / size)
+    return across(up)
 
 
 @inlined

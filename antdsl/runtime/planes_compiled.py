@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, independent, inlined, kernel
-from antdsl.numerics.vectors_compiled import cross, dot, minus, put, times
+from antdsl.numerics.vectors_compiled import cross, direction, dot, flat, put
 
 Vectors32 = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Vectors64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
-_LEAST, _STEEP = 1e-12, 0.9  # as `vectors.unit` and `vectors.across`
 _FASTEST = 1e9  # as `planes`
 
 
@@ -31,18 +30,6 @@ def _known_of(vectors, k):  # type: ignore[no-untyped-def]
     return known(vectors[0][k], vectors[1][k], vectors[2][k])
 
 
-@inlined
-def _flat(a, up):  # type: ignore[no-untyped-def]
-    return minus(a, times(up, dot(a, up)))
-
-
-@inlined
-def _across(up):  # type: ignore[no-untyped-def]
-    steep = abs(up[0]) > _STEEP
-    side = _flat(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
-    return times(side, 1 / np.sqrt(dot(side, side)))
-
-
 @kernel
 def stand(
     rows: Array1[I64],
@@ -58,12 +45,7 @@ def stand(
     for k in independent(begin, end):
         row = rows[k]
         u = _known_of(up, row)
-        way = _flat(_known_of(heading, row), u)
-        size = np.sqrt(dot(way, way))
-        if size > _LEAST and np.isfinite(size):
-            way = times(way, 1 / size)
-        else:
-            way = _across(u)
+        way = direction(flat(_known_of(heading, row), u), u)
         put(above, k, u)
         put(ahead, k, way)
         put(left, k, cross(u, way))

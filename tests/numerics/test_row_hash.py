@@ -8,7 +8,6 @@ from compilers import need_llvmlite
 from numpy.typing import NDArray
 
 from antdsl.numerics import compiled, row_hash
-from antdsl.numerics.row_hash import hashed_rows
 
 Columns = dict[str, NDArray[np.generic]]
 
@@ -23,6 +22,12 @@ def table(count: int) -> tuple[NDArray[np.int64], Columns]:
         "same": np.ones(count, np.float32), "also": np.ones(count, np.float32),
     }  # fmt: skip
     return rng.permutation(count).astype(np.int64) * 7, columns
+
+
+def hashed_rows(ids: np.ndarray, columns: dict[str, np.ndarray]) -> bytes:
+    """What a digest takes in of columns whose last axis has the agents: names, types and the hash of the rows."""
+    parts = [part for column in columns.values() for part in column.reshape(-1, len(ids))] if len(ids) else []
+    return row_hash.named(tuple(columns), columns.values()) + row_hash.row_hash(ids, parts)
 
 
 def kernels(monkeypatch: pytest.MonkeyPatch, on: bool) -> None:

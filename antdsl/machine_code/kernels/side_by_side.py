@@ -7,7 +7,8 @@ turns, and counts for those. So do loops, until no turn is left in them, and fun
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -194,6 +195,15 @@ class SideBySide(Writer):
 
     def _uniform(self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt]) -> None:
         """A loop over the same numbers for all turns, which none leaves: their mask stays as it is."""
+        with self._scalar_loop(begin, end, step) as at:
+            self.variables[name] = at
+            fresh = set(self.fresh)
+            self.block(body)
+            self.fresh &= fresh
+
+    @contextmanager
+    def _scalar_loop(self, begin: Number, end: Number, step: int) -> Iterator[Number]:
+        """A loop, whose body is written within, over numbers that are the same for all turns."""
         number = self.slot(INT)
         self.put(number, begin)
         head, inner, done = self.label("for"), self.label("body"), self.label("end")
@@ -202,10 +212,7 @@ class SideBySide(Writer):
         at = self.load(number, INT)
         self.branch(self.compare("lt" if step > 0 else "gt", at, end), inner, done)
         self.begin(inner)
-        self.variables[name] = at
-        fresh = set(self.fresh)
-        self.block(body)
-        self.fresh &= fresh
+        yield at
         self.put(number, self.arithmetic(ast.Pass(), ast.Add(), at, constant(step)))
         self.jump(head)
         self.begin(done)
@@ -264,25 +271,15 @@ class SideBySide(Writer):
         none = self.op(f"icmp slt {count.typed}, 0", TRUTH)
         middle = self.select(none, begin, self.op(f"add {begin.typed}, {rest.name}", INT))
         known, loops = dict(self.variables), self.loops
-        number = self.slot(INT)
-        self.put(number, begin)
-        head, inner, done = self.label("for"), self.label("body"), self.label("end")
-        self.jump(head)
-        self.begin(head)
-        at = self.load(number, INT)
-        self.branch(self.op(f"icmp slt {at.typed}, {middle.name}", TRUTH), inner, done)
-        self.begin(inner)
-        steps = Number(INT, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", wide=True)
-        lanes = self.op(f"add {self.widened(at).typed}, {steps.name}", INT, True)
-        self.mask, self.loops = ALL, []
-        self._enter()
-        self.variables[name] = Number(INT, lanes.name, None, True, at.name)
-        self.block(body)
-        self.turns.pop()
-        self.mask, self.open, self.variables, self.loops = None, True, dict(known), loops
-        self.put(number, self.op(f"add {at.typed}, {WIDTH}", INT))
-        self.jump(head)
-        self.begin(done)
+        with self._scalar_loop(begin, middle, WIDTH) as at:
+            steps = Number(INT, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", wide=True)
+            lanes = self.op(f"add {self.widened(at).typed}, {steps.name}", INT, True)
+            self.mask, self.loops = ALL, []
+            self._enter()
+            self.variables[name] = Number(INT, lanes.name, None, True, at.name)
+            self.block(body)
+            self.turns.pop()
+            self.mask, self.open, self.variables, self.loops = None, True, dict(known), loops
         super().counted(name, middle, end, 1, body)
         self.variables = known  # what a turn has named is its own
 

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors_compiled import cross, dot, minus, times
+from antdsl.numerics.vectors_compiled import cross, direction, dot, flat, minus
 from antdsl.runtime.world import Population
 
-PLACE, AHEAD, UP, ASIDE, SIZE = 0, 3, 6, 9, 12
-ROWS = 13
+PLACE = 0  # the first row of three
+_ROWS = 13
 _LEAST = 1e-12
 _F = np.float32
 
@@ -28,7 +28,7 @@ Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 def place_bodies(population: Population, room: str, threads: int) -> NDArray[np.float64]:
     """The table of a population. `room`: the name of the memory that it is written to, which the next call with it reuses."""
     n, now = len(population), population.now
-    (bodies,) = population.room(room, 1, (ROWS, n), np.float64)
+    (bodies,) = population.room(room, 1, (_ROWS, n), np.float64)
     if n:
         columns = vec.named(now, "heading"), vec.named(now, "up"), now["size"]
         work = partial(_place_bodies, population.position, *columns, population.in_id_order(), bodies)
@@ -63,8 +63,8 @@ def _place_bodies(
 @inlined
 def orthonormal_axes(heading: Any, up: Any) -> Any:
     """The unit vectors ahead, up and aside of a body: the heading as it is, and up made perpendicular to it."""
-    ahead = _unit(heading, _perpendicular(up))
-    straight = _unit(_flatten(up, ahead), _perpendicular(ahead))
+    ahead = direction(heading, up)
+    straight = direction(flat(up, ahead), ahead)
     return ahead, straight, cross(ahead, straight)
 
 
@@ -102,26 +102,3 @@ def to_body(body: Any, at: Any) -> Any:
 @inlined
 def _single(v: Any) -> Any:
     return _F(v[0]), _F(v[1]), _F(v[2])
-
-
-@inlined
-def _unit(v: Any, otherwise: Any) -> Any:
-    """A unit vector along `v`, or another one where it has no direction."""
-    size = np.sqrt(dot(v, v))
-    if size > _LEAST and np.isfinite(size):
-        return times(v, 1 / size)
-    return otherwise
-
-
-@inlined
-def _perpendicular(up: Any) -> Any:
-    """A unit vector perpendicular to a unit vector."""
-    axis = (0.0, 1.0, 0.0) if abs(up[0]) > 0.9 else (1.0, 0.0, 0.0)
-    side = _flatten(axis, up)
-    return times(side, 1 / np.sqrt(dot(side, side)))
-
-
-@inlined
-def _flatten(v: Any, up: Any) -> Any:
-    """The part of a vector perpendicular to a unit vector."""
-    return minus(v, times(up, dot(v, up)))

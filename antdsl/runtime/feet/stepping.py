@@ -161,8 +161,7 @@ def plan_steps(
         # An agent that sets out from a stand lifts the foot whose turn is next at once: none waits until it is left behind.
         gap = _F(np.inf)
         for leg in range(count):
-            before = phase[i] + gaits[2][gait, leg]
-            before = before - np.floor(before)
+            before = _fraction(phase[i] + gaits[2][gait, leg])
             wait = duty - before
             wait = wait if wait > _ZERO else wait + _ONE
             gap = min(gap, wait)
@@ -174,8 +173,7 @@ def plan_steps(
             hip = _hip(legs, leg, lean, raised)
             x, z = here[0] - legs[REST_X, leg], here[2] - legs[REST_Z, leg]
             cover_x, cover_z = covered[0, leg, i], covered[1, leg, i]
-            before = phase[i] + gaits[2][gait, leg]
-            before = before - np.floor(before)
+            before = _fraction(phase[i] + gaits[2][gait, leg])
             after = before + advance
             crosses = (before < duty and after >= duty) or after >= _ONE + duty
             # A foot missed its turn, as the gait changed or something else moved it: behind where it rests, in time to swing.
@@ -212,8 +210,7 @@ def plan_steps(
             again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NOTHING
             again = lands and (again or _is_too_far(legs, leg, here, hip, _REACHED))
             what[leg, i] = (SEEKS_AGAIN if again else LANDS) if lands else (LIFTS if lifts else STAYS)
-        turned = phase[i] + advance
-        phase[i] = turned - np.floor(turned)
+        phase[i] = _fraction(phase[i] + advance)
     many = 0
     for i in range(begin, end):
         for leg in range(count):
@@ -286,6 +283,12 @@ def take_steps(
         for axis in range(3):
             last[0][axis, i] = bodies[axis, i]
             last[1][axis, i], last[2][axis, i] = _F(bodies[3 + axis, i]), _F(bodies[6 + axis, i])
+
+
+@inlined
+def _fraction(turns: Any) -> Any:
+    """The share of a cycle that is done, after so many cycles."""
+    return turns - np.floor(turns)
 
 
 @inlined

@@ -7,7 +7,7 @@ import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel, put_three
 from antdsl.numerics.elementary_compiled import atan2, cos_sin
-from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
+from antdsl.numerics.vectors_compiled import cross, dot, flat, minus, plus, times
 from antdsl.runtime.moving.headings import BEYOND, BOUNCE, LEAST_TURN, LEVEL, NINETIETH, SLOW, TWELFTH
 from antdsl.runtime.moving.tilting_compiled import HASTENS, STANDS
 
@@ -237,11 +237,6 @@ def _minimum(a, b):  # type: ignore[no-untyped-def]
 @inlined
 def length(a):  # type: ignore[no-untyped-def]
     return np.sqrt(dot(a, a))
-
-
-@inlined
-def flat(a, up):  # type: ignore[no-untyped-def]
-    return minus(a, times(up, dot(a, up)))
 
 
 @inlined
