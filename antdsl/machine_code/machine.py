@@ -184,8 +184,12 @@ class Code:
 
     def told(self, name: str) -> str:
         """The text of a constant."""
-        found: bytes = ctypes.string_at(self._engine.get_global_value_address(name))
-        return found.decode()
+        return ctypes.string_at(self.constant(name)).decode("utf-8", "surrogateescape")
+
+    def constant(self, name: str) -> int:
+        """The address of a constant, or of another word that is no function."""
+        found: int = self._engine.get_global_value_address(name)
+        return found
 
 
 def load(code: bytes) -> Code:

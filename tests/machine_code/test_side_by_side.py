@@ -14,6 +14,7 @@ from antdsl.machine_code.kernels import (
     I64,
     Array1,
     Array2,
+    NotInSubset,
     called,
     consecutive,
     independent,
@@ -174,8 +175,6 @@ def several(x: Array1[F64], to: Array1[F64]) -> None:
 
 
 def test_what_turns_would_change_together_is_refused() -> None:
-    from antdsl.machine_code.kernels.arithmetic import NotInSubset
-
     with pytest.raises(NotInSubset, match="belongs to none of them"):
         several(np.ones(9), np.zeros(1))
 

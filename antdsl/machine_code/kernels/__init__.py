@@ -13,6 +13,7 @@ number of the text takes the type of the other one, if float32 has it. Whole num
 written out. `independent(begin, end)` says that no turn reads what another one writes, and lets several be done at once. Indices
 are not checked: what calls a kernel answers for them."""
 
+from antdsl.machine_code.kernels.checks import KernelFault
 from antdsl.machine_code.kernels.functions import (
     as_bits,
     as_float,
@@ -24,6 +25,7 @@ from antdsl.machine_code.kernels.functions import (
     three,
     whole,
 )
+from antdsl.machine_code.kernels.ir import NotInSubset
 from antdsl.machine_code.kernels.kernel import called, inlined, kernel
 from antdsl.machine_code.kernels.types import (
     BOOL,
@@ -43,7 +45,7 @@ from antdsl.machine_code.kernels.types import (
 )
 
 __all__ = [
-    "BOOL", "F32", "F64", "I8", "I16", "I32", "I64", "U8", "U32", "U64", "Array1", "Array2", "Array3", "Strided2", "as_bits",
-    "as_float", "called", "consecutive", "fetch_ahead", "independent", "inlined", "kernel", "put_three", "scratch", "three",
-    "whole",
+    "BOOL", "F32", "F64", "I8", "I16", "I32", "I64", "U8", "U32", "U64", "Array1", "Array2", "Array3", "KernelFault",
+    "NotInSubset", "Strided2", "as_bits", "as_float", "called", "consecutive", "fetch_ahead", "independent", "inlined", "kernel",
+    "put_three", "scratch", "three", "whole",
 ]  # fmt: skip

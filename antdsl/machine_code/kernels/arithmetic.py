@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable
-from typing import NoReturn
 
 import numpy as np
 
+from antdsl.machine_code.kernels.ir import Builder
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.values import WIDTH, Number, constant, text_type
+from antdsl.machine_code.kernels.values import WIDTH, Number, constant
 
 _FOLDED: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b, ast.FloorDiv: lambda a, b: a // b,
@@ -17,110 +17,47 @@ _FOLDED: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.BitOr: lambda a, b: a | b, ast.BitXor: lambda a, b: a ^ b,
 }  # fmt: skip
 _FLOATS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
-_WHOLES = {
-    ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.LShift: "shl", ast.BitAnd: "and", ast.BitOr: "or", ast.BitXor: "xor",
-}  # fmt: skip
+_WHOLES = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.BitAnd: "and", ast.BitOr: "or", ast.BitXor: "xor"}
+_SHIFTS = (ast.LShift, ast.RShift)
+_INT_RANGE = range(-(1 << 63), 1 << 63)
 
 
-class NotInSubset(Exception):
-    """A kernel's text has what kernels cannot have, which is our mistake; the message has the place."""
-
-
-class Text:
-    """The text of one function as it is written."""
-
-    def __init__(self, place: str) -> None:
-        self.place = place
-        self.node: ast.AST = ast.Pass()  # the statement that is written
-        self.allocas: list[str] = []
-        self.lines: list[str] = []
-        self.declared: dict[str, str] = {}
-        self._numbers = 0
-
-    def name(self, stem: str = "v") -> str:
-        self._numbers += 1
-        return f"%{stem}{self._numbers}"
-
-    def op(self, text: str, kind: str, wide: bool = False) -> Number:
-        name = self.name()
-        self.lines.append(f"  {name} = {text}")
-        return Number(kind, name, wide=wide)
-
-    def do(self, text: str) -> None:
-        self.lines.append(f"  {text}")
-
-    def slot(self, kind: str, wide: bool = False) -> str:
-        name = self.name("a")
-        self.allocas.append(f"  {name} = alloca {text_type(kind, wide)}")
-        return name
-
-    def load(self, place: str, kind: str, wide: bool = False) -> Number:
-        """What lies on the stack."""
-        return self.op(f"load {text_type(kind, wide)}, ptr {place}", kind, wide)
-
-    def put(self, place: str, value: Number) -> None:
-        self.do(f"store {value.typed}, ptr {place}")
-
-    def label(self, stem: str) -> str:
-        self._numbers += 1
-        return f"{stem}{self._numbers}"
-
-    def begin(self, label: str) -> None:
-        self.lines.append(f"{label}:")
-
-    def jump(self, label: str) -> None:
-        self.do(f"br label %{label}")
-
-    def branch(self, condition: Number, then: str, other: str) -> None:
-        self.do(f"br {condition.typed}, label %{then}, label %{other}")
-
-    def intrinsic(self, stem: str, kind: str, *values: Number) -> Number:
-        wide = values[0].wide
-        name = f"llvm.{stem}.{_suffix(kind, wide)}"
-        type = text_type(kind, wide)
-        self.declared[name] = f"declare {type} @{name}({', '.join([type] * len(values))})"
-        return self.op(f"call {type} @{name}({', '.join(each.typed for each in values)})", kind, wide)
-
-    def fail(self, node: ast.AST, why: str) -> NoReturn:
-        raise NotInSubset(f"{self.place}, line {getattr(node, 'lineno', 0)} of the function: {why}")
-
-
-class Arithmetic(Text):
+class Arithmetic(Builder):
     """Operations on numbers."""
 
+    mask: Number | None = None  # for which of the turns side by side the text counts; None where one turn is written
+
     def convert(self, value: Number, kind: str) -> Number:
-        """As a cast of NumPy does; of a float that no whole number of 64 bits is near to, some number."""
+        """As a cast of NumPy does; floats saturate, and NaN becomes 0."""
         if value.kind == kind:
             return value
         if value.known is not None and not value.wide and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
             found = constant(float(value.known) if kind == DOUBLE else int(value.known))
-            return Number(kind, found.name, found.known)
-        source, target, wide = LLVM[value.kind], LLVM[kind], value.wide
-        type = text_type(kind, wide)
+            return Number(kind, found.name, found.known if kind == DOUBLE else in_range(int(value.known), kind))
+        source, target = value.base, LLVM[kind]
         if kind == TRUTH:
-            zero = "zeroinitializer" if wide else "0" if source == "i64" else "0.0"
-            return self.op(f"{'icmp ne' if source == 'i64' else 'fcmp une'} {value.typed}, {zero}", TRUTH, wide)
+            zero = Number(value.kind, "zeroinitializer" if value.wide else "0" if source == "i64" else "0.0", lanes=value.lanes)
+            return self.op("ne" if source == "i64" else "fne", TRUTH, value, zero)
         if value.kind == TRUTH:
-            return self.op(f"{'zext' if target == 'i64' else 'uitofp'} {value.typed} to {type}", kind, wide)
+            return self.op("zext" if target == "i64" else "uitofp", kind, value)
         if source == target:
-            return Number(kind, value.name, wide=wide)
+            known = None if value.known is None else in_range(int(value.known), kind)
+            return Number(kind, value.name, known, value.lanes)
         if source == "i64":
-            return self.op(f"{'uitofp' if value.kind == UNSIGNED else 'sitofp'} {value.typed} to {type}", kind, wide)
+            return self.op("uitofp" if value.kind == UNSIGNED else "sitofp", kind, value)
         if target != "i64":
-            return self.op(f"{'fpext' if kind == DOUBLE else 'fptrunc'} {value.typed} to {type}", kind, wide)
-        name = f"llvm.fpto{'u' if kind == UNSIGNED else 's'}i.sat.{_suffix(kind, wide)}.{_suffix(value.kind, wide)}"
-        self.declared[name] = f"declare {type} @{name}({value.type})"
-        return self.op(f"call {type} @{name}({value.typed})", kind, wide)
+            return self.op("fpext" if kind == DOUBLE else "fptrunc", kind, value)
+        return self.op("fptoui" if kind == UNSIGNED else "fptosi", kind, value)
 
     def widened(self, value: Number) -> Number:
         """The same for each of the turns side by side."""
         if value.wide:
             return value
         if value.name[0] not in "%@":
-            return Number(value.kind, f"splat ({value.type} {value.name})", value.known, True)
-        type = text_type(value.kind, True)
-        first = self.op(f"insertelement {type} poison, {value.typed}, i64 0", value.kind, True)
-        return self.op(f"shufflevector {first.typed}, {type} poison, <{WIDTH} x i32> zeroinitializer", value.kind, True)
+            return Number(value.kind, f"splat ({value.type} {value.name})", value.known, WIDTH)
+        none = Number(value.kind, "poison", lanes=WIDTH)
+        first = self.op("insertelement", value.kind, none, value, x=0)
+        return self.op("shufflevector", value.kind, first, none, x=f"<{WIDTH} x i32> zeroinitializer")
 
     def alike(self, a: Number, b: Number) -> tuple[Number, Number]:
         """Both wide if one is."""
@@ -157,15 +94,24 @@ class Arithmetic(Text):
         found = constant(single)
         return self.widened(found) if value.wide else found
 
+    def as_kind(self, value: Number, kind: str) -> Number:
+        """A number for a place of this kind. NotInSubset for one of the text that would be another number then."""
+        if value.kind == kind or value.known is None:
+            return self.convert(value, kind)
+        if kind == FLOAT:
+            return self._as_float32(value)
+        found = self.convert(value, kind) if value.kind != DOUBLE else None
+        if found is None or found.known not in (None, value.known):
+            self.fail(self.node, f"{value.known} is no number of type {kind}")
+        return found
+
     def arithmetic(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
         word = type(operator)
         folded = not (a.wide or b.wide)
         if folded and a.known is not None and b.known is not None and word in _FOLDED and DOUBLE not in (a.kind, b.kind):
-            found = constant(_FOLDED[word](int(a.known), int(b.known)))
-            return Number(UNSIGNED, found.name, found.known) if UNSIGNED in (a.kind, b.kind) else found
+            return self._folded(node, word, a, b)
         if a.kind == b.kind == TRUTH and word in (ast.BitAnd, ast.BitOr, ast.BitXor):
-            a, b = self.alike(a, b)
-            return self.op(f"{_WHOLES[word]} {a.typed}, {b.name}", TRUTH, a.wide)
+            return self.op(_WHOLES[word], TRUTH, *self.alike(a, b))
         if word is ast.Div:
             a, b = self.floating(a), self.floating(b)
         first = self._first(word, a, b)
@@ -173,42 +119,81 @@ class Arithmetic(Text):
         if a.kind in (DOUBLE, FLOAT):
             if word not in _FLOATS:
                 self.fail(node, "no such operation of floats")
-            return self.op(f"{_FLOATS[word]} {a.typed}, {b.name}", a.kind, a.wide)
-        if word is ast.RShift:
-            return self.op(f"{'lshr' if a.kind == UNSIGNED else 'ashr'} {a.typed}, {b.name}", a.kind, a.wide)
+            return self.op(_FLOATS[word], a.kind, a, b)
+        if word in _SHIFTS:
+            return self._shifted(node, word, a, b)
         if word in _WHOLES:
-            found = self.op(f"{_WHOLES[word]} {a.typed}, {b.name}", a.kind, a.wide)
-            return Number(found.kind, found.name, None, found.wide, first)
+            found = self.op(_WHOLES[word], a.kind, a, b)
+            return Number(found.kind, found.name, None, found.lanes, first)
         if word not in (ast.FloorDiv, ast.Mod):
             self.fail(node, "no such operation of whole numbers")
-        if b.wide and b.known is None:  # turns for which it does not count may have 0
-            b = self.select(self.compare("eq", b, constant(0)), constant(1), b)
-        if a.kind == UNSIGNED:
-            return self.op(f"{'udiv' if word is ast.FloorDiv else 'urem'} {a.typed}, {b.name}", a.kind, a.wide)
-        rest = self.op(f"srem {a.typed}, {b.name}", INT, a.wide)
-        other = self.compare("lt", self.op(f"xor {rest.typed}, {b.name}", INT, a.wide), constant(0))
-        down = self.op(f"and {other.typed}, {self.compare('ne', rest, constant(0)).name}", TRUTH, a.wide)
-        if word is ast.Mod:
-            return self.op(f"add {rest.typed}, {self.select(down, b, constant(0)).name}", INT, a.wide)
-        quotient = self.op(f"sdiv {a.typed}, {b.name}", INT, a.wide)
-        return self.op(f"sub {quotient.typed}, {self.convert(down, INT).name}", INT, a.wide)
+        return self._divided(node, word is ast.Mod, a, b)
 
-    def _first(self, word: type[ast.operator], a: Number, b: Number) -> str:
+    def _folded(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
+        """An operation on two whole numbers of the text, whose result has to be one."""
+        kind = UNSIGNED if UNSIGNED in (a.kind, b.kind) else INT
+        try:
+            value = _FOLDED[word](int(a.known or 0), int(b.known or 0))
+        except (ZeroDivisionError, ValueError) as problem:
+            self.fail(node, f"{problem}")
+        if kind == INT and value not in _INT_RANGE:
+            self.fail(node, f"{value} is no whole number of 64 bits: write `np.uint64(…)` of an operand for one without a sign")
+        return Number(kind, constant(in_range(value, kind)).name, in_range(value, kind))
+
+    def _shifted(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
+        """Counts of shifts are taken modulo 64."""
+        if b.known is None:
+            b = self.op("and", b.kind, b, self.alike(constant(63), b)[0])
+        elif not 0 <= b.known < 64:
+            self.fail(node, "numbers are shifted by 0 to 63 bits")
+        return self.op("shl" if word is ast.LShift else "lshr" if a.kind == UNSIGNED else "ashr", a.kind, a, b)
+
+    def _divided(self, node: ast.AST, is_rest: bool, a: Number, b: Number) -> Number:
+        """The quotient of integers, rounded down, or the remainder. The checked build reports division by 0; other builds
+        divide by 1 instead. They also do so for the least integer by -1, whose quotient wraps around."""
+        if b.known == 0:
+            self.fail(node, "division by 0")
+        if b.known is None:
+            self.do("divisor", b, *([self.mask] if b.wide and self.mask is not None else []), node=node)
+            without = self.compare("eq", b, constant(0))
+            if a.kind == INT and (a.known is None or a.known == _INT_RANGE[0]):
+                both = self.both(self.compare("eq", b, constant(-1)), self.compare("eq", a, constant(_INT_RANGE[0])))
+                without = self.op("or", TRUTH, *self.alike(without, both))
+            b = self.select(without, self.convert(constant(1), b.kind), b)
+        elif b.known == -1:
+            return self.negated(a) if not is_rest else self.op("sub", a.kind, a, a)
+        if a.kind == UNSIGNED:
+            return self.op("urem" if is_rest else "udiv", a.kind, a, b)
+        rest = self.op("srem", INT, a, b)
+        other = self.compare("lt", self.op("xor", INT, rest, b), constant(0))
+        down = self.op("and", TRUTH, other, self.compare("ne", rest, constant(0)))
+        if is_rest:
+            return self.op("add", INT, rest, self.select(down, b, constant(0)))
+        return self.op("sub", INT, self.op("sdiv", INT, a, b), self.convert(down, INT))
+
+    def both(self, a: Number, b: Number) -> Number:
+        """Whether two conditions hold."""
+        for one, other in ((a, b), (b, a)):
+            if one.known is not None:
+                return other if one.known else constant(False)
+        return self.op("and", TRUTH, *self.alike(a, b))
+
+    def _first(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
         """The first of a sum of numbers that each are one more than the turn before, and one that is the same for all."""
-        if word not in (ast.Add, ast.Sub) or not (a.first or b.first) or (b.first and (a.wide or word is ast.Sub)):
-            return ""
-        if a.first and b.wide:
-            return ""
-        one, other = (a.first, b.name) if a.first else (a.name, b.first)
-        return self.op(f"{_WHOLES[word]} i64 {one}, {other}", INT).name
+        if word not in (ast.Add, ast.Sub) or a.base != "i64" or b.base != "i64" or (b.first and word is ast.Sub):
+            return None
+        one, other = (a.first, b) if a.first else (a, b.first)
+        return None if one is None or other is None or one.wide or other.wide else self.op(_WHOLES[word], INT, one, other)
 
     def negated(self, a: Number) -> Number:
         if a.known is not None and not a.wide:
+            if a.kind == INT and a.known == _INT_RANGE[0]:
+                self.fail(self.node, f"{-a.known} is no whole number of 64 bits")
             return constant(-a.known)
         if a.kind in (DOUBLE, FLOAT):
-            return self.op(f"fneg {a.typed}", a.kind, a.wide)
+            return self.op("fneg", a.kind, a)
         a = self.convert(a, INT)
-        return self.op(f"sub {a.type} {'zeroinitializer' if a.wide else 0}, {a.name}", INT, a.wide)
+        return self.op("sub", INT, Number(INT, "zeroinitializer" if a.wide else "0", lanes=a.lanes), a)
 
     def compare(self, word: str, a: Number, b: Number) -> Number:
         if a.known is not None and b.known is not None and not (a.wide or b.wide):
@@ -217,9 +202,9 @@ class Arithmetic(Text):
             return constant(held[word])
         a, b = self.paired(a, b)
         if a.kind in (DOUBLE, FLOAT):
-            return self.op(f"fcmp {'u' if word == 'ne' else 'o'}{word} {a.typed}, {b.name}", TRUTH, a.wide)
+            return self.op(f"f{word}", TRUTH, a, b)
         sign = "" if word in ("eq", "ne") else "u" if a.kind == UNSIGNED else "s"
-        return self.op(f"icmp {sign}{word} {a.typed}, {b.name}", TRUTH, a.wide)
+        return self.op(f"{sign}{word}", TRUTH, a, b)
 
     def select(self, condition: Number, then: Number, other: Number) -> Number:
         if condition.known is not None:
@@ -227,9 +212,10 @@ class Arithmetic(Text):
         then, other = self.paired(then, other) if then.kind != other.kind else self.alike(then, other)
         if condition.wide:
             then, other = self.widened(then), self.widened(other)
-        return self.op(f"select {condition.typed}, {then.typed}, {other.typed}", then.kind, then.wide)
+        return self.op("select", then.kind, condition, then, other, lanes=then.lanes)
 
 
-def _suffix(kind: str, wide: bool) -> str:
-    """What stands behind the name of an intrinsic function."""
-    return f"{f'v{WIDTH}' if wide else ''}{ {DOUBLE: 'f64', FLOAT: 'f32'}.get(kind, 'i64') }"
+def in_range(number: int, kind: str) -> int:
+    """A whole number as one of 64 bits has it, with a sign or without."""
+    number &= (1 << 64) - 1
+    return number if kind == UNSIGNED or number < 1 << 63 else number - (1 << 64)

@@ -116,7 +116,7 @@ def _plain(
         room = ctypes.create_string_buffer(8 * words)
         table = memoryview(room).cast("B")
         whole, unsigned, real = table.cast("q"), table.cast("Q"), table.cast("d")
-        for each, value in zip(told, list(_flat(name, types, arguments)), strict=True):
+        for each, value in zip(told, list(flat(name, types, arguments)), strict=True):
             if each.dtype is not None:
                 for place, word in enumerate(_described(name, each, value), each.place):
                     whole[place] = word
@@ -135,7 +135,7 @@ def _plain(
     return run
 
 
-def _flat(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[Any]:
+def flat(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[Any]:
     """What is no tuple among arguments. Raises TypeError and ValueError where there are more or fewer than is wanted."""
     if len(types) != len(arguments):
         raise TypeError(f"{name} takes {len(types)} arguments, not {len(arguments)}")
@@ -145,7 +145,7 @@ def _flat(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator
         elif len(type) != len(argument):
             raise ValueError(f"{name} takes {len(type)} values there, not {len(argument)}")
         else:
-            yield from _flat(name, type, argument)
+            yield from flat(name, type, argument)
 
 
 def _described(name: str, wanted: Wanted, array: Any) -> tuple[int, ...]:
@@ -156,6 +156,8 @@ def _described(name: str, wanted: Wanted, array: Any) -> tuple[int, ...]:
         raise ValueError(f"{name} wants an array of {dtype} with {wanted.axes} axes, not of {array.dtype} with {array.ndim}")
     if wanted.written and not array.flags.writeable:
         raise ValueError(f"{name} writes to an array that is read-only")
+    if not array.flags.aligned:
+        raise ValueError(f"{name} wants an array that is aligned to its elements")
     if not wanted.strided:
         return (address(array), *shape)
     size, (one, two) = dtype.itemsize, array.strides

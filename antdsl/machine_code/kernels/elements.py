@@ -8,23 +8,34 @@ from __future__ import annotations
 import ast
 
 from antdsl.machine_code.kernels.arithmetic import Arithmetic
-from antdsl.machine_code.kernels.types import INT, LLVM, TRUTH, Scalar
-from antdsl.machine_code.kernels.values import WIDTH, Array, Number, constant, text_type
+from antdsl.machine_code.kernels.ir import ZEROS
+from antdsl.machine_code.kernels.types import INT, TRUTH, Scalar
+from antdsl.machine_code.kernels.values import WIDTH, Array, Number, constant
 
-MOST = 64  # elements that are read at once
-ALL = Number(TRUTH, "splat (i1 true)", True, True)  # all turns side by side
+ALL = Number(TRUTH, "splat (i1 true)", True, WIDTH)  # all turns side by side
 
 
 class Elements(Arithmetic):
-    """`mask` says for which of the turns side by side the text counts; None where one turn is written."""
+    """Reads and stores of elements."""
 
-    mask: Number | None = None
+    def check_index(self, node: ast.AST, index: Number, length: Number, count: int = 1) -> None:
+        """So many indices from this one on are to be ones of an axis. NotInSubset for one that the text shows to be none."""
+        if index.known is not None and (index.known < 0 or (length.known is not None and index.known + count > length.known)):
+            self.fail(node, f"{index.known} is no index of an axis, or a negative one")
+        if index.known is None or length.known is None:
+            self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
+
+    def _check_span(self, array: Array, first: Number, count: int = WIDTH) -> None:
+        """Elements that are read or stored at once are to be elements of the array, for all turns side by side."""
+        self.do("span", first, *array.lengths, x=count)
 
     def offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
         """How many elements an index is behind the first one."""
         for each in numbers:
-            if LLVM[each.kind] != "i64" or (each.known is not None and each.known < 0):
+            if each.base != "i64":
                 self.fail(node, "an index is a whole number that is not negative")
+        for each, length in zip(numbers, array.lengths, strict=True):
+            self.check_index(node, each, length)
         steps = array.steps
         place = numbers[0] if steps is None else self.arithmetic(node, ast.Mult(), numbers[0], steps[0])
         for k, number in enumerate(numbers[1:], 1):
@@ -37,36 +48,39 @@ class Elements(Arithmetic):
 
     def fetch(self, array: Array, at: Number) -> Number:
         """The element so far behind the first one."""
-        scalar, wide = array.of, at.wide
-        if not wide:
-            place = self._place(array, at.name)
-            found = self.op(f"load {scalar.stored}, ptr {place}", scalar.kind)
+        scalar = array.of
+        if not at.wide:
+            found = self.op("load", scalar.loaded, self._place(array, at))
         elif at.first:
-            place = self._place(array, at.first)
-            found = self.op(f"load {text_type(scalar.stored, True)}, ptr {place}, {_aligned(array)}", scalar.kind, True)
+            self._check_span(array, at.first)
+            found = self._load_lanes(array, scalar.loaded, self._place(array, at.first))
         else:
             found = self._gathered(array, at)
         if scalar.kind == TRUTH:
-            zero = "zeroinitializer" if wide else "0"
-            return self.op(f"icmp ne {text_type('i8', wide)} {found.name}, {zero}", TRUTH, wide)
+            return self.op("ne", TRUTH, found, Number("i8", "zeroinitializer" if at.wide else "0", lanes=at.lanes))
         if scalar.kind == INT and scalar.stored != "i64":
-            word = "zext" if scalar.name.startswith("U") else "sext"
-            return self.op(f"{word} {text_type(scalar.stored, wide)} {found.name} to {text_type('i64', wide)}", INT, wide)
+            return self.op("zext" if scalar.name.startswith("U") else "sext", INT, found)
         return found
 
-    def keep(self, array: Array, at: Number, item: Number) -> None:
+    def _load_lanes(self, array: Array, kind: str, place: Number) -> Number:
+        """Elements that follow each other, one for each turn."""
+        return self.op("load", kind, place, x=_aligned(array), lanes=WIDTH)
+
+    def keep(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
         """Store an element so far behind the first one."""
+        if (self.mask is not None) != at.wide:
+            self.fail(node, "what several turns would change at once belongs to none of them")
         value = self.stored(array.of, self.widened(item) if at.wide else item)
         if not at.wide:
-            self.do(f"store {value.typed}, ptr {self._place(array, at.name)}")
+            self.do("store", value, self._place(array, at))
             return
         mask = self.mask or ALL
         if at.first:
+            self._check_span(array, at.first)
             place = self._place(array, at.first)
             if mask.known is None:
-                before = self.op(f"load {value.type}, ptr {place}, {_aligned(array)}", value.kind, True)
-                value = self.op(f"select {mask.typed}, {value.typed}, {before.typed}", value.kind, True)
-            self.do(f"store {value.typed}, ptr {place}, {_aligned(array)}")
+                value = self.op("select", value.kind, mask, value, self._load_lanes(array, value.kind, place))
+            self.do("store", value, place, x=_aligned(array))
             return
         for lane in range(WIDTH):
             stored, after = "", ""
@@ -74,8 +88,8 @@ class Elements(Arithmetic):
                 stored, after = self.label("stored"), self.label("after")
                 self.branch(self._one(mask, lane), stored, after)
                 self.begin(stored)
-            place = self._place(array, self._one(at, lane).name)
-            self.do(f"store {self._one(value, lane).typed}, ptr {place}")
+            place = self._place(array, self._one(at, lane))
+            self.do("store", self._one(value, lane), place)
             if after:
                 self.jump(after)
                 self.begin(after)
@@ -84,101 +98,112 @@ class Elements(Arithmetic):
         """A number as an array of this type holds it."""
         value = self.convert(item, scalar.kind)
         if value.kind == TRUTH:
-            return self.op(f"zext {value.typed} to {text_type('i8', value.wide)}", "i8", value.wide)
-        if LLVM[value.kind] != scalar.stored:
-            return self.op(f"trunc {value.typed} to {text_type(scalar.stored, value.wide)}", scalar.stored, value.wide)
-        return value
+            return self.op("zext", "i8", value)
+        return value if value.base == scalar.stored else self.op("trunc", scalar.stored, value)
 
     def row(self, node: ast.AST, of: Array, index: Number) -> Array:
         """What lies at an index of the first axis, an array with one axis less."""
         if index.wide:
             self.fail(node, "a part of an array is the same one for all turns side by side")
+        self.check_index(node, index, of.lengths[0])
         step = constant(1) if of.steps is None else of.steps[0]
         for each in of.lengths[1:] if of.steps is None else ():
             step = self.arithmetic(node, ast.Mult(), step, each)
-        address = self._place(of, self.arithmetic(node, ast.Mult(), index, step).name)
+        address = self._place(of, self.arithmetic(node, ast.Mult(), index, step))
         return Array(of.of, address, of.lengths[1:], None if of.steps is None else of.steps[1:], of.origin)
 
-    def _place(self, array: Array, at: str) -> str:
-        return self.op(f"getelementptr {array.of.stored}, ptr {array.address}, i64 {at}", "ptr").name
+    def _place(self, array: Array, at: Number) -> Number:
+        return self._behind(array, array.address, at)
+
+    def _behind(self, array: Array, address: Number, at: Number | int) -> Number:
+        """The address of an element of an array so far behind another one."""
+        index = Number(INT, str(at)) if isinstance(at, int) else at
+        return self.op("element", "ptr", address, index, x=array.of.stored, lanes=index.lanes)
 
     def _places(self, array: Array, at: Number) -> Number:
         """The addresses of elements; of zeros that nobody writes to for turns that do not count."""
-        places = self.op(f"getelementptr {array.of.stored}, ptr {array.address}, {at.typed}", "ptr", True)
+        places = self._place(array, at)
         if self.mask is None or self.mask.known is not None:
             return places
-        self.declared["zeros"] = f"@zeros = internal constant [{MOST} x i64] zeroinitializer, align 64"
-        other = self.widened(Number("ptr", "@zeros"))
-        return self.op(f"select {self.mask.typed}, {places.typed}, {other.typed}", "ptr", True)
+        return self.op("select", "ptr", self.mask, places, self.widened(ZEROS))
 
     def _one(self, value: Number, lane: int) -> Number:
-        return self.op(f"extractelement {value.typed}, i64 {lane}", value.kind)
+        return self.op("extractelement", value.kind, value, x=lane, lanes=1)
 
-    def consecutive(self, array: Array, at: Number, count: int) -> tuple[Number, ...]:
+    def consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
         """So many elements that follow each other, a multiple of four, of an array of numbers as they are worked with."""
+        self.check_index(node, at, array.lengths[0], count)
         if not at.wide:
-            offsets = [self.arithmetic(ast.Pass(), ast.Add(), at, constant(k)) for k in range(count)]
+            offsets = [self.arithmetic(node, ast.Add(), at, constant(k)) for k in range(count)]
             return tuple(self.fetch(array, each) for each in offsets)
         places = self._places(array, at)
-        lanes = [self._one(places, lane).name for lane in range(WIDTH)]
+        lanes = [self._one(places, lane) for lane in range(WIDTH)]
         return tuple(each for k in range(0, count, 4) for each in self._four(array, lanes, k))
 
-    def _four(self, array: Array, lanes: list[str], offset: int) -> list[Number]:
+    def _four(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
         """Four elements each of eight rows, so far behind these addresses, one after the other for all of them."""
-        kind, type = array.of.kind, f"<4 x {array.of.stored}>"
         rows = []
         for lane in lanes:
-            place = self.op(f"getelementptr {array.of.stored}, ptr {lane}, i64 {offset}", "ptr").name
-            rows.append(self.op(f"load {type}, ptr {place}, align {array.of.dtype.itemsize}", kind).name)
+            place = self._behind(array, lane, offset)
+            rows.append(self.op("load", array.of.kind, place, x=_aligned(array), lanes=4))
         eight = tuple(range(8))
-        pairs = [self._mixed(array, rows[k], rows[k + 2], eight, 4) for k in (0, 1, 4, 5)]
+        pairs = [self._mixed(rows[k], rows[k + 2], eight) for k in (0, 1, 4, 5)]
         found = []
         for odd in (0, 1):
             order = tuple(e + other for e in range(odd, 8, 2) for other in (0, 8))
-            a, b = (self._mixed(array, pairs[k], pairs[k + 1], order) for k in (0, 2))
-            found.append([self._mixed(array, a, b, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
-        return [Number(kind, found[odd][half], wide=True) for half in (0, 1) for odd in (0, 1)]
+            a, b = (self._mixed(pairs[k], pairs[k + 1], order) for k in (0, 2))
+            found.append([self._mixed(a, b, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
+        return [found[odd][half] for half in (0, 1) for odd in (0, 1)]
 
-    def _mixed(self, array: Array, a: str, b: str, order: tuple[int, ...], width: int = WIDTH) -> str:
+    def _mixed(self, a: Number, b: Number, order: tuple[int, ...]) -> Number:
         """Some elements of two vectors, by their numbers in both."""
-        text, one = ", ".join(f"i32 {each}" for each in order), f"<{width} x {array.of.stored}>"
-        return self.op(f"shufflevector {one} {a}, {one} {b}, <{len(order)} x i32> <{text}>", array.of.kind).name
+        text = f"<{len(order)} x i32> <{', '.join(f'i32 {each}' for each in order)}>"
+        return self.op("shufflevector", a.kind, a, b, x=text, lanes=len(order))
 
     def three(self, node: ast.AST, array: Array, row: Number) -> tuple[Number, ...]:
         """The three elements of a row."""
         if not row.first:
             return tuple(self.fetch(array, each) for each in self._offsets(node, array, row))
-        place = self._place(array, self.op(f"mul i64 {row.first}, 3", INT).name)
-        kind, parts = array.of.kind, []
+        self.check_index(node, row, array.lengths[0])
+        return self._three_lanes(array, row.first)
+
+    def _three_lanes(self, array: Array, first: Number) -> tuple[Number, ...]:
+        """The three elements of each of the rows from one on."""
+        place, parts = self._rows(array, first), []
         for k in range(3):
-            at = self.op(f"getelementptr {array.of.stored}, ptr {place}, i64 {WIDTH * k}", "ptr").name
-            parts.append(self.op(f"load {text_type(kind, True)}, ptr {at}, {_aligned(array)}", kind).name)
+            parts.append(self._load_lanes(array, array.of.kind, self._behind(array, place, WIDTH * k)))
         found = []
         for column in range(3):
             places = range(column, 3 * WIDTH, 3)
-            low = self._mixed(array, parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in places))
+            low = self._mixed(parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in places))
             order = tuple(k - WIDTH if k >= 2 * WIDTH else lane for lane, k in enumerate(places))
-            found.append(Number(kind, self._mixed(array, low, parts[2], order), wide=True))
+            found.append(self._mixed(low, parts[2], order))
         return tuple(found)
+
+    def _rows(self, array: Array, first: Number) -> Number:
+        """The address of rows of three from one on, which follow each other."""
+        start = self.op("mul", INT, first, Number(INT, "3"))
+        self._check_span(array, start, 3 * WIDTH)
+        return self._place(array, start)
 
     def put_three(self, node: ast.AST, array: Array, row: Number, items: tuple[Number, ...]) -> None:
         """Store the three elements of a row."""
         if not row.first:
             for at, item in zip(self._offsets(node, array, row), items, strict=True):
-                self.keep(array, at, item)
+                self.keep(node, array, at, item)
             return
+        self.check_index(node, row, array.lengths[0])
         kind, mask = array.of.kind, self.mask or ALL
         values = [self.widened(self.convert(each, kind)) for each in items]
         if mask.known is None:
-            values = [self.select(mask, *each) for each in zip(values, self.three(node, array, row), strict=True)]
-        place = self._place(array, self.op(f"mul i64 {row.first}, 3", INT).name)
+            values = [self.select(mask, *each) for each in zip(values, self._three_lanes(array, row.first), strict=True)]
+        place = self._rows(array, row.first)
         for part in range(3):
             places = [divmod(k, 3) for k in range(WIDTH * part, WIDTH * (part + 1))]
-            two = self._mixed(array, values[0].name, values[1].name, tuple(lane + WIDTH * (c == 1) for lane, c in places))
+            two = self._mixed(values[0], values[1], tuple(lane + WIDTH * (c == 1) for lane, c in places))
             order = tuple(WIDTH + lane if c == 2 else k for k, (lane, c) in enumerate(places))
-            there = self.op(f"getelementptr {array.of.stored}, ptr {place}, i64 {WIDTH * part}", "ptr").name
-            whole = Number(kind, self._mixed(array, two, values[2].name, order), wide=True)
-            self.do(f"store {whole.typed}, ptr {there}, {_aligned(array)}")
+            there = self._behind(array, place, WIDTH * part)
+            self.do("store", self._mixed(two, values[2], order), there, x=_aligned(array))
 
     def _offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
         """How far the elements of a row are behind the first one of an array."""
@@ -186,22 +211,19 @@ class Elements(Arithmetic):
 
     def fetch_ahead(self, array: Array, at: Number) -> tuple[()]:
         """Have memory brought near."""
-        self.declared["llvm.prefetch.p0"] = "declare void @llvm.prefetch.p0(ptr, i32, i32, i32)"
         for lane in range(WIDTH if at.wide else 1):
-            place = self._place(array, self._one(at, lane).name if at.wide else at.name)
-            self.do(f"call void @llvm.prefetch.p0(ptr {place}, i32 0, i32 3, i32 1)")
+            self.do("prefetch", self._place(array, self._one(at, lane) if at.wide else at))
         return ()
 
     def _gathered(self, array: Array, at: Number) -> Number:
         places = self._places(array, at)
-        type = text_type(array.of.stored, True)
-        found = "poison"
+        found = Number(array.of.loaded, "poison", lanes=WIDTH)
         for lane in range(WIDTH):
-            one = self.op(f"load {array.of.stored}, ptr {self._one(places, lane).name}", array.of.stored)
-            found = self.op(f"insertelement {type} {found}, {one.typed}, i64 {lane}", array.of.stored).name
-        return Number(array.of.kind, found, wide=True)
+            one = self.op("load", array.of.loaded, self._one(places, lane))
+            found = self.op("insertelement", array.of.loaded, found, one, x=lane)
+        return found
 
 
 def _aligned(array: Array) -> str:
     """How several elements of an array lie: at a multiple of one's size, as one element does, not of what they take together."""
-    return f"align {array.of.dtype.itemsize}"
+    return f", align {array.of.dtype.itemsize}"

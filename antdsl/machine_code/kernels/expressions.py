@@ -10,9 +10,10 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
-from antdsl.machine_code.kernels.elements import MOST, Elements
+from antdsl.machine_code.kernels.elements import Elements
 from antdsl.machine_code.kernels.functions import WRITTEN, consecutive, fetch_ahead, put_three, scratch, three
-from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, Scalar
+from antdsl.machine_code.kernels.ir import MOST
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED, Scalar
 from antdsl.machine_code.kernels.units import Unit
 from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves
 
@@ -99,13 +100,13 @@ class Expressions(Elements):
         if self.mask is not None:
             return self._both_wide(first, every, parts[1:])
         place, more, done = self.slot(TRUTH), self.label("more"), self.label("both")
-        self.do(f"store {first.typed}, ptr {place}")
+        self.put(place, first)
         self.branch(first, *((more, done) if every else (done, more)))
         self.begin(more)
         self.put(place, self._both(every, parts[1:]))
         self.jump(done)
         self.begin(done)
-        return self.op(f"load i1, ptr {place}", TRUTH)
+        return self.load(place, TRUTH)
 
     def _chosen(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> Item:
         condition = self.truth(test)
@@ -117,20 +118,20 @@ class Expressions(Elements):
         self.branch(condition, yes, no)
         self.begin(yes)
         first = self.value(then)
-        before = len(self.lines)
+        after_first = self.block_now
         self.begin(no)
         second = self.value(other)
-        kinds = [a.kind if a.kind == b.kind else self._common(a, b) for a, b in zip(leaves(first), leaves(second), strict=True)]
-        wide = [a.wide or b.wide for a, b in zip(leaves(first), leaves(second), strict=True)]
-        places = [self.slot(kind, each) for kind, each in zip(kinds, wide, strict=True)]
-        self._stored(second, kinds, wide, places)
+        pairs = list(zip(leaves(first), leaves(second), strict=True))
+        kinds = [a.kind if a.kind == b.kind else self._common(a, b) for a, b in pairs]
+        lanes = [max(a.lanes, b.lanes) for a, b in pairs]
+        places = [self.slot(kind, each) for kind, each in zip(kinds, lanes, strict=True)]
+        self._stored(second, kinds, lanes, places)
         self.jump(done)
-        rest, self.lines = self.lines[before:], self.lines[:before]
-        self._stored(first, kinds, wide, places)
+        self.block_now = after_first
+        self._stored(first, kinds, lanes, places)
         self.jump(done)
-        self.lines += rest
         self.begin(done)
-        loaded = iter([self.load(place, kind, each) for kind, place, each in zip(kinds, places, wide, strict=True)])
+        loaded = iter([self.load(place, kind, each) for kind, place, each in zip(kinds, places, lanes, strict=True)])
 
         def again(item: Item) -> Item:
             if isinstance(item, Array):
@@ -141,35 +142,26 @@ class Expressions(Elements):
 
     def _common(self, a: Number, b: Number) -> str:
         kinds = {a.kind, b.kind}
-        if FLOAT in kinds:
+        if FLOAT in kinds or UNSIGNED in kinds:
             return self.paired(a, b)[0].kind
         return DOUBLE if DOUBLE in kinds else INT
 
-    def _stored(self, item: Item, kinds: list[str], wide: list[bool], places: list[str]) -> None:
-        for number, kind, each, place in zip(leaves(item), kinds, wide, places, strict=True):
+    def _stored(self, item: Item, kinds: list[str], lanes: list[int], places: list[Number]) -> None:
+        for number, kind, each, place in zip(leaves(item), kinds, lanes, places, strict=True):
             value = self.convert(number, kind)
-            self.put(place, self.widened(value) if each else value)
+            self.put(place, self.widened(value) if each > 1 else value)
 
     def count(self, array: Array) -> Number:
         """How many elements an array has."""
         found = array.lengths[0]
         for each in array.lengths[1:]:
-            found = self.op(f"mul {found.typed}, {each.name}", INT)
+            found = self.op("mul", INT, found, each)
         return found
 
     def inverted(self, value: Number) -> Number:
         """Of a condition whether it does not hold, of a number its bits the other way."""
-        ones = "true" if value.kind == TRUTH else "-1"
-        ones = f"splat ({LLVM[value.kind]} {ones})" if value.wide else ones
-        return self.op(f"xor {value.typed}, {ones}", value.kind, value.wide)
-
-    def both(self, a: Number, b: Number) -> Number:
-        """Whether two conditions hold."""
-        for one, other in ((a, b), (b, a)):
-            if one.known is not None:
-                return other if one.known else constant(False)
-        a, b = self.alike(a, b)
-        return self.op(f"and {a.typed}, {b.name}", TRUTH, a.wide)
+        ones = Number(value.kind, "true" if value.kind == TRUTH else "-1")
+        return self.op("xor", value.kind, value, self.widened(ones) if value.wide else ones)
 
     @contextmanager
     def where(self, condition: Number) -> Iterator[None]:
@@ -186,8 +178,7 @@ class Expressions(Elements):
             rest = self._both(every, parts)
         if every:
             return self.both(first, rest)
-        a, b = self.alike(first, rest)
-        return self.op(f"or {a.typed}, {b.name}", TRUTH, True)
+        return self.op("or", TRUTH, *self.alike(first, rest))
 
     def _chosen_wide(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> Item:
         with self.where(condition):
@@ -255,9 +246,7 @@ class Expressions(Elements):
             count, dtype = self.number(arguments[0]), self.known(node, arguments[1])
             if count.known is None or not isinstance(dtype, Scalar):
                 self.fail(node, "scratch(COUNT, TYPE) with a count of the text")
-            name = self.name("s")
-            self.allocas.append(f"  {name} = alloca [{count.known} x {dtype.stored}], align 64")
-            return Array(dtype, name, (count,))
+            return Array(dtype, self.room(int(count.known), dtype.stored), (count,))
         inputs = [self.value(each) for each in arguments]
         if known in (consecutive, fetch_ahead, three, put_three):
             return self._elements(node, known, inputs)
@@ -282,7 +271,7 @@ class Expressions(Elements):
             count = others[0].known
             if not isinstance(count, int) or count % 4 or not 0 < count <= MOST:
                 self.fail(node, f"a multiple of 4 up to {MOST} that stands in the text is wanted")
-            return self.consecutive(array, at, count)
+            return self.consecutive(node, array, at, count)
         if len(array.lengths) != 2 or array.steps is not None or array.of.kind not in (DOUBLE, FLOAT):
             self.fail(node, "an array (n, 3) of floats in one piece is wanted")
         if known is three:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.values import Number, constant, text_type
+from antdsl.machine_code.kernels.values import Number, constant
 
 if TYPE_CHECKING:
     from antdsl.machine_code.kernels.statements import Writer
@@ -66,14 +66,14 @@ def as_float(bits: Any) -> Any:
 def _intrinsic(stem: str) -> Callable[..., Number]:
     def write(w: Writer, a: Number) -> Number:
         a = w.floating(a)
-        return w.intrinsic(stem, a.kind, a)
+        return w.op(stem, a.kind, a)
 
     return write
 
 
 def _absolute(w: Writer, a: Number) -> Number:
     if a.kind in (DOUBLE, FLOAT):
-        return w.intrinsic("fabs", a.kind, a)
+        return w.op("fabs", a.kind, a)
     return w.select(w.compare("lt", a, constant(0)), w.negated(a), a)
 
 
@@ -96,11 +96,12 @@ def _greater(w: Writer, *values: Number) -> Number:
 
 def _finite(w: Writer, a: Number) -> Number:
     a = w.floating(a)
-    return w.compare("lt", w.intrinsic("fabs", a.kind, a), w.convert(constant(math.inf), a.kind))
+    return w.compare("lt", w.op("fabs", a.kind, a), w.convert(constant(math.inf), a.kind))
 
 
 def _nan(w: Writer, a: Number) -> Number:
-    return w.op(f"fcmp uno {a.typed}, {a.name}", TRUTH, a.wide)
+    a = w.floating(a)
+    return w.op("fno", TRUTH, a, a)
 
 
 def _to(kind: str) -> Callable[..., Number]:
@@ -112,7 +113,7 @@ def _floored(w: Writer, a: Number) -> Number:
 
 
 def _bits(w: Writer, a: Number) -> Number:
-    return w.op(f"bitcast {w.convert(a, DOUBLE).typed} to {text_type(INT, a.wide)}", INT, a.wide)
+    return w.op("bitcast", INT, w.convert(a, DOUBLE))
 
 
 def _whole(w: Writer, a: Number) -> Number:
@@ -121,16 +122,14 @@ def _whole(w: Writer, a: Number) -> Number:
 
 
 def _float(w: Writer, a: Number) -> Number:
-    return w.op(f"bitcast {a.typed} to {text_type(DOUBLE, a.wide)}", DOUBLE, a.wide)
+    return w.op("bitcast", DOUBLE, w.convert(a, INT))
 
 
 def _narrowed(bits: int, signed: bool) -> Callable[..., Number]:
     """To fewer bits and back, as a cast does."""
 
     def write(w: Writer, a: Number) -> Number:
-        small, type = f"i{bits}", text_type(INT, a.wide)
-        name = w.op(f"trunc {w.convert(a, INT).typed} to {text_type(small, a.wide)}", small, a.wide)
-        return w.op(f"{'sext' if signed else 'zext'} {name.typed} to {type}", INT, a.wide)
+        return w.op("sext" if signed else "zext", INT, w.op("trunc", f"i{bits}", w.convert(a, INT)))
 
     return write
 

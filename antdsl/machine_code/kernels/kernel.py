@@ -5,9 +5,10 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
+from itertools import count
 from threading import Lock
 from types import FunctionType, GenericAlias
 from typing import Any
@@ -16,15 +17,17 @@ from antdsl.machine_code import codes, library, machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.kernels import sources
 from antdsl.machine_code.kernels.calling import Told, caller, parted
+from antdsl.machine_code.kernels.checks import CHECKED, Checks, guarded
 from antdsl.machine_code.kernels.direct_text import RESULTS
+from antdsl.machine_code.kernels.ir import Function, verify
+from antdsl.machine_code.kernels.rendering import rendered
 from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit, result_type
 from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
 from antdsl.machine_code.lanes import Module
 
-Function = Callable[..., Any]
-_ABOUT = "about"  # the constant that tells of a kernel
+PythonFunction = Callable[..., Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,15 +37,17 @@ class Part:
     function: FunctionType
     attribute: str = ""
 
-    def source(self) -> tuple[ast.FunctionDef, dict[str, Any]]:
-        """Its definition, and the names of its module."""
+    @lru_cache(maxsize=512)  # noqa: B019 - a part lives as long as its module
+    def source(self) -> tuple[str, ast.FunctionDef, dict[str, Any]]:
+        """Its file, its definition with the lines of the file, and the names of its module."""
+        code = self.function.__code__
         tree = ast.parse(textwrap.dedent(inspect.getsource(self.function))).body[0]
         assert isinstance(tree, ast.FunctionDef)
-        return tree, self.function.__globals__
+        return code.co_filename, ast.increment_lineno(tree, code.co_firstlineno - 1), self.function.__globals__
 
 
-def _part(attribute: str) -> Callable[[Function], Function]:
-    def decorate(function: Function) -> Function:
+def _part(attribute: str) -> Callable[[PythonFunction], PythonFunction]:
+    def decorate(function: PythonFunction) -> PythonFunction:
         function.part = Part(function, attribute)  # type: ignore[attr-defined, arg-type]
         return function
 
@@ -79,12 +84,19 @@ class Kernel:
         with self._lock:
             if self._run is None:
                 machine.require()
-                types, host = self._types(), machine.host()
+                types, host = self.types(), machine.host()
                 code = codes.code(self.named(host), lambda: self.text(host))
-                told = Told.read(code.told(_ABOUT))
-                self._run = self.__call__ = run = caller(self.__name__, code, types, told)
-                self._apart = cache(lambda: parted(self.__name__, code, types, told, run))
+                self._run = self.__call__ = run = self.caller(code)
+                self._apart = cache(lambda: _guarded(parted(self.__name__, code, types, self._told(code), run), code, CHECKED))
             return self._run
+
+    def caller(self, code: machine.Code, checked: bool = CHECKED) -> Callable[..., Any]:
+        """The function that calls the code of a text with this kernel in it."""
+        found: Callable[..., Any] = _guarded(caller(self.__name__, code, self.types(), self._told(code)), code, checked)
+        return found
+
+    def _told(self, code: machine.Code) -> Told:
+        return Told.read(code.told(_about(self.__name__)))
 
     def parted(self) -> Callable[..., list[Any]] | None:
         """The function that has its machine code run by a pool of workers, as `calling.parted` says; None where there is none."""
@@ -101,9 +113,9 @@ class Kernel:
 
     def named(self, target: machine.Target) -> str:
         """What stands for its text: the key of its sources, or else the text."""
-        return sources.key(self.part, self._types()) or self.text(target)
+        return sources.key(self.part, self.types()) or self.text(target)
 
-    def _types(self) -> list[Any]:
+    def types(self) -> list[Any]:
         """What its annotations name."""
         function = self.part.function
         named = function.__code__.co_varnames[: function.__code__.co_argcount]
@@ -111,43 +123,66 @@ class Kernel:
 
     def text(self, target: machine.Target = machine.ANY) -> str:
         """What is compiled, in LLVM's language."""
-        types = self._types()
-        unit, lines = Unit(), [f"; {machine.WHOLE}"]
-        words = iter(range(RESULTS, 100_000))
-        body: list[str] = []
-        numbers = iter(range(100_000))
-        inputs = [_argument(each, words, body, numbers) for each in types]
-        name, result = written(unit, self.part, inputs)
-        arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
-        found = list(leaves(result))
-        if len(found) > RESULTS:
-            raise TypeError(f"{self.__name__} gives back more than {RESULTS} numbers")
-        call = f"call {result_type(result)} {name}({arguments})"
-        body.append(f"  {call}" if not found else f"  %given = {call}")
-        for k, each in enumerate(found):
-            value = "%given"
-            if len(found) > 1:
-                value = f"%given{k}"
-                body.append(f"  {value} = extractvalue {result_type(result)} %given, {k}")
-            stored = LLVM[each.kind]
-            if stored == "i1":
-                body.append(f"  %wide{k} = zext i1 {value} to i64")
-                value, stored = f"%wide{k}", "i64"
-            elif stored == "float":
-                body.append(f"  %wide{k} = fpext float {value} to double")
-                value, stored = f"%wide{k}", "double"
-            body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
-        module = Module(target)
-        text = entry(module, self.__name__, "\n".join(body))
-        told = Told(
-            tuple(each.kind for each in found), isinstance(result, tuple) and bool(found), tuple(sorted(unit.written))
-        ).text()
-        about = f'@{_ABOUT} = constant [{len(told) + 1} x i8] c"{told}\\00"'
-        lines += [about, *unit.declared.values(), module.text(), *unit.functions, text]
-        return "\n".join(lines) + "\n"
+        return text_of([self], target)
+
+    def instructions(self) -> tuple[str, Item, list[Function]]:
+        """For the interpreter, without lanes: the called function, what it returns, and all functions, callees first."""
+        unit = Unit(lanes=1)
+        words, arrays = count(), count()
+        name, result = written(unit, self.part, [_argument(each, words, [], arrays) for each in self.types()])
+        verify(unit.functions)
+        return name, result, unit.functions
 
 
-def kernel(function: Function) -> Kernel:
+def text_of(kernels: Sequence[Kernel], target: machine.Target, checked: bool = CHECKED) -> str:
+    """The text of several kernels with different names, in LLVM's language."""
+    unit, module = Unit(), Module(target)
+    entries = [line for each in kernels for line in _entry(each, unit, module)]
+    verify(unit.functions)
+    functions = rendered(unit.functions, Checks() if checked else None)
+    return "\n".join([f"; {machine.WHOLE}", module.text(), *functions, *entries]) + "\n"
+
+
+def _entry(kernel: Kernel, unit: Unit, module: Module) -> tuple[str, str]:
+    """The constant that describes a kernel, and the function that reads its arguments from a table and stores its results."""
+    words, arrays, body = count(RESULTS), count(), list[str]()
+    inputs = [_argument(each, words, body, arrays) for each in kernel.types()]
+    name, result = written(unit, kernel.part, inputs)
+    arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
+    found = list(leaves(result))
+    if len(found) > RESULTS:
+        raise TypeError(f"{kernel.__name__} gives back more than {RESULTS} numbers")
+    call = f"call {result_type(result)} {name}({arguments})"
+    body.append(f"  {call}" if not found else f"  %given = {call}")
+    for k, each in enumerate(found):
+        value = "%given"
+        if len(found) > 1:
+            value = f"%given{k}"
+            body.append(f"  {value} = extractvalue {result_type(result)} %given, {k}")
+        stored = LLVM[each.kind]
+        if stored == "i1":
+            body.append(f"  %wide{k} = zext i1 {value} to i64")
+            value, stored = f"%wide{k}", "i64"
+        elif stored == "float":
+            body.append(f"  %wide{k} = fpext float {value} to double")
+            value, stored = f"%wide{k}", "double"
+        body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
+    several = isinstance(result, tuple) and bool(found)
+    told = Told(tuple(each.kind for each in found), several, tuple(sorted(unit.written))).text()
+    about = f'@{_about(kernel.__name__)} = constant [{len(told) + 1} x i8] c"{told}\\00"'
+    return about, entry(module, kernel.__name__, "\n".join(body))
+
+
+def _about(name: str) -> str:
+    """The constant that describes a kernel."""
+    return f"about.{name}"
+
+
+def _guarded(run: Any, code: machine.Code, checked: bool) -> Any:
+    return guarded(run, code) if checked and run is not None else run
+
+
+def kernel(function: PythonFunction) -> Kernel:
     """A kernel of a function whose arguments have annotations."""
     return Kernel(function)  # type: ignore[arg-type]
 
@@ -201,7 +236,7 @@ def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterato
         return read(type.kind)
     assert isinstance(type, ArrayType)
     origin = next(numbers)
-    place = read("ptr").name
+    place = read("ptr")
     lengths = tuple(read(INT) for _ in range(type.axes))
     steps = tuple(read(INT) for _ in range(type.axes)) if type.strided else None
     return Array(type.of, place, lengths, steps, origin)

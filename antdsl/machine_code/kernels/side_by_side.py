@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from antdsl.machine_code.kernels.elements import ALL
+from antdsl.machine_code.kernels.ir import Function
 from antdsl.machine_code.kernels.statements import Writer, stored_names
 from antdsl.machine_code.kernels.types import INT, TRUTH
 from antdsl.machine_code.kernels.units import Unit, Variable, result_type
@@ -25,18 +26,18 @@ _LEAVES = (ast.Break, ast.Continue, ast.Return)
 class Turns:
     """Of a loop, or of a function: places of the turns that are in it, and of those that go on with what is written now."""
 
-    inside: str
-    now: str
+    inside: Number
+    now: Number
 
 
 class SideBySide(Writer):
     """Writes a function for one turn or for several."""
 
-    def __init__(self, unit: Unit, definition: ast.FunctionDef, world: dict[str, Any], mask: Number | None = None) -> None:
-        super().__init__(unit, definition, world)
+    def __init__(self, unit: Unit, part: Any, mask: Number | None = None) -> None:
+        super().__init__(unit, *part.source())
         self.turns: list[Turns] = []
         self.results: list[Variable] = []
-        self.fresh: set[str] = set()  # places that no turn has written to yet
+        self.fresh: set[Number] = set()  # places that no turn has written to yet
         if mask is not None:
             self.mask = mask
             self._enter()
@@ -44,7 +45,7 @@ class SideBySide(Writer):
     def _enter(self) -> Turns:
         """A loop or a function begins for those who are here."""
         assert self.mask is not None
-        turns = Turns(self.slot(TRUTH, True), self.slot(TRUTH, True))
+        turns = Turns(self.slot(TRUTH, WIDTH), self.slot(TRUTH, WIDTH))
         self.put(turns.inside, self.mask)
         self.put(turns.now, self.mask)
         self.turns.append(turns)
@@ -55,13 +56,13 @@ class SideBySide(Writer):
     def variable(self, item: Number) -> Variable:
         if self.mask is None:
             return super().variable(item)
-        place = self.slot(item.kind, True)
+        place = self.slot(item.kind, WIDTH)
         self.fresh.add(place)
-        return Variable(item.kind, place, True)
+        return Variable(item.kind, place, WIDTH)
 
     def assign(self, node: ast.AST, name: str, item: Item) -> None:
         once = self.mask is not None and isinstance(item, Number) and bool(item.first)
-        if once and self.mask == ALL and name not in self.variables and list(stored_names(self.definition)).count(name) == 1:
+        if once and self.mask == ALL and name not in self.variables and stored_names(self.definition)[name] == 1:
             self.variables[name] = item  # stays known to follow from turn to turn
         else:
             super().assign(node, name, item)
@@ -74,15 +75,15 @@ class SideBySide(Writer):
             self.fail(node, "what several turns would change at once belongs to none of them")
         value = self.widened(value)
         if self.mask.known is None and room.place not in self.fresh:
-            value = self.select(self.mask, value, self.load(room.place, room.kind, True))
+            value = self.select(self.mask, value, self.load(room.place, room.kind, WIDTH))
         self.fresh.discard(room.place)
         self.put(room.place, value)
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _some(self, mask: Number) -> Number:
-        bits = self.op(f"bitcast {mask.typed} to i{WIDTH}", f"i{WIDTH}")
-        return self.op(f"icmp ne i{WIDTH} {bits.name}, 0", TRUTH)
+        bits = self.op("lanes", f"i{WIDTH}", mask, lanes=1)
+        return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 
     def _within(self, mask: Number, write: Callable[[], None]) -> None:
         """Write what is done where a mask holds for some of the turns."""
@@ -120,12 +121,11 @@ class SideBySide(Writer):
         """After what some turns may have left: who is still here."""
         if _has_leaves(body):
             assert self.mask is not None
-            self.mask = self.both(self.mask, self.load(self.turns[-1].now, TRUTH, True))
+            self.mask = self.both(self.mask, self.load(self.turns[-1].now, TRUTH, WIDTH))
 
-    def _clear(self, place: str) -> None:
+    def _clear(self, place: Number) -> None:
         assert self.mask is not None
-        left = self.op(f"and {self.load(place, TRUTH, True).typed}, {self.inverted(self.widened(self.mask)).name}", TRUTH, True)
-        self.put(place, left)
+        self.put(place, self.op("and", TRUTH, self.load(place, TRUTH, WIDTH), self.inverted(self.widened(self.mask))))
 
     def leave(self, loop: bool) -> None:
         if self.mask is None:
@@ -144,7 +144,7 @@ class SideBySide(Writer):
         head, inner, end = self.label("while"), self.label("body"), self.label("end")
         self.jump(head)
         self.begin(head)
-        self.mask = self.load(turns.inside, TRUTH, True)
+        self.mask = self.load(turns.inside, TRUTH, WIDTH)
         here = self.both(self.mask, self.widened(self.truth(test)))
         self.put(turns.inside, here)
         self.put(turns.now, here)
@@ -161,44 +161,48 @@ class SideBySide(Writer):
         self.turns.pop()
         self.mask, self.open = before, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
-            self.mask = self.both(before, self.load(self.turns[-1].now, TRUTH, True))
+            self.mask = self.both(before, self.load(self.turns[-1].now, TRUTH, WIDTH))
 
-    def counted(self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt]) -> None:
+    def counted(
+        self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
+    ) -> None:
         if self.mask is None:
-            super().counted(name, begin, end, step, body)
+            super().counted(name, begin, end, step, body, write)
             return
+        write = write or (lambda: self.block(body))
         wide = begin.wide or end.wide
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         if not wide and not _has_leaves(body):
-            self._uniform(name, begin, end, step, body)
+            self._uniform(name, begin, end, step, write)
             return
         before, turns = self.mask, self._enter()
-        number = self.slot(INT, wide)
+        lanes = WIDTH if wide else 1
+        number = self.slot(INT, lanes)
         begin, end = (self.widened(begin), self.widened(end)) if wide else (begin, end)
         self.put(number, begin)
         head, inner, done = self.label("for"), self.label("body"), self.label("end")
         self.jump(head)
         self.begin(head)
-        at = self.load(number, INT, wide)
-        here = self.both(self.load(turns.inside, TRUTH, True), self.compare("lt" if step > 0 else "gt", at, end))
+        at = self.load(number, INT, lanes)
+        here = self.both(self.load(turns.inside, TRUTH, WIDTH), self.compare("lt" if step > 0 else "gt", at, end))
         here = self.widened(here)
         self.put(turns.inside, here)
         self.put(turns.now, here)
         self.branch(self._some(here), inner, done)
         self.begin(inner)
         self.mask, self.variables[name] = here, at
-        self.block(body)
+        write()
         self.put(number, self.arithmetic(ast.Pass(), ast.Add(), at, constant(step)))
         self.jump(head)
         self.begin(done)
         self._left(before, body)
 
-    def _uniform(self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt]) -> None:
+    def _uniform(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
         """A loop over the same numbers for all turns, which none leaves: their mask stays as it is."""
         with self._scalar_loop(begin, end, step) as at:
             self.variables[name] = at
             fresh = set(self.fresh)
-            self.block(body)
+            write()
             self.fresh &= fresh
 
     @contextmanager
@@ -225,7 +229,7 @@ class SideBySide(Writer):
         before, turns = self.mask, self._enter()
         for item in items:
             if left:
-                self.mask = self.load(turns.inside, TRUTH, True)
+                self.mask = self.load(turns.inside, TRUTH, WIDTH)
                 self.put(turns.now, self.mask)
             self.bind(node, target, item)
             self.block(body)
@@ -256,27 +260,30 @@ class SideBySide(Writer):
             super().end()
             return
         self.result = self.result or ()
-        numbers = [self.load(each.place, each.kind, True) for each in self.results]
+        numbers = [self.load(each.place, each.kind, WIDTH) for each in self.results]
         self.returned(renamed(self.result, iter([each.name for each in numbers])))
 
     # --- loops and calls -----------------------------------------------------------------------------------------------
 
     def side_by_side(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
-        if self.mask is not None:
+        if self.mask is not None or self.unit.lanes == 1:
+            known = dict(self.variables)
             self.counted(name, begin, end, 1, body)
+            if self.unit.lanes == 1:
+                self.variables = known
             return
         begin, end = self.convert(begin, INT), self.convert(end, INT)
-        count = self.op(f"sub {end.typed}, {begin.name}", INT)
-        rest = self.op(f"and {count.typed}, {-WIDTH}", INT)
-        none = self.op(f"icmp slt {count.typed}, 0", TRUTH)
-        middle = self.select(none, begin, self.op(f"add {begin.typed}, {rest.name}", INT))
+        count = self.op("sub", INT, end, begin)
+        rest = self.op("and", INT, count, constant(-WIDTH))
+        none = self.op("slt", TRUTH, count, constant(0))
+        middle = self.select(none, begin, self.op("add", INT, begin, rest))
         known, loops = dict(self.variables), self.loops
         with self._scalar_loop(begin, middle, WIDTH) as at:
-            steps = Number(INT, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", wide=True)
-            lanes = self.op(f"add {self.widened(at).typed}, {steps.name}", INT, True)
+            steps = Number(INT, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", lanes=WIDTH)
+            lanes = self.op("add", INT, self.widened(at), steps)
             self.mask, self.loops = ALL, []
             self._enter()
-            self.variables[name] = Number(INT, lanes.name, None, True, at.name)
+            self.variables[name] = Number(INT, lanes.name, None, WIDTH, at)
             self.block(body)
             self.turns.pop()
             self.mask, self.open, self.variables, self.loops = None, True, dict(known), loops
@@ -289,21 +296,19 @@ class SideBySide(Writer):
             self.fail(node, f"`{ast.unparse(node.func)}` is no function of kernels")
         wide = self.mask is not None and any(each.wide for item in inputs for each in leaves(item))
         name, result = written(self.unit, part, inputs, wide)
-        given = [each.typed for item in inputs for each in leaves(item)]
+        given = [each for item in inputs for each in leaves(item)]
         if wide:
             assert self.mask is not None
-            given.append(self.mask.typed)
-        numbers, arguments = list(leaves(result)), ", ".join(given)
+            given.append(self.mask)
+        numbers = list(leaves(result))
         if not numbers:
-            self.do(f"call void {name}({arguments})")
+            self.do("call", *given, x=name)
             return ()
         if len(numbers) == 1:
-            found = [self.op(f"call {numbers[0].type} {name}({arguments})", numbers[0].kind).name]
+            found = [self.op("call", numbers[0].kind, *given, x=name, lanes=numbers[0].lanes).name]
         else:
-            whole = self.op(f"call {result_type(result)} {name}({arguments})", "all").name
-            found = [
-                self.op(f"extractvalue {result_type(result)} {whole}, {k}", each.kind).name for k, each in enumerate(numbers)
-            ]
+            whole = self.op("call", result_type(result), *given, x=name, lanes=1)
+            found = [self.op("extractvalue", each.kind, whole, x=k, lanes=each.lanes).name for k, each in enumerate(numbers)]
         return renamed(result, iter(found))
 
 
@@ -317,20 +322,15 @@ def written(unit: Unit, part: Any, inputs: list[Item], wide: bool = False) -> tu
     side by side; its last argument is the mask of those that it counts for."""
     key = (part, ",".join(types_of(each) for each in inputs) + ("," if wide else ""))
     if key not in unit.made:
-        definition, world = part.source()
-        name = f"@{definition.name}.{len(unit.made)}"
+        name = f"@{part.function.__name__}.{len(unit.made)}"
         unit.made[key] = name, None
         numbers = iter(f"%x{k}" for k in range(100_000))
         own = [renamed(each, numbers) for each in inputs]
-        mask = Number(TRUTH, "%mask", wide=True) if wide else None
-        w = SideBySide(unit, definition, world, mask)
-        arguments = [each.typed for item in own for each in leaves(item)] + ([mask.typed] if mask else [])
+        mask = Number(TRUTH, "%mask", lanes=WIDTH) if wide else None
+        w = SideBySide(unit, part, mask)
+        arguments = [each for item in own for each in leaves(item)] + ([mask] if mask else [])
         w.run(own)
-        unit.declared |= w.declared
-        body = "\n".join((*w.allocas, *w.lines))
-        unit.functions.append(
-            f"define internal {result_type(w.result)} {name}({', '.join(arguments)}) {part.attribute} {{\nentry:\n{body}\n}}"
-        )
+        unit.functions.append(Function(name, w.file, arguments, part.attribute, result_type(w.result), w.slots, w.blocks))
         unit.made[key] = name, w.result
     elif unit.made[key][1] is None:
         raise RecursionError(f"{part} calls itself")

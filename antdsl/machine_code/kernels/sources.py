@@ -18,6 +18,7 @@ import numpy as np
 from antdsl import machine_code
 from antdsl.bounded import read_bounded
 from antdsl.limits import MIB
+from antdsl.machine_code.kernels.checks import CHECKED
 from antdsl.machine_code.kernels.types import ArrayType, Scalar
 
 _LARGEST = 4 * MIB  # of a file
@@ -29,7 +30,7 @@ class _Unknown(Exception):
 
 def key(part: Any, types: list[Any]) -> str | None:
     """What stands for the text of a kernel whose arguments have these types; None where nothing does. A text begins otherwise."""
-    told: list[str] = [_writers(), *map(_written, types)]
+    told: list[str] = [_writers(), f"checked {CHECKED}", *map(_written, types)]
     known: dict[int, int] = {}
     try:
         _function(part, told, known)

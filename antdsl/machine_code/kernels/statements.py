@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from antdsl.machine_code.kernels.expressions import Expressions
 from antdsl.machine_code.kernels.functions import independent
-from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
 from antdsl.machine_code.kernels.units import Loop, Unit, Variable, result_type
 from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves, types_of
 
@@ -18,8 +20,8 @@ _WRITTEN_OUT = 4  # turns of a loop whose numbers the text names
 class Writer(Expressions):
     """Writes one function for items of certain types."""
 
-    def __init__(self, unit: Unit, definition: ast.FunctionDef, world: dict[str, Any]) -> None:
-        super().__init__(definition.name)
+    def __init__(self, unit: Unit, file: str, definition: ast.FunctionDef, world: dict[str, Any]) -> None:
+        super().__init__(definition.name, file)
         self.unit, self.definition, self.world = unit, definition, world
         self.variables: dict[str, Any] = {}
         self.loops: list[Loop] = []
@@ -32,9 +34,7 @@ class Writer(Expressions):
         names = [each.arg for each in self.definition.args.args]
         if len(names) != len(inputs):
             self.fail(self.definition, f"{len(inputs)} arguments for {len(names)}")
-        changed = {
-            each.id for each in ast.walk(self.definition) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
-        }
+        changed = stored_names(self.definition)
         for name, item in zip(names, inputs, strict=True):
             if name in changed:
                 self.assign(self.definition, name, item)
@@ -64,7 +64,7 @@ class Writer(Expressions):
         if isinstance(item, tuple):
             return tuple(self._loaded(each) for each in item)
         if isinstance(item, Variable):
-            return self.load(item.place, item.kind, item.wide)
+            return self.load(item.place, item.kind, item.lanes)
         return item
 
     # --- assignment ----------------------------------------------------------------------------------------------------
@@ -82,7 +82,7 @@ class Writer(Expressions):
 
     def variable(self, item: Number) -> Variable:
         """Room for a number."""
-        return Variable(item.kind, self.slot(item.kind, item.wide), item.wide)
+        return Variable(item.kind, self.slot(item.kind, item.lanes), item.lanes)
 
     def _put(self, node: ast.AST, name: str, room: Any, item: Item) -> None:
         if isinstance(room, tuple) and isinstance(item, tuple) and len(room) == len(item):
@@ -93,9 +93,9 @@ class Writer(Expressions):
                 item.known is not None or item.kind == TRUTH or (item.kind, room.kind) == (INT, DOUBLE)
             ):
                 self.fail(node, f"`{name}` is {room.kind}, and is given {item.kind}")
-            if room.kind == INT and item.kind in (DOUBLE, FLOAT):
+            if room.kind in (INT, UNSIGNED, TRUTH) and item.kind in (DOUBLE, FLOAT):
                 self.fail(node, f"`{name}` is a whole number, and is given a float")
-            self.change(node, room, self.convert(item, room.kind))
+            self.change(node, room, self.as_kind(item, room.kind))
         elif not (isinstance(room, Array) and item == room):
             self.fail(node, f"`{name}` is given a value of another type")
 
@@ -120,13 +120,13 @@ class Writer(Expressions):
                 array = self.value(of)
                 if not isinstance(array, Array) or not isinstance(item, Number):
                     self.fail(node, "only numbers are put into arrays")
-                self._store(array, self.at(node, array, index), item)
+                self._store(node, array, self.at(node, array, index), item)
             case _:
                 self.fail(node, "cannot be assigned to")
 
-    def _store(self, array: Array, at: Number, item: Number) -> None:
+    def _store(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
         self.unit.written.add(array.origin)
-        self.keep(array, at, item)
+        self.keep(node, array, at, item)
 
     def _fill(self, node: ast.AST, array: Item, item: Item) -> None:
         """`a[:] = number`."""
@@ -137,7 +137,7 @@ class Writer(Expressions):
         count = self.count(array)
         whole = Array(array.of, array.address, (count,), None, array.origin)
         with_number = ast.Name(id="~k")
-        self._counted("~k", constant(0), count, 1, lambda: self._store(whole, self.number(with_number), item))
+        self._counted("~k", constant(0), count, 1, lambda: self._store(node, whole, self.number(with_number), item))
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
@@ -148,7 +148,7 @@ class Writer(Expressions):
             self.statement(each)
 
     def statement(self, node: ast.stmt) -> None:
-        self.node = node
+        self.node, self.line = node, node.lineno
         match node:
             case ast.Expr(value=ast.Constant()) | ast.Pass():
                 pass
@@ -170,7 +170,7 @@ class Writer(Expressions):
                     self.fail(node, "only an array's elements change")
                 before = self._indexed(target_of(node), array, index)
                 after = self.arithmetic(node, operator, before, self.number(value))
-                self._store(array, self.at(node, array, index), after)
+                self._store(node, array, self.at(node, array, index), after)
             case ast.If(test=test, body=then, orelse=other):
                 self.if_(test, then, other)
             case ast.While(test=test, body=body, orelse=[]):
@@ -264,11 +264,13 @@ class Writer(Expressions):
             self._to(node, target, self._indexed(over, items, ast.Name(id=at)))
             self.block(body)
 
-        self._counted(at, constant(0), items.lengths[0], 1, turn)
+        self.counted(at, constant(0), items.lengths[0], 1, body, turn)
 
-    def counted(self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt]) -> None:
-        """A loop over numbers."""
-        self._counted(name, begin, end, step, lambda: self.block(body))
+    def counted(
+        self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
+    ) -> None:
+        """A loop over numbers. `write` writes a turn, where that is more than its `body`."""
+        self._counted(name, begin, end, step, write or (lambda: self.block(body)))
 
     def side_by_side(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
         """A loop of which several turns can be done at once."""
@@ -298,19 +300,19 @@ class Writer(Expressions):
         """A loop over numbers."""
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         number = self.slot(INT)
-        self.do(f"store {begin.typed}, ptr {number}")
+        self.put(number, begin)
         head, inner, following, done = (self.label(stem) for stem in ("for", "body", "next", "end"))
         self.jump(head)
         self.begin(head)
-        at = self.op(f"load i64, ptr {number}", INT)
-        self.branch(self.op(f"icmp {'slt' if step > 0 else 'sgt'} {at.typed}, {end.name}", TRUTH), inner, done)
+        at = self.load(number, INT)
+        self.branch(self.op("slt" if step > 0 else "sgt", TRUTH, at, end), inner, done)
         self.begin(inner)
         if isinstance(self.variables.get(name), Number):  # left behind by a loop that was written out
             del self.variables[name]
         self.assign(self.definition, name, at)
         self._body(Loop(following, done), write)
         self.begin(following)
-        self.do(f"store i64 {self.op(f'add {at.typed}, {step}', INT).name}, ptr {number}")
+        self.put(number, self.op("add", INT, at, constant(step)))
         self.jump(head)
         self.begin(done)
 
@@ -325,34 +327,27 @@ class Writer(Expressions):
     def returned(self, item: Item) -> None:
         """Leave the function, which gives back an item."""
         numbers = list(leaves(item))
-        if not numbers:
-            self.do("ret void")
+        if len(numbers) < 2:
+            self.do("return", *numbers)
             return
-        if len(numbers) == 1:
-            self.do(f"ret {numbers[0].typed}")
-            return
-        type = result_type(item)
-        whole = "poison"
+        whole = Number(result_type(item), "poison")
         for k, each in enumerate(numbers):
-            name = self.name("r")
-            self.lines.append(f"  {name} = insertvalue {type} {whole}, {each.typed}, {k}")
-            whole = name
-        self.do(f"ret {type} {whole}")
+            whole = self.op("insertvalue", whole.kind, whole, each, x=k)
+        self.do("return", whole)
 
     def alike_to(self, node: ast.AST, item: Item, other: Item) -> Item:
         """An item as another one is that the function gives back."""
         if isinstance(item, tuple) and isinstance(other, tuple) and len(item) == len(other):
             return tuple(self.alike_to(node, a, b) for a, b in zip(item, other, strict=True))
         if isinstance(item, Number) and isinstance(other, Number) and (item.known is not None or item.kind == other.kind):
-            return self.convert(item, other.kind)
+            return self.as_kind(item, other.kind)
         self.fail(node, "gives back another type than before")
 
 
-def stored_names(definition: ast.FunctionDef) -> Iterator[str]:
-    """The names that a function's text gives values, as often as it does."""
-    for each in ast.walk(definition):
-        if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store):
-            yield each.id
+@lru_cache(maxsize=512)
+def stored_names(definition: ast.FunctionDef) -> Counter[str]:
+    """The names that a function's text gives values, and how often it does."""
+    return Counter(each.id for each in ast.walk(definition) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store))
 
 
 def target_of(node: ast.AugAssign) -> ast.expr:

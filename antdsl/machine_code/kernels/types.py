@@ -7,6 +7,10 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
+# Kinds of values; u64 is told from i64 by the name alone.
+DOUBLE, FLOAT, INT, UNSIGNED, TRUTH = "double", "float", "i64", "u64", "i1"
+LLVM = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i64", TRUTH: "i1"}
+
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
@@ -17,6 +21,11 @@ class Scalar:
     stored: str
     kind: str
 
+    @property
+    def loaded(self) -> str:
+        """The kind of a number of it before it is made one that is worked with."""
+        return self.kind if LLVM[self.kind] == self.stored else self.stored
+
 
 @dataclass(frozen=True, slots=True)
 class ArrayType:
@@ -26,10 +35,6 @@ class ArrayType:
     of: Scalar
     strided: bool = False
 
-
-# Kinds of values; u64 is told from i64 by the name alone.
-DOUBLE, FLOAT, INT, UNSIGNED, TRUTH = "double", "float", "i64", "u64", "i1"
-LLVM = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i64", TRUTH: "i1"}
 
 if TYPE_CHECKING:
     T = TypeVar("T")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from antdsl.machine_code.kernels.values import Item, leaves
+from antdsl.machine_code.kernels.ir import Function
+from antdsl.machine_code.kernels.values import WIDTH, Item, Number, leaves
 
 
 @dataclass(slots=True)
@@ -13,8 +14,12 @@ class Variable:
     """A number that may change: its kind, and its place on the stack."""
 
     kind: str
-    place: str
-    wide: bool = False
+    place: Number
+    lanes: int = 1
+
+    @property
+    def wide(self) -> bool:
+        return self.lanes > 1
 
 
 @dataclass(slots=True)
@@ -28,10 +33,10 @@ class Loop:
 @dataclass(slots=True, eq=False)
 class Unit:
     """All functions of a text: `made` by what they are known by, with what each gives back; `written`: the arguments whose
-    arrays some function stores to, by number."""
+    arrays some function stores to, by number. `lanes`: how many turns of independent loops are done side by side, 1 or 8."""
 
-    functions: list[str] = field(default_factory=list)
-    declared: dict[str, str] = field(default_factory=dict)
+    lanes: int = WIDTH
+    functions: list[Function] = field(default_factory=list)
     made: dict[tuple[Any, str], tuple[str, Item]] = field(default_factory=dict)
     written: set[int] = field(default_factory=set)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED, Scalar
@@ -15,30 +16,50 @@ Item = Any  # Number, Array, or a tuple of items
 WIDTH = 8  # turns of a loop that are done side by side
 
 
+_SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
+
+
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number by its kind and its name in the text; `known` is its value where the text has it. `wide`: one for each of the
-    turns that are done side by side; `first` is that of the first turn where each has one more than the turn before."""
+    """A number by its kind and its name in the text; `known` is its value where the text has it. `lanes`: how many of them there
+    are, one for each of the turns that are done side by side; `first` is that of the first turn where each has one more than the
+    turn before."""
 
     kind: str
     name: str
     known: int | float | bool | None = None
-    wide: bool = False
-    first: str = ""
+    lanes: int = 1
+    first: Number | None = None
+
+    @property
+    def wide(self) -> bool:
+        return self.lanes > 1
+
+    @property
+    def base(self) -> str:
+        """The type of one lane in LLVM's language."""
+        return LLVM.get(self.kind, self.kind)
 
     @property
     def type(self) -> str:
-        return text_type(self.kind, self.wide)
+        return text_type(self.kind, self.lanes)
 
     @property
     def typed(self) -> str:
         return f"{self.type} {self.name}"
 
+    @property
+    def suffix(self) -> str:
+        """What stands behind the name of an intrinsic function of such numbers."""
+        one = _SUFFIXES.get(self.base, self.base)
+        return f"v{self.lanes}{one}" if self.lanes > 1 else one
 
-def text_type(kind: str, wide: bool) -> str:
+
+@cache
+def text_type(kind: str, lanes: int = 1) -> str:
     """A kind in LLVM's language."""
     one = LLVM.get(kind, kind)
-    return f"<{WIDTH} x {one}>" if wide else one
+    return f"<{lanes} x {one}>" if lanes > 1 else one
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +67,7 @@ class Array:
     """An array by the name of its address, the lengths of its axes, and the elements from one index to the next along each."""
 
     of: Scalar
-    address: str
+    address: Number
     lengths: tuple[Number, ...]
     steps: tuple[Number, ...] | None = None
     origin: int = -1  # number of the kernel's argument, -1 for scratch
@@ -77,7 +98,7 @@ def leaves(item: Item) -> Iterator[Number]:
         for each in item:
             yield from leaves(each)
     elif isinstance(item, Array):
-        yield Number("ptr", item.address)
+        yield item.address
         yield from item.lengths
         yield from item.steps or ()
     else:
@@ -90,7 +111,7 @@ def types_of(item: Item) -> str:
         return "(" + ",".join(types_of(each) for each in item) + ")"
     if isinstance(item, Array):
         return f"[{item.of.name}{len(item.lengths)}{'s' if item.steps else ''}.{item.origin}]"
-    return f"{item.kind}{WIDTH}" if item.wide else str(item.kind)
+    return f"{item.kind}{item.lanes}" if item.wide else str(item.kind)
 
 
 def renamed(item: Item, names: Iterator[str]) -> Item:
@@ -98,8 +119,8 @@ def renamed(item: Item, names: Iterator[str]) -> Item:
     if isinstance(item, tuple):
         return tuple(renamed(each, names) for each in item)
     if isinstance(item, Array):
-        address = next(names)
+        address = Number("ptr", next(names))
         lengths = tuple(Number(INT, next(names)) for _ in item.lengths)
         steps = None if item.steps is None else tuple(Number(INT, next(names)) for _ in item.steps)
         return Array(item.of, address, lengths, steps, item.origin)
-    return Number(item.kind, next(names), wide=item.wide)
+    return Number(item.kind, next(names), lanes=item.lanes)

@@ -1,0 +1,128 @@
+"""The checked build of kernels: with `ANTDSL_CHECKED_KERNELS=1` in the environment, errors raise KernelFault with file and line.
+
+It checks that indices are within their axis, that lanes read and store within their array, and that no integer is divided by 0. A
+failed check stores its number in the word `fault` and returns zeros; each caller then returns as well. Alignment needs no check:
+calls reject arrays that are not aligned to their elements, and no instruction assumes more. The interpreter raises the same
+errors."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, Final
+
+from antdsl.machine_code.kernels.ir import CHECKS, Function, Instruction
+from antdsl.machine_code.kernels.values import WIDTH
+from antdsl.machine_code.machine import Code
+
+VARIABLE: Final = "ANTDSL_CHECKED_KERNELS"
+CHECKED: Final = os.environ.get(VARIABLE) == "1"
+_WORD, _PLACES = "fault", "fault.places"
+_LANES, _MASK = f"<{WIDTH} x i64>", f"<{WIDTH} x i1>"
+_HELPERS = f"""@{_WORD} = global i64 0
+define internal i1 @check.index(i64 %i, i64 %length, i64 %count) alwaysinline {{
+  %last = sub i64 %length, %count
+  %low = icmp sge i64 %i, 0
+  %high = icmp sle i64 %i, %last
+  %fine = and i1 %low, %high
+  ret i1 %fine
+}}
+define internal i1 @check.all({_MASK} %fine, {_MASK} %mask) alwaysinline {{
+  %wrong = xor {_MASK} %fine, splat (i1 true)
+  %counts = and {_MASK} %wrong, %mask
+  %bits = bitcast {_MASK} %counts to i{WIDTH}
+  %none = icmp eq i{WIDTH} %bits, 0
+  ret i1 %none
+}}
+define internal i1 @check.indices({_LANES} %i, i64 %length, i64 %count, {_MASK} %mask) alwaysinline {{
+  %last = sub i64 %length, %count
+  %one = insertelement {_LANES} poison, i64 %last, i64 0
+  %lasts = shufflevector {_LANES} %one, {_LANES} poison, <{WIDTH} x i32> zeroinitializer
+  %low = icmp sge {_LANES} %i, zeroinitializer
+  %high = icmp sle {_LANES} %i, %lasts
+  %fine = and {_MASK} %low, %high
+  %found = call i1 @check.all({_MASK} %fine, {_MASK} %mask)
+  ret i1 %found
+}}"""
+
+
+class KernelFault(RuntimeError):
+    """A kernel indexes outside an array or divides by 0; the message has the file and the line."""
+
+
+def described(file: str, line: int, op: str) -> str:
+    """The message of a check that fails."""
+    return f"{file}, line {line}: {CHECKS[op]}"
+
+
+class Checks:
+    """Writes the checks of the functions of one text."""
+
+    def __init__(self) -> None:
+        self._places: list[str] = []
+        self._numbers = 0
+
+    def lines(self, function: Function, each: Instruction) -> list[str]:
+        """A check, and the return where it fails."""
+        self._places.append(described(function.file, each.line, each.op))
+        self._numbers += 1
+        lines, fine = [], f"%c{self._numbers}"
+        first, *others = each.operands
+        if each.op == "divisor" and not first.wide:
+            lines.append(f"  {fine} = icmp ne {first.typed}, 0")
+        elif each.op == "divisor":
+            lines.append(f"  {fine}.each = icmp ne {first.typed}, zeroinitializer")
+            lines.append(f"  {fine} = call i1 @check.all({_MASK} {fine}.each, {_mask(others)})")
+        elif first.wide:
+            given = f"{first.typed}, {others[0].typed}, i64 {each.extra}, {_mask(others[1:])}"
+            lines.append(f"  {fine} = call i1 @check.indices({given})")
+        else:
+            length = others[0].name
+            for k, other in enumerate(others[1:] if each.op == "span" else ()):
+                lines.append(f"  {fine}.of{k} = mul i64 {length}, {other.name}")
+                length = f"{fine}.of{k}"
+            lines.append(f"  {fine} = call i1 @check.index({first.typed}, i64 {length}, i64 {each.extra})")
+        return [*lines, *self._left(function, fine, f"  store i64 {len(self._places)}, ptr @{_WORD}")]
+
+    def after_call(self, function: Function) -> list[str]:
+        """Return where the called function has failed."""
+        self._numbers += 1
+        fine = f"%c{self._numbers}"
+        return [
+            f"  {fine}.word = load i64, ptr @{_WORD}", f"  {fine} = icmp eq i64 {fine}.word, 0",
+            *self._left(function, fine),
+        ]  # fmt: skip
+
+    def _left(self, function: Function, fine: str, *before: str) -> list[str]:
+        label = fine[1:]
+        given = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
+        branch = f"  br i1 {fine}, label %{label}.fine, label %{label}.fault"
+        return [branch, f"{label}.fault:", *before, f"  {given}", f"{label}.fine:"]
+
+    def text(self) -> str:
+        """Definitions that the checks of a module share."""
+        data = "\n".join(self._places).encode("utf-8", "surrogateescape") + b"\0"
+        escaped = "".join(chr(each) if 32 <= each < 127 and each not in b'"\\' else f"\\{each:02X}" for each in data)
+        return f'{_HELPERS}\n@{_PLACES} = constant [{len(data)} x i8] c"{escaped}"'
+
+
+def _mask(operands: list[Any]) -> str:
+    return operands[0].typed if operands else f"{_MASK} splat (i1 true)"
+
+
+def guarded(run: Callable[..., Any], code: Code) -> Callable[..., Any]:
+    """The call of a checked kernel, which raises KernelFault."""
+    word = ctypes.c_int64.from_address(code.constant(_WORD))
+
+    @wraps(run, assigned=())
+    def call(*arguments: Any) -> Any:
+        found = run(*arguments)
+        if word.value:
+            place = code.told(_PLACES).split("\n")[word.value - 1]
+            word.value = 0
+            raise KernelFault(place)
+        return found
+
+    return call

@@ -1,0 +1,218 @@
+"""The intermediate representation of kernels: functions of typed instructions in blocks, with a builder and a verifier."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, NamedTuple, NoReturn
+
+from antdsl.machine_code.kernels.operations import CLASSES, ENDS, OPS
+from antdsl.machine_code.kernels.values import Number, text_type
+
+CHECKS = {  # operations that are checks, with their messages
+    "index": "index out of range, or negative",
+    "span": "lanes access memory outside the array",
+    "divisor": "integer division by 0",
+}
+MOST = 64  # consecutive elements at most
+ZEROS = Number("ptr", "@zeros")  # read by inactive lanes
+_NUMBERS = frozenset().union(*(CLASSES[each] for each in "fib"))
+_GLOBAL = {ZEROS.name: "ptr"}
+
+
+class NotInSubset(Exception):
+    """A kernel's text has what kernels cannot have, which is our mistake; the message has the place."""
+
+
+class InvalidCode(Exception):
+    """Instructions that do not fit together, which is the writer's mistake."""
+
+
+class Instruction(NamedTuple):
+    """One row of `OPS` with its operands. `extra` is what the row calls `x`; `line` is that of the kernel's file."""
+
+    op: str
+    result: Number | None
+    operands: tuple[Number, ...]
+    extra: Any
+    line: int
+
+
+class Block(NamedTuple):
+    """Instructions of which the last one says which block follows."""
+
+    label: str
+    body: list[Instruction]
+
+
+@dataclass(slots=True)
+class Function:
+    """`slots`: its places on the stack. `result`: the types that it gives back, as text. `attribute`: as LLVM has it."""
+
+    name: str
+    file: str
+    arguments: list[Number]
+    attribute: str = ""
+    result: str = "void"
+    slots: list[Instruction] = field(default_factory=list)
+    blocks: list[Block] = field(default_factory=list)
+
+
+class Builder:
+    """Adds the instructions of one function."""
+
+    def __init__(self, place: str, file: str) -> None:
+        self.place, self.file = place, file
+        self.node: ast.AST = ast.Pass()  # the statement that is written
+        self.line = 0  # where it is
+        self.slots: list[Instruction] = []
+        self.blocks = [Block("entry", [])]
+        self.block_now = self.blocks[0]
+        self._numbers = 0
+
+    def name(self, stem: str = "v") -> str:
+        self._numbers += 1
+        return f"%{stem}{self._numbers}"
+
+    def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Number:
+        """An instruction with a result: of as many lanes as its first operand has, unless `lanes` says otherwise."""
+        found = Number(kind, self.name(), lanes=lanes or operands[0].lanes)
+        self.block_now.body.append(Instruction(op, found, operands, x, self.line))
+        return found
+
+    def do(self, op: str, *operands: Number, x: Any = "", node: ast.AST | None = None) -> None:
+        """An instruction without a result."""
+        line = getattr(node, "lineno", self.line)
+        self.block_now.body.append(Instruction(op, None, operands, x, line))
+
+    def slot(self, kind: str, lanes: int = 1) -> Number:
+        """A place on the stack."""
+        return self._alloca("a", text_type(kind, lanes))
+
+    def room(self, count: int, stored: str) -> Number:
+        """Places on the stack for so many numbers."""
+        return self._alloca("s", f"[{count} x {stored}], align 64")
+
+    def _alloca(self, stem: str, type: str) -> Number:
+        found = Number("ptr", self.name(stem))
+        self.slots.append(Instruction("alloca", found, (), type, 0))
+        return found
+
+    def load(self, place: Number, kind: str, lanes: int = 1) -> Number:
+        """What lies on the stack."""
+        return self.op("load", kind, place, lanes=lanes)
+
+    def put(self, place: Number, value: Number) -> None:
+        self.do("store", value, place)
+
+    def label(self, stem: str) -> str:
+        self._numbers += 1
+        return f"{stem}{self._numbers}"
+
+    def begin(self, label: str) -> None:
+        self.block_now = Block(label, [])
+        self.blocks.append(self.block_now)
+
+    def jump(self, label: str) -> None:
+        self.do("jump", x=(label,))
+
+    def branch(self, condition: Number, then: str, other: str) -> None:
+        self.do("branch", condition, x=(then, other))
+
+    def fail(self, node: ast.AST, why: str) -> NoReturn:
+        line = getattr(node, "lineno", self.line)
+        raise NotInSubset(f"{self.file}, line {line}, `{self.place}`: {why}")
+
+
+def verify(functions: Sequence[Function]) -> None:
+    """Raise InvalidCode where operand types do not fit the operation, a register is defined twice or read before, or a block does
+    not end with its only branch."""
+    known = {each.name: each for each in functions}
+    for each in functions:
+        _Verifier(each, known).run()
+
+
+class _Verifier:
+    def __init__(self, function: Function, known: Mapping[str, Function]) -> None:
+        self.function, self.known = function, known
+        self.types = {each.name: each.type for each in function.arguments}
+        self.slots = {each.result.name: each.extra for each in function.slots if each.result is not None}
+        self.labels = {each.label for each in function.blocks}
+        self.types |= dict.fromkeys(self.slots, "ptr") | _GLOBAL
+
+    def run(self) -> None:
+        for block in self.function.blocks:
+            for k, each in enumerate(block.body):
+                if (each.op in ENDS) != (k == len(block.body) - 1):
+                    self.fail(each, f"block {block.label} does not end with its only branch")
+                self.instruction(each)
+            if not block.body:
+                raise InvalidCode(f"{self.function.name}: block {block.label} is empty")
+
+    def fail(self, each: Instruction, why: str) -> NoReturn:
+        raise InvalidCode(f"{self.function.file}, line {each.line}, {self.function.name}: {why} ({each})")
+
+    def instruction(self, each: Instruction) -> None:
+        op, result, operands, extra, _ = each
+        known, types = self.types, tuple(operand.type for operand in operands)
+        for operand, type in zip(operands, types, strict=True):
+            if operand.name[0] in "%@" and known.get(operand.name) != type:
+                self.fail(each, f"{operand.name} is {known.get(operand.name, 'not known')}, not {type}")
+        gives = "" if result is None else result.type
+        if not _fits(op, types, gives):
+            self.fail(each, "types do not fit the operation")
+        if op in ("load", "store"):
+            slot = self.slots.get(operands[-1].name, "[")
+            if slot[0] != "[" and slot != (gives or types[0]):
+                self.fail(each, f"the place is {slot}")
+        elif op == "call" and not self._called(extra, types, gives or "void"):
+            self.fail(each, "a call of another type than the function")
+        elif op == "return" and self.function.result != (types[0] if types else "void"):
+            self.fail(each, f"gives back {types}, not {self.function.result}")
+        elif op in ENDS and not self.labels.issuperset(extra):
+            self.fail(each, "no such block")
+        if result is not None:
+            if result.name in known:
+                self.fail(each, "the name is given twice")
+            known[result.name] = gives
+
+    def _called(self, name: str, types: tuple[str, ...], gives: str) -> bool:
+        function = self.known.get(name)
+        return function is not None and (tuple(one.type for one in function.arguments), function.result) == (types, gives)
+
+
+@cache
+def _fits(op: str, types: tuple[str, ...], result: str) -> bool:
+    """Whether operands and a result are of the types that an operation takes and gives."""
+    takes, gives, lanewise = OPS[op].takes, OPS[op].gives, OPS[op].lanewise
+    parts = [_parted(each) for each in types]
+    bases = [base for _, base in parts]
+    lanes = parts[0][0] if parts else 1
+    if not takes.endswith("*") and len(takes) != len(types):
+        return False
+    if not all(_is(letter, base, bases[0]) for letter, base in zip(takes, bases, strict=False)):
+        return False
+    if op == "select" and (types[1] != types[2] or lanes not in (1, parts[1][0])):
+        return False
+    if lanewise and op != "select" and any(each != lanes for each, _ in parts):
+        return False
+    if op == "call" or not (gives and result):
+        return op == "call" or gives == result
+    if gives in ("2", "="):
+        return result == types[1 if gives == "2" else 0]
+    own, base = _parted(result)
+    return _is(gives, base, "") and (not lanewise or own == lanes)
+
+
+def _parted(type: str) -> tuple[int, str]:
+    """How many lanes a type has, and the type of one."""
+    lanes, _, base = type.strip("<>").partition(" x ") if type[0] == "<" else ("1", "", type)
+    return int(lanes), base
+
+
+def _is(letter: str, base: str, first: str) -> bool:
+    if letter in "v*":
+        return True
+    return base == first if letter == "=" else base in (_NUMBERS if letter == "n" else CLASSES.get(letter, (letter,)))

@@ -1,0 +1,161 @@
+"""The table of all operations of kernels: types, text in LLVM's language, and the meaning of one lane in Python.
+
+Types are those of LLVM: integers have no sign, operations do (`sdiv`, `udiv`). Operations on numbers apply to each lane, so one
+row is both the scalar and the vector form. Results are exact, or rounded once to nearest, ties to even:
+
+- Integers wrap around. Shift counts are 0 to 63 (`arithmetic` takes them modulo 64).
+- Floats follow IEEE 754, with denormals. No operation is fused. The sign and the payload of a NaN are not defined.
+- Comparisons with NaN are false, except `fne`.
+- Casts of floats to integers truncate and saturate; NaN becomes 0."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+DTYPES: Final[Mapping[str, Any]] = {
+    "double": np.float64, "float": np.float32, "i64": np.int64, "i32": np.int32, "i16": np.int16, "i8": np.int8, "i1": np.bool_,
+}  # fmt: skip
+# Classes of types: floats, whole numbers, conditions, addresses; numbers, and everything.
+CLASSES: Final[Mapping[str, frozenset[str]]] = {
+    "f": frozenset({"double", "float"}),
+    "i": frozenset({"i64", "i32", "i16", "i8"}),
+    "b": frozenset({"i1"}),
+    "p": frozenset({"ptr"}),
+}
+
+
+class Operation(NamedTuple):
+    """`takes`: a class of types for each operand; `=` is the type of the first one, `n` any number, `v` any type. `gives`: the
+    same for the result; `2` is the type of the second operand. `text` formats the operands, the result `r` and the immediate
+    `x`. `meaning` is a function of NumPy scalars; the interpreter implements the operations that have none."""
+
+    takes: str
+    gives: str
+    text: str
+    meaning: Callable[..., Any] | None = None
+    lanewise: bool = True
+
+
+def _unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
+    """A function of whole numbers without a sign, of numbers with one."""
+    return lambda a, b: wrapped(function(int(a) & _ONES, int(b) & _ONES))
+
+
+_ONES: Final = (1 << 64) - 1
+
+
+def wrapped(number: int | bool) -> Any:
+    """A whole number in 64 bits; a condition as it is."""
+    if isinstance(number, bool):
+        return np.bool_(number)
+    return np.int64((number + (1 << 63) & _ONES) - (1 << 63))
+
+
+def _quotient(a: Any, b: Any) -> Any:
+    a, b = int(a), int(b)
+    return wrapped(abs(a) // abs(b) * (1 if (a < 0) == (b < 0) else -1))
+
+
+def _remainder(a: Any, b: Any) -> Any:
+    a, b = int(a), int(b)
+    return wrapped(abs(a) % abs(b) * (-1 if a < 0 else 1))
+
+
+def _saturated(least: int, most: int) -> Callable[[Any, Any], Any]:
+    def cast(a: Any, _: Any) -> Any:
+        number = float(a)
+        if math.isnan(number):
+            return np.int64(0)
+        return wrapped(most if number >= most else least if number <= least else int(number))
+
+    return cast
+
+
+def _of_bits(a: Any, dtype: Any) -> Any:
+    return a.view(dtype)
+
+
+def _cast(a: Any, dtype: Any) -> Any:
+    return a.astype(dtype)
+
+
+def _without_sign(a: Any, dtype: Any) -> Any:
+    """Of a whole number as if it had no sign."""
+    return (a if a.dtype == np.bool_ else a.view(f"u{a.dtype.itemsize}")).astype(dtype)
+
+
+def _binary(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+    return {name: Operation(takes, "=", name + " {0.typed}, {1.name}", meaning) for name, meaning in meanings.items()}
+
+
+def _compared(takes: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+    """Comparisons: `prefix` before their names, `word` and `sign` as LLVM has them."""
+    return {
+        f"{prefix}{name}": Operation(takes, "b", f"{word} {sign}{name}" + " {0.typed}, {1.name}", meaning)
+        for name, meaning in meanings.items()
+    }
+
+
+def _casts(takes: str, gives: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+    """Casts; their meanings are functions of a number and the type that it gets."""
+    return {name: Operation(takes, gives, name + " {0.typed} to {r.type}", meaning) for name, meaning in meanings.items()}
+
+
+def _functions(meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+    text = "call {r.type} @llvm.NAME.{0.suffix}({0.typed})"
+    return {name: Operation("f", "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
+
+
+_ORDER: Final = {"lt": operator.lt, "le": operator.le, "gt": operator.gt, "ge": operator.ge}
+OPS: Final[Mapping[str, Operation]] = {
+    **_binary("f=", {"fadd": operator.add, "fsub": operator.sub, "fmul": operator.mul, "fdiv": operator.truediv}),
+    **_functions({"sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "rint": np.rint, "fabs": np.abs}),
+    "fneg": Operation("f", "=", "fneg {0.typed}", operator.neg),
+    **_binary("i=", {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "sdiv": _quotient, "srem": _remainder}),
+    **_binary("i=", {"udiv": _unsigned(operator.floordiv), "urem": _unsigned(operator.mod), "lshr": _unsigned(operator.rshift)}),
+    **_binary("i=", {"shl": operator.lshift, "ashr": operator.rshift}),
+    **_binary("n=", {"and": operator.and_, "or": operator.or_, "xor": operator.xor}),
+    **_compared("f=", "f", "fcmp", "o", {**_ORDER, "eq": operator.eq}),
+    **_compared("f=", "f", "fcmp", "u", {"ne": operator.ne, "no": lambda a, b: (a != a) | (b != b)}),
+    **_compared("i=", "s", "icmp", "s", _ORDER),
+    **_compared("i=", "u", "icmp", "u", {name: _unsigned(function) for name, function in _ORDER.items()}),
+    **_compared("n=", "", "icmp", "", {"eq": operator.eq, "ne": operator.ne}),
+    "select": Operation("bvv", "2", "select {0.typed}, {1.typed}, {2.typed}", lambda c, a, b: a if c else b),
+    **_casts("i", "i", {"sext": _cast, "trunc": _cast}),
+    **_casts("n", "n", {"zext": _without_sign, "uitofp": _without_sign, "bitcast": _of_bits}),
+    **_casts("i", "f", {"sitofp": _cast}),
+    **_casts("f", "f", {"fpext": _cast, "fptrunc": _cast}),
+    "fptosi": Operation(
+        "f", "i", "call {r.type} @llvm.fptosi.sat.{r.suffix}.{0.suffix}({0.typed})", _saturated(-(1 << 63), (1 << 63) - 1)
+    ),
+    "fptoui": Operation("f", "i", "call {r.type} @llvm.fptoui.sat.{r.suffix}.{0.suffix}({0.typed})", _saturated(0, _ONES)),
+    # Memory. `x`: the type of an element or of a place, or how what is read lies.
+    "alloca": Operation("", "p", "alloca {x}", lanewise=False),
+    "element": Operation("pi", "p", "getelementptr {x}, {0.typed}, {1.typed}", lanewise=False),
+    "load": Operation("p", "v", "load {r.type}, {0.typed}{x}", lanewise=False),
+    "store": Operation("vp", "", "store {0.typed}, {1.typed}{x}", lanewise=False),
+    "prefetch": Operation("p", "", "call void @llvm.prefetch.p0({0.typed}, i32 0, i32 3, i32 1)", lanewise=False),
+    # Lanes. `x`: the number of a lane, or the numbers of several.
+    "insertelement": Operation("vv", "=", "insertelement {0.typed}, {1.typed}, i64 {x}", lanewise=False),
+    "extractelement": Operation("v", "v", "extractelement {0.typed}, i64 {x}", lanewise=False),
+    "shufflevector": Operation("v=", "v", "shufflevector {0.typed}, {1.typed}, {x}", lanewise=False),
+    "lanes": Operation("b", "i8", "bitcast {0.typed} to {r.type}", lanewise=False),
+    # Functions, and what several numbers are given back in. `x`: the name of a function, or the number of a part.
+    "call": Operation("*", "v", "call {r.type} {x}({all})", lanewise=False),
+    "extractvalue": Operation("v", "v", "extractvalue {0.typed}, {x}", lanewise=False),
+    "insertvalue": Operation("vv", "=", "insertvalue {0.typed}, {1.typed}, {x}", lanewise=False),
+    # Ends of blocks. `x`: the labels of the blocks that follow.
+    "jump": Operation("", "", "br label %{x[0]}", lanewise=False),
+    "branch": Operation("b", "", "br {0.typed}, label %{x[0]}, label %{x[1]}", lanewise=False),
+    "return": Operation("*", "", "ret {all}", lanewise=False),
+    # Checks, of a checked build and of the interpreter (`checks`). `x`: how many elements follow each other.
+    "index": Operation("ii*", "", "", lanewise=False),
+    "span": Operation("i*", "", "", lanewise=False),
+    "divisor": Operation("i*", "", "", lanewise=False),
+}
+ENDS: Final = frozenset({"jump", "branch", "return"})

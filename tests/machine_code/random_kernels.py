@@ -1,0 +1,185 @@
+"""Random kernels that are interpreted and compiled: `python tests/machine_code/random_kernels.py --count 20000 --seed 1`.
+
+Each kernel runs on arrays of several lengths with extreme values. All that it writes and returns has to have the same bits from
+the interpreter, which runs one turn after another, and from machine code, which has eight in lanes. NaN equals NaN. A part of the
+kernels may index outside an array or divide by 0: there the checked build has to raise what the interpreter raises. `--target`
+compiles for another target instead and runs nothing. Exit code 1 where something differs; the kernel is printed."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+
+from antdsl.machine_code import machine, shipped
+from antdsl.machine_code.kernels import KernelFault, NotInSubset
+from antdsl.machine_code.kernels.interpret import Interpreter
+from antdsl.machine_code.kernels.ir import InvalidCode
+from antdsl.machine_code.kernels.kernel import Kernel, text_of
+
+sys.path.insert(0, str(Path(__file__).parent))
+from random_kernel_source import OUTPUTS, module_of  # noqa: E402
+
+BATCH = 40  # kernels of one module
+LENGTHS = (0, 1, 7, 8, 9, 17)
+DTYPES = {
+    "F64": np.float64, "F32": np.float32, "I64": np.int64, "U64": np.uint64, "BOOL": np.bool_, "I32": np.int32, "I16": np.int16,
+    "U8": np.uint8,
+}  # fmt: skip
+_FLOATS = [
+    0.0, -0.0, 1.0, -1.0, 0.5, 1.5, 2.5, -2.5, np.nan, np.inf, -np.inf, 5e-324, -5e-324, 2.2e-308, 1e-40, 1.7e308, -3.4e38, 2.0**24,
+    2.0**24 + 1, 2.0**31, 2.0**53, 2.0**53 + 2, 2.0**62, 2.0**63, -(2.0**63), 2.0**64, 1e300, 1e-300, 0.1, 3.14159, 0.49999999999999994,
+]  # fmt: skip
+_WHOLES = [
+    0, 1, -1, 2, 3, -3, 7, 63, 64, 2**31 - 1, 2**31, -(2**31), 2**32, 2**53 - 1, 2**53, 2**53 + 1, -(2**53) - 1, 2**63 - 1, -(2**63),
+    -(2**63) + 1, 255, 256, -129, 32768,
+]  # fmt: skip
+
+
+def numbers(rng: np.random.Generator, name: str, count: int) -> np.ndarray:
+    """Random numbers of a type, half of them extreme ones."""
+    extreme = rng.random(count) < 0.5
+    with np.errstate(all="ignore"):
+        if name in ("F64", "F32"):
+            usual = rng.normal(size=count) * 10 ** rng.uniform(-2, 3, count)
+            return np.where(extreme, rng.choice(_FLOATS, count), usual).astype(DTYPES[name])
+        if name == "BOOL":
+            return rng.random(count) < 0.5
+        found = np.where(extreme, rng.choice(np.array(_WHOLES), count), rng.integers(-20, 20, count))
+        return found.astype(DTYPES[name])
+
+
+def inputs(seed: int, length: int) -> dict[str, Any]:
+    """The arguments of a kernel, in the order of its parameters."""
+    rng = np.random.default_rng(seed)
+    found: dict[str, Any] = {}
+    for name in ("F64", "F32", "I64", "U64", "BOOL", "I32", "I16", "U8"):
+        found[f"in_{name}"] = numbers(rng, name, length)
+    found["rows"] = numbers(rng, "F64", 3 * length).reshape(-1, 3)
+    found["rows32"] = numbers(rng, "F32", 3 * length).reshape(-1, 3)
+    turned = numbers(rng, "F64", 3 * length).reshape(3, -1).T
+    found["strided"] = turned[::-1, ::-1] if seed % 2 else turned
+    found["cube"] = numbers(rng, "F64", 4 * length).reshape(-1, 2, 2)
+    found["table"], found["table32"] = numbers(rng, "F64", 64), numbers(rng, "F32", 64)
+    found["small"] = numbers(rng, "I64", 3)
+    found["ahead"] = numbers(rng, "F64", length + 4)
+    found["order"] = rng.permutation(length)
+    for name in OUTPUTS:
+        found[f"out_{name}"] = numbers(rng, name, length)
+    found["out_rows"] = numbers(rng, "F64", 3 * length).reshape(-1, 3)
+    found["x"], found["y"] = float(numbers(rng, "F64", 1)[0]), float(numbers(rng, "F32", 1)[0])
+    found["w"], found["v"], found["q"] = int(rng.choice(_WHOLES)), int(numbers(rng, "U64", 1)[0]), bool(seed % 3)
+    found["begin"], found["end"] = (min(3, length) if seed % 5 == 0 else 0), length
+    return found
+
+
+def outcome(run: Any, given: dict[str, Any]) -> tuple[str, list[Any]]:
+    """The message of the error if there is one, and all that a kernel wrote and returned. The arrays are copied before."""
+    own = {name: value.copy(order="K") if isinstance(value, np.ndarray) else value for name, value in given.items()}
+    own["strided"] = given["strided"]  # whose steps a copy would not keep
+    try:
+        found = run(*own.values())
+    except KernelFault as fault:
+        return str(fault), []
+    return "", [*(value for name, value in own.items() if name.startswith("out_")), np.array(found, np.float64 if found is None else None)]
+
+
+def equal(one: Any, other: Any) -> bool:
+    """Whether two arrays have the same bits, or NaN both."""
+    if one.dtype != other.dtype or one.shape != other.shape:
+        return False
+    if one.dtype.kind != "f":
+        return bool((one == other).all())
+    same = one.view(f"u{one.itemsize}") == other.view(f"u{one.itemsize}")
+    return bool((same | (np.isnan(one) & np.isnan(other))).all())
+
+
+def load(source: str, folder: Path) -> list[Kernel]:
+    """The kernels of a module, from its source."""
+    path = folder / "drawn_kernels.py"
+    path.write_text(source)
+    spec = importlib.util.spec_from_file_location("drawn_kernels", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    import linecache
+
+    linecache.checkcache(str(path))
+    return [value for value in vars(module).values() if isinstance(value, Kernel)]
+
+
+def differences(kernels: Sequence[Kernel], seed: int, daring: bool) -> Iterator[str]:
+    """Compare kernels, and tell what differs."""
+    host = machine.host()
+    try:
+        code = machine.load(machine.object_code(text_of(kernels, host, checked=daring), host))
+    except (NotInSubset, InvalidCode, RuntimeError) as problem:
+        if len(kernels) == 1:
+            yield f"{kernels[0].__name__}, not compiled: {problem}"
+        else:
+            for each in kernels:
+                yield from differences([each], seed, daring)
+        return
+    for number, kernel in enumerate(kernels):
+        compiled, interpreted = kernel.caller(code, checked=daring), Interpreter(kernel)
+        for length in (17, LENGTHS[(seed + number) % len(LENGTHS)]):
+            given = inputs(1000 * seed + number + length, length)
+            (fault, wanted), (raised, found) = outcome(interpreted, given), outcome(compiled, given)
+            if daring and (fault or raised):
+                if bool(fault) != bool(raised) or ("independent" not in kernel.__doc__ and fault != raised):
+                    yield f"{kernel.__name__}, length {length}: {fault or 'no error'} interpreted, {raised or 'none'} compiled"
+            elif fault:
+                yield f"{kernel.__name__}, length {length}: {fault}"
+            elif not all(equal(a, b) for a, b in zip(wanted, found, strict=True)):
+                pairs = [(a, b) for a, b in zip(wanted, found, strict=True) if not equal(a, b)]
+                yield f"{kernel.__name__}, length {length}: interpreted\n{pairs[0][0]}\ncompiled\n{pairs[0][1]}"
+
+
+def compare(count: int, seed: int, target: str = "", show: bool = True) -> list[str]:
+    """Draw so many kernels and compare them; what differs, with the sources."""
+    found: list[str] = []
+    with tempfile.TemporaryDirectory() as name:
+        for batch in range(0, count, BATCH):
+            daring = batch // BATCH % 8 == 7
+            source = module_of(Random(f"{seed} {batch}"), min(BATCH, count - batch), daring)
+            kernels = load(source, Path(name))
+            if target:
+                machine.object_code(text_of(kernels, shipped.TARGETS[target]), shipped.TARGETS[target])
+                continue
+            for each in differences(kernels, seed + batch, daring):
+                found.append(f"seed {seed}, batch {batch}: {each}\n{_source(source, each.split(',')[0])}")
+                if show:
+                    print(found[-1], flush=True)
+            if show and batch // BATCH % 25 == 24:
+                print(f"{batch + BATCH} kernels, {len(found)} differences, {time.process_time():.0f} s of CPU", flush=True)
+    return found
+
+
+def _source(source: str, name: str) -> str:
+    """A kernel's part of its module, with the helpers before it."""
+    parts = source.split("\n\n\n")
+    helpers = [part for part in parts if f"def {name}_" in part]
+    return "\n\n".join([*helpers, *(part for part in parts if f"def {name}(" in part)])
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=400)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--target", choices=list(shipped.TARGETS), default="", help="compile for a target, run nothing")
+    options = parser.parse_args()
+    found = compare(options.count, options.seed, options.target)
+    print(f"{options.count} kernels, {len(found)} differences, {time.process_time():.0f} s of CPU")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
