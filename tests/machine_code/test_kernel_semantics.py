@@ -1,0 +1,334 @@
+"""What kernels mean: the same interpreted and compiled, or rejected with file and line."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from children import child_environment
+
+from antdsl.machine_code import machine
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I64,
+    U64,
+    Array1,
+    KernelFault,
+    NotInSubset,
+    independent,
+    kernel,
+    scratch,
+)
+from antdsl.machine_code.kernels.interpret import interpret
+from antdsl.machine_code.kernels.ir import InvalidCode, verify
+from antdsl.machine_code.kernels.kernel import Kernel, text_of
+from antdsl.machine_code.kernels.side_by_side import written
+from antdsl.machine_code.kernels.units import Unit
+from antdsl.machine_code.kernels.values import Number
+
+pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code can be made here")
+LEAST, MOST = -(2**63), 2**63 - 1
+
+
+@kernel
+def tenth_of_single(x: F32) -> F32:
+    return x * 0.1
+
+
+@kernel
+def sum_of_singles(x: Array1[F32]) -> F32:
+    total = 0.0
+    for each in x:
+        total += each
+    return total
+
+
+@kernel
+def negative_index(a: Array1[F64]) -> F64:
+    return a[-1]
+
+
+@kernel
+def last_but_one_number(x: I64) -> I64:
+    return x + (9223372036854775807 + 1)
+
+
+@kernel
+def other_kind_of_variable(x: F32) -> F32:
+    y = x
+    y = 0.1
+    return y
+
+
+@kernel
+def other_kind_of_result(x: I64) -> I64:
+    if x > 0:
+        return x
+    return 0.5
+
+
+@kernel
+def by_no_number(x: I64) -> I64:
+    return x // 0
+
+
+@kernel
+def shifted_too_far(x: I64) -> I64:
+    return x << 64
+
+
+@kernel
+def outside_of_room(x: F64) -> F64:
+    room = scratch(4, F64)
+    room[4] = x
+    return room[0]
+
+
+@kernel
+def signed_and_unsigned(x: I64, y: U64) -> U64:
+    return y if x > 0 else x
+
+
+@pytest.mark.parametrize(
+    ("rejected", "line", "why"),
+    [
+        (tenth_of_single, 2, r"float32 has no 0\.1"),
+        (sum_of_singles, 4, "a float32 and a number of another type"),
+        (negative_index, 2, "no index"),
+        (last_but_one_number, 2, "no whole number of 64 bits"),
+        (other_kind_of_variable, 3, r"float32 has no 0\.1"),
+        (other_kind_of_result, 4, "0.5 is no number of type i64"),
+        (by_no_number, 2, "division by 0"),
+        (shifted_too_far, 2, "0 to 63"),
+        (outside_of_room, 3, "no index"),
+        (signed_and_unsigned, 2, "a signed and an unsigned"),
+    ],
+    ids=lambda value: value.__name__ if isinstance(value, Kernel) else None,
+)
+def test_what_python_would_compute_otherwise_is_rejected_with_its_line(rejected: Kernel, line: int, why: str) -> None:
+    start = inspect.getsourcelines(rejected.part.function)[1]
+    for read in (lambda: rejected.text(), lambda: interpret(rejected)):
+        with pytest.raises(NotInSubset, match=why) as found:
+            read()
+        assert f"{Path(__file__).name}, line {start + line}, " in str(found.value)
+
+
+@kernel
+def product(x: I64, y: I64) -> I64:
+    return x * y
+
+
+@kernel
+def negative(x: I64) -> I64:
+    return abs(x) + (-x)
+
+
+@kernel
+def reciprocal(x: F64) -> tuple[F64, F64]:
+    return 1.0 / x, 1.0 / 0.0
+
+
+@kernel
+def integer(x: F64, y: F32) -> tuple[I64, I64, U64, U64]:
+    return np.int64(x), np.int64(y), np.uint64(x), np.uint64(y)
+
+
+@kernel
+def quotient(x: I64, y: I64) -> tuple[I64, I64]:
+    return x // y, x % y
+
+
+@kernel
+def shifts(x: I64, u: U64, k: I64) -> tuple[I64, I64, U64]:
+    return x << k, x >> k, u >> (u & 127)
+
+
+@kernel
+def least_and_greatest(x: F64, y: F64) -> tuple[F64, F64, BOOL, BOOL]:
+    return min(x, y), max(x, y), x != y, x <= y
+
+
+NAN = float("nan")
+CASES: list[tuple[Kernel, tuple[Any, ...], Any]] = [
+    (product, (MOST, 2), -2), (product, (2**32, 2**31), LEAST), (negative, (LEAST,), 0), (reciprocal, (0.0,), (np.inf, np.inf)),
+    (reciprocal, (-0.0,), (-np.inf, np.inf)), (integer, (NAN, NAN), (0, 0, 0, 0)),
+    (integer, (1e300, -1e30), (MOST, LEAST, 2**64 - 1, 0)), (integer, (-np.inf, np.inf), (LEAST, MOST, 0, 2**64 - 1)),
+    (integer, (-1.9, 2.9), (-1, 2, 0, 2)), (quotient, (-7, 2), (-4, 1)), (quotient, (7, -2), (-4, -1)),
+    (quotient, (LEAST, -1), (LEAST, 0)), (shifts, (1, 2**63 + 65, 65), (2, 0, 2**62 + 32)), (shifts, (-8, 1, -63), (-16, -4, 0)),
+    (least_and_greatest, (NAN, 1.0), (NAN, NAN, True, False)), (least_and_greatest, (1.0, NAN), (1.0, 1.0, True, False)),
+    (least_and_greatest, (0.0, -0.0), (0.0, 0.0, False, True)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("known", "given", "wanted"), CASES, ids=lambda value: value.__name__ if isinstance(value, Kernel) else None)
+def test_results_are_defined(known: Kernel, given: tuple[Any, ...], wanted: Any) -> None:
+    for found in (interpret(known, *given), known(*given)):
+        assert repr(found) == repr(wanted if not isinstance(wanted, tuple) else tuple(type(b)(a) for a, b in zip(wanted, found)))
+
+
+@kernel
+def at_index(a: Array1[F64], k: I64) -> F64:
+    return a[k]
+
+
+@kernel
+def without_value(a: Array1[F64]) -> F64:
+    if a[0] > 0:
+        found = a[0]
+    return found
+
+
+@kernel
+def room_without_value(a: Array1[F64]) -> F64:
+    room = scratch(4, F64)
+    room[0] = a[0]
+    return room[1]
+
+
+@pytest.mark.parametrize(
+    ("run", "line"),
+    [
+        (lambda: interpret(at_index, np.ones(3), -1), "return a[k]"),
+        (lambda: interpret(at_index, np.ones(3), 3), "return a[k]"),
+        (lambda: interpret(at_index, np.ones(0), 0), "return a[k]"),
+        (lambda: interpret(quotient, 1, 0), "return x // y, x % y"),
+        (lambda: interpret(without_value, -np.ones(1)), "return found"),
+        (lambda: interpret(room_without_value, np.ones(1)), "return room[1]"),
+    ],
+)
+def test_errors_of_the_interpreter_name_the_line(run: Any, line: str) -> None:
+    with pytest.raises(KernelFault) as found:
+        run()
+    number = int(str(found.value).partition(", line ")[2].partition(":")[0])
+    assert Path(__file__).read_text().splitlines()[number - 1].strip() == line
+    assert str(found.value).startswith(__file__)
+
+
+@kernel
+def usual(a: Array1[F64], x: F32, begin: I64, end: I64) -> F64:
+    total = 0.0
+    for i in range(begin, end):
+        total += a[i] * np.float64(x)
+    return total
+
+
+def test_the_verifier_finds_instructions_that_do_not_fit() -> None:
+    unit = Unit()
+    name, _ = written(unit, quotient.part, [Number("i64", "%x"), Number("i64", "%y")])
+    (function,) = unit.functions
+    verify(unit.functions)
+    assert name == function.name
+    body = function.blocks[0].body
+    for k, each in enumerate(body):
+        wrong = [each._replace(operands=tuple(replace(one, kind="float") for one in each.operands))]
+        if each.result is not None:
+            wrong += [each._replace(result=replace(each.result, kind="float")), each._replace(result=function.arguments[0])]
+        for one in wrong:
+            body[k] = one
+            if one != each:
+                with pytest.raises(InvalidCode):
+                    verify(unit.functions)
+        body[k] = each
+    first = next(k for k, each in enumerate(body) if each.result is not None)
+    missing, late = body[:first] + body[first + 1 :], [*body[:first], *body[first + 1 : -1], body[first], body[-1]]
+    for changed in (body[:-1], [body[-1], *body], missing, late, [*body[:-1], body[-1]._replace(op="jump", extra=("nowhere",))]):
+        function.blocks[0] = function.blocks[0]._replace(body=changed)
+        with pytest.raises(InvalidCode):
+            verify(unit.functions)
+
+
+BAD = '''
+from functools import partial
+import numpy as np
+from antdsl.machine_code.kernels import F64, I64, Array1, KernelFault, called, independent, kernel
+from antdsl.numerics import compiled
+
+@called
+def element(a, k):
+    return a[k]
+
+@kernel
+def one(a: Array1[F64], rows: Array1[I64], to: Array1[F64], begin: I64, end: I64) -> I64:
+    for i in independent(begin, end):
+        to[i] = element(a, rows[i])
+    return end - begin
+
+@kernel
+def divide(a: I64, b: I64) -> I64:
+    return a // b
+
+def told(run):
+    try:
+        return run()
+    except KernelFault as fault:
+        return fault
+
+a, rows = np.ones(40), np.arange(40)
+for wrong in (40, -1, 10**12, 5):
+    rows[23] = wrong
+    print(told(lambda: one(a, rows, np.zeros(40), 0, 40)))
+many = np.zeros(100_000, np.int64)
+many[77_777] = 40
+print(told(lambda: compiled.in_parts(partial(one, a, many, np.zeros(len(many))), len(many), 2)))
+rows[23] = 99
+print(told(lambda: one(a, rows, np.zeros(9), 0, 9)), told(lambda: one(a, rows, np.zeros(9), 0, 16)))
+print(told(lambda: divide(7, 0)), told(lambda: divide(7, 2)))
+'''
+
+
+def test_a_checked_build_raises_errors_with_file_and_line(tmp_path: Path) -> None:
+    path = tmp_path / 'bad "kernels".py'
+    path.write_text(BAD)
+    variables = {**child_environment(), "ANTDSL_CHECKED_KERNELS": "1", "ANTDSL_NATIVE_CACHE": str(tmp_path / "kept")}
+    made = subprocess.run([sys.executable, str(path)], env=variables, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+    element, stored, divided = (BAD.splitlines().index(f"{line}") + 1 for line in (
+        "    return a[k]", "        to[i] = element(a, rows[i])", "    return a // b"))  # fmt: skip
+    read = f"{path}, line {element}: index out of range, or negative"
+    outside = f"{path}, line {stored}: index out of range, or negative"
+    assert made.stdout.splitlines() == [
+        read, read, read, "40", read, f"9 {outside}", f"{path}, line {divided}: integer division by 0 3",
+    ]  # fmt: skip
+
+
+def test_checked_code_has_a_key_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.machine_code.kernels import sources
+
+    before = usual.named(machine.ANY)
+    monkeypatch.setattr(sources, "CHECKED", not sources.CHECKED)
+    assert usual.named(machine.ANY) != before
+    assert text_of([usual], machine.ANY, checked=True) != text_of([usual], machine.ANY, checked=False)
+
+
+def test_arrays_that_are_not_aligned_are_rejected() -> None:
+    data = np.zeros(8 * 9, np.uint8)[1:-7].view(np.float64)
+    with pytest.raises(ValueError, match="aligned"):
+        usual(data, 1.0, 0, 8)
+
+
+@kernel
+def left_early(small: Array1[I64], x: Array1[I64], to: Array1[I64]) -> None:
+    for i in independent(0, x.size):
+        total = 0
+        for each in small:
+            if each > x[i]:
+                break
+            if each == 3:
+                continue
+            total += each
+        to[i] = total + x[i]
+
+
+def test_a_loop_over_an_array_is_left_by_single_lanes() -> None:
+    small, x = np.arange(9), np.array([-1, 0, 2, 3, 4, 5, 20, 1, 7, 3])
+    to = np.zeros(10, np.int64)
+    left_early(small, x, to)
+    assert list(to) == [sum(k for k in range(9) if k <= each and k != 3) + each for each in x]
