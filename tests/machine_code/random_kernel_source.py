@@ -144,13 +144,16 @@ class Source:
     def _f64(self, depth: int) -> str:
         found = self._float("F64", depth)
         options = (
-            "np.float64({f})", "np.float64({i})", "float({u})", "as_float({i})", "({d} * {i})", "({d} + {b})", "float({b})", "({i} / {j})",
+            "np.float64({f})", "np.float64({i})", "float({u})", "as_float({i})", "({d} * {i})", "({d} + {b})", "float({b})",
+            "({i} / {j})",
         )  # fmt: skip
         return found or self.filled(self.draw.choice(options), depth)
 
     def _f32(self, depth: int) -> str:
         found = self._float("F32", depth)
-        return found or self.filled(self.draw.choice(("np.float32({d})", "np.float32({i})", "({f} * {b})", "np.float32({u})")), depth)
+        return found or self.filled(
+            self.draw.choice(("np.float32({d})", "np.float32({i})", "({f} * {b})", "np.float32({u})")), depth
+        )
 
     def filled(self, text: str, depth: int) -> str:
         letters = {"d": "F64", "f": "F32", "i": "I64", "j": "I64", "u": "U64", "b": "BOOL", "c": "BOOL"}
@@ -174,8 +177,8 @@ class Source:
 
     def _i64(self, depth: int) -> str:
         options = (
-            "int({d})", "np.int64({f})", "np.int64({u})", "np.int32({i})", "np.uint32({i})", "whole({d})", "int({b})", "({i} + {b})",
-            "abs({i})", "(-{i})", "math.floor({d})", "as_bits(float({i}))", "np.int64({d})",
+            "int({d})", "np.int64({f})", "np.int64({u})", "np.int32({i})", "np.uint32({i})", "whole({d})", "int({b})",
+            "({i} + {b})", "abs({i})", "(-{i})", "math.floor({d})", "as_bits(float({i}))", "np.int64({d})",
         )  # fmt: skip
         return self._whole("I64", depth) or self.filled(self.draw.choice(options), depth)
 
@@ -211,7 +214,7 @@ class Source:
         self.scope, self.own = kept
 
     def statement(self, room: int) -> None:
-        options = [self.assign, self.assign, self.assign]
+        options = [self.assign, self.assign, self.assign, self.either]
         if room > 0:
             options += [self.condition, self.condition, self.loop]
         if self.loops and self.depth > 2:
@@ -240,7 +243,18 @@ class Source:
             self.put(f"{pair} = ({self.of(kind, 1)}, {self.of(kind, 1)})")
             self.put(f"{name} = {pair}[{self.draw.randrange(2)}]")
         else:
-            self.put(f"{name} = {self.of(kind, 3)}")
+            self.put(f"{name} = {self.of(kind, self.draw.randint(1, 3))}")
+
+    def either(self) -> None:
+        """A variable that both branches of a condition give its first value."""
+        kind = self.draw.choice(KINDS)
+        name = self.new("either")
+        self.put(f"if {self.of('BOOL', 2)}:")
+        self.put(f"    {name} = {self.of(kind, 1)}")
+        self.put("else:")
+        self.put(f"    {name} = {self.of(kind, 1)}")
+        self.scope[kind].append(name)
+        self.own[kind].append(name)
 
     def several(self) -> None:
         fitting = [each for each in self.helpers if len(each[2]) > 1]
@@ -301,7 +315,7 @@ class Source:
         elif self.chance(0.1) and name in ("I32", "F32"):
             self.put(f"{place} = {self.of('F64', 2)}")
         else:
-            self.put(f"{place} = {self.of(kind, 3)}")
+            self.put(f"{place} = {self.of(kind, self.draw.randint(1, 3))}")
 
     def rows(self) -> None:
         """Several elements at once."""
@@ -326,11 +340,14 @@ class Source:
             self.variable(kind, self.draw.choice((START[kind].format("1.0"), self.of(kind, 1))))
 
 
-def helper(draw: Random, name: str, daring: bool) -> tuple[str, tuple[str, list[str], list[str]]]:
+def helper(
+    draw: Random, name: str, daring: bool, known: list[tuple[str, list[str], list[str]]]
+) -> tuple[str, tuple[str, list[str], list[str]]]:
     """The source of a function that kernels call, and what it takes and gives."""
     takes = [draw.choice(KINDS) for _ in range(draw.randint(1, 3))]
     gives = [draw.choice(KINDS) for _ in range(draw.choice((1, 1, 2)))]
     source = Source(draw, name, daring, arrays=False)
+    source.helpers = known
     parameters = [source.new("p") for _ in takes]
     for parameter, kind in zip(parameters, takes, strict=True):
         source.scope[kind].append(parameter)
@@ -356,8 +373,11 @@ def helper(draw: Random, name: str, daring: bool) -> tuple[str, tuple[str, list[
 def kernel_of(draw: Random, name: str, daring: bool) -> list[str]:
     """The sources of a kernel and of the functions that it calls."""
     source = Source(draw, name, daring, arrays=True)
-    helpers = [helper(draw, f"{name}_{k}", daring) for k in range(draw.randint(0, 2))]
-    source.helpers = [each for _, each in helpers]
+    helpers: list[str] = []
+    for k in range(draw.randint(0, 2)):
+        text, known = helper(draw, f"{name}_{k}", daring, list(source.helpers))
+        helpers.append(text)
+        source.helpers.append(known)
     lanes = draw.random() < 0.6
     source.put(f'"""{"independent" if lanes else "one by one"}"""')
     for kind, parameter in zip(KINDS, "xywvq", strict=True):
@@ -371,29 +391,33 @@ def kernel_of(draw: Random, name: str, daring: bool) -> list[str]:
             source.put("for slot in range(4):")
             source.put(f"    room[slot] = {source.of('F64', 1)}")
             source.scope["F64"] += [f"room[{k}]" for k in range(4)] + [f"room[{source.small(1, 3)}]"]
-    outer = source.own
+    outer, before = source.own, {kind: list(names) for kind, names in source.own.items()}
     source.own = {kind: [] for kind in KINDS} if lanes else {kind: list(names) for kind, names in outer.items()}
     source.at, source.lanes = "i", lanes
+    again = draw.random() < 0.15
+    if again:
+        source.put("for again in range(2):")
+        source.depth += 1
     source.put(f"for i in {'independent' if lanes else 'range'}(begin, end):")
     source.depth += 1
     source.variables(3)
     if lanes:
         source.loops = 0
-    for _ in range(draw.randint(2, 4)):
-        source.statement(2)
+    for _ in range(draw.randint(1, 3)):
+        source.statement(draw.choice((1, 1, 2)))
     source.store()
     if not lanes and source.chance(0.2):
         source.put(f"if {source.of('BOOL', 1)}:")
         source.put(f"    {source.draw.choice(('break', 'continue'))}")
-    source.depth -= 1
+    source.depth -= 2 if again else 1
     source.at, source.own = "", outer
-    scope = {kind: [each for each in outer[kind]] for kind in KINDS}
+    scope = {kind: [each for each in outer[kind] if each in before[kind]] for kind in KINDS}
     source.scope = scope
     given = [kind for kind in KINDS if scope[kind]]
     if given and source.chance(0.7):
         source.put(f"return {', '.join(source.draw.choice(scope[kind]) for kind in given)}")
     head = f"@kernel\ndef {name}({PARAMETERS}):\n"
-    return [*(text for text, _ in helpers), head + "\n".join(source.lines)]
+    return [*helpers, head + "\n".join(source.lines)]
 
 
 def module_of(draw: Random, count: int, daring: bool) -> str:

@@ -26,7 +26,7 @@ from antdsl.machine_code.kernels.ir import InvalidCode
 from antdsl.machine_code.kernels.kernel import Kernel, text_of
 
 sys.path.insert(0, str(Path(__file__).parent))
-from random_kernel_source import OUTPUTS, module_of  # noqa: E402
+from random_kernel_source import OUTPUTS, module_of
 
 BATCH = 40  # kernels of one module
 DARING_EVERY = 8  # of so many batches one is daring
@@ -36,12 +36,13 @@ DTYPES = {
     "U8": np.uint8,
 }  # fmt: skip
 _FLOATS = [
-    0.0, -0.0, 1.0, -1.0, 0.5, 1.5, 2.5, -2.5, np.nan, np.inf, -np.inf, 5e-324, -5e-324, 2.2e-308, 1e-40, 1.7e308, -3.4e38, 2.0**24,
-    2.0**24 + 1, 2.0**31, 2.0**53, 2.0**53 + 2, 2.0**62, 2.0**63, -(2.0**63), 2.0**64, 1e300, 1e-300, 0.1, 3.14159, 0.49999999999999994,
+    0.0, -0.0, 1.0, -1.0, 0.5, 1.5, 2.5, -2.5, np.nan, np.inf, -np.inf, 5e-324, -5e-324, 2.2e-308, 1e-40, 1.7e308, -3.4e38,
+    2.0**24, 2.0**24 + 1, 2.0**31, 2.0**53, 2.0**53 + 2, 2.0**62, 2.0**63, -(2.0**63), 2.0**64, 1e300, 1e-300, 0.1, 3.14159,
+    0.49999999999999994,
 ]  # fmt: skip
 _WHOLES = [
-    0, 1, -1, 2, 3, -3, 7, 63, 64, 2**31 - 1, 2**31, -(2**31), 2**32, 2**53 - 1, 2**53, 2**53 + 1, -(2**53) - 1, 2**63 - 1, -(2**63),
-    -(2**63) + 1, 255, 256, -129, 32768,
+    0, 1, -1, 2, 3, -3, 7, 63, 64, 2**31 - 1, 2**31, -(2**31), 2**32, 2**53 - 1, 2**53, 2**53 + 1, -(2**53) - 1, 2**63 - 1,
+    -(2**63), -(2**63) + 1, 255, 256, -129, 32768,
 ]  # fmt: skip
 
 
@@ -90,7 +91,10 @@ def outcome(run: Any, given: dict[str, Any]) -> tuple[str, list[Any]]:
         found = run(*own.values())
     except KernelFault as fault:
         return str(fault), []
-    return "", [*(value for name, value in own.items() if name.startswith("out_")), np.array(found, np.float64 if found is None else None)]
+    return "", [
+        *(value for name, value in own.items() if name.startswith("out_")),
+        np.array(found, np.float64 if found is None else None),
+    ]
 
 
 def equal(one: Any, other: Any) -> bool:

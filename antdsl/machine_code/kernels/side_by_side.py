@@ -195,6 +195,7 @@ class SideBySide(Writer):
         self.put(number, self.arithmetic(ast.Pass(), ast.Add(), at, constant(step)))
         self.jump(head)
         self.begin(done)
+        self.variables.pop(name, None)
         self._left(before, body)
 
     def _uniform(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
@@ -204,6 +205,7 @@ class SideBySide(Writer):
             fresh = set(self.fresh)
             write()
             self.fresh &= fresh
+        self.variables.pop(name, None)
 
     @contextmanager
     def _scalar_loop(self, begin: Number, end: Number, step: int) -> Iterator[Number]:
@@ -234,6 +236,7 @@ class SideBySide(Writer):
             self.bind(node, target, item)
             self.block(body)
             self.open = True
+        self.unbind(target)
         self._left(before, body)
 
     def give_back(self, node: ast.AST, item: Item) -> None:

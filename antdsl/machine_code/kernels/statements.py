@@ -285,6 +285,7 @@ class Writer(Expressions):
             self.begin(following)
         self.jump(end)
         self.begin(end)
+        self.unbind(target)
 
     def bind(self, node: ast.AST, target: ast.expr, item: Item) -> None:
         """Names for what a turn of a loop that is written out is about: numbers of the text stay such."""
@@ -295,6 +296,12 @@ class Writer(Expressions):
                 self.bind(node, part, each)
         else:
             self.fail(node, "cannot be bound")
+
+    def unbind(self, target: ast.expr) -> None:
+        """Behind a loop its names are not known: which turn was the last one is not either."""
+        for each in ast.walk(target):
+            if isinstance(each, ast.Name):
+                self.variables.pop(each.id, None)
 
     def _counted(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
         """A loop over numbers."""
