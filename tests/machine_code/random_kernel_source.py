@@ -93,8 +93,11 @@ class Source:
 
     def name_of(self, kind: str) -> str:
         """A number without a load."""
-        names = self.scope[kind]
-        return self.draw.choice(names) if names else START[kind].format("in_F64.size" if self.arrays else "1.0")
+        if names := self.scope[kind]:
+            own = self.own[kind]
+            return self.draw.choice(own if own and self.chance(0.5) else names)
+        others = [name for other in KINDS for name in self.scope[other]]
+        return START[kind].format(self.draw.choice(others) if others else "in_F64.size" if self.arrays else "1.0")
 
     def leaf(self, kind: str) -> str:
         """A number that no text has."""
@@ -317,6 +320,16 @@ class Source:
         else:
             self.put(f"{place} = {self.of(kind, self.draw.randint(1, 3))}")
 
+    def keep(self) -> None:
+        """Store the variables at the end of a turn: all that was done to them is seen."""
+        for kind in KINDS:
+            places = [name for name in OUTPUTS if (name if name in KINDS else "I64") == kind]
+            for name, place in zip(self.draw.sample(self.own[kind], min(len(self.own[kind]), len(places))), places, strict=False):
+                self.put(f"out_{place}[{self.output(place)}] = {name}")
+        if self.own["F64"] and self.chance(0.4):
+            names = [self.draw.choice(self.own["F64"]) for _ in range(3)]
+            self.put(f"put_three(out_rows, {self.output('rows')}, ({', '.join(names)}))")
+
     def rows(self) -> None:
         """Several elements at once."""
         pick = self.draw.random()
@@ -337,7 +350,7 @@ class Source:
 
     def variables(self, count: int) -> None:
         for kind in self.draw.sample(KINDS, count):
-            self.variable(kind, self.draw.choice((START[kind].format("1.0"), self.of(kind, 1))))
+            self.variable(kind, self.of(kind, self.draw.randrange(2)))
 
 
 def helper(
@@ -405,7 +418,7 @@ def kernel_of(draw: Random, name: str, daring: bool) -> list[str]:
         source.loops = 0
     for _ in range(draw.randint(1, 3)):
         source.statement(draw.choice((1, 1, 2)))
-    source.store()
+    source.keep()
     if not lanes and source.chance(0.2):
         source.put(f"if {source.of('BOOL', 1)}:")
         source.put(f"    {source.draw.choice(('break', 'continue'))}")
