@@ -11,13 +11,14 @@ ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
 _USUAL = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
 
 
-def entry(module: Module, name: str, body: str) -> str:
-    """The text of a function of (table of addresses, first row, row after the last) that does what a body says."""
+def entry(module: Module, name: str, body: str, line_table: str = "") -> str:
+    """The text of a function of (table of addresses, first row, row after the last) that does what a body says. `line_table`: the
+    metadata of the body, if it has any."""
     before, after = _x86(module) if module.target.x86 else _arm(module) if module.target.arm else ("", "")
     call = f"  call void @{name}.inside({ARGUMENTS})"
     return (
         f"define void @{name}({ARGUMENTS}) {{\nentry:\n{before}{call}\n{after}  ret void\n}}\n"
-        f"define internal void @{name}.inside({ARGUMENTS}) noinline {{\nentry:\n{body}\n  ret void\n}}"
+        f"define internal void @{name}.inside({ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
     )
 
 
