@@ -14,7 +14,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 
 
 class GroupedHelp(TyperGroup):
-    """A group of commands whose help lists them under headings. No line is cut."""
+    """A group of commands that lists them under headings. No line is cut."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands of each group."""

@@ -27,10 +27,10 @@ def run(tree: Path, scene: str, frames: int, threads: int) -> tuple[float, float
     with tempfile.TemporaryDirectory() as folder:
         command = [str(tree / ".venv" / "bin" / "antdsl"), "run", str(tree / "examples" / scene), "--frames", f"1..{frames}"]
         command += ["--out", str(Path(folder, "cache")), "--threads", str(threads), "--quiet"]
-        before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        start_usage, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
         subprocess.run(command, check=True, cwd=folder, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"})
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, time.perf_counter() - start
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime - start_usage.ru_utime - start_usage.ru_stime, time.perf_counter() - start
 
 
 def frame_cost(tree: Path, scene: str, frames: Sequence[int], threads: int) -> tuple[float, float, float]:
@@ -49,12 +49,14 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=5)
     options = parser.parse_args()
     other = options.other.resolve()
-    ways = [(tree, threads) for tree in dict.fromkeys((other, ROOT)) for threads in options.threads]
-    turns = in_turn(lambda k: frame_cost(ways[k][0], options.scene, options.frames, ways[k][1]), len(ways), options.pairs, warm=0)
-    for k, (tree, threads) in enumerate(ways):
-        cpu, wall, whole = (median(turn[k][part] for turn in turns) for part in range(3))
+    variants = [(tree, threads) for tree in dict.fromkeys((other, ROOT)) for threads in options.threads]
+    turns = in_turn(
+        lambda k: frame_cost(variants[k][0], options.scene, options.frames, variants[k][1]), len(variants), options.pairs, warm=0
+    )
+    for k, (tree, threads) in enumerate(variants):
+        cpu, wall, total = (median(turn[k][part] for turn in turns) for part in range(3))
         line = (
-            f"{tree.name}, {threads} thread(s): {1000 * cpu:.1f} ms CPU and {1000 * wall:.1f} ms wall a frame; {whole:.2f} s CPU"
+            f"{tree.name}, {threads} thread(s): {1000 * cpu:.1f} ms CPU and {1000 * wall:.1f} ms wall a frame; {total:.2f} s CPU"
         )
         if k:
             ratios = (interval([turn[k][part] / turn[0][part] for turn in turns]) for part in range(2))

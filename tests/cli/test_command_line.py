@@ -1,4 +1,4 @@
-"""The command line as a whole: help, version, completion, programs from standard input, folders that results create."""
+"""The command line: help, version, completion, programs from standard input, folders that results create."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ PROGRAM = 'ant 1\nuse "./mine.ant" as mine\nspecies a { state s { steer mine.go(
 
 
 def run(*words: str, text: str | None = None) -> tuple[int, str]:
-    done = CliRunner().invoke(app, list(words), input=text)
-    if isinstance(done.exception, Stop):
-        return done.exception.code, f"{done.output}{done.exception.message}"
-    return done.exit_code, done.output
+    result = CliRunner().invoke(app, list(words), input=text)
+    if isinstance(result.exception, Stop):
+        return result.exception.code, f"{result.output}{result.exception.message}"
+    return result.exit_code, result.output
 
 
 def test_help_lists_each_command_once_and_cuts_no_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,12 +51,12 @@ def test_the_version_is_printed(flag: str) -> None:
 
 
 def test_a_shell_completes_the_names_of_commands() -> None:
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-P", "-c", "from antdsl.cli import main; main()"],
         env=child_environment(_ANTDSL_COMPLETE="complete_bash", COMP_WORDS="antdsl re", COMP_CWORD="1"),
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
-    assert done.stdout.split() == ["render"], done.stderr
+    assert result.stdout.split() == ["render"], result.stderr
 
 
 def test_check_without_a_path_checks_the_working_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
