@@ -1,6 +1,6 @@
 """Debug line tables of kernels in a checked build, as metadata in LLVM's language: debuggers show file and line of instructions.
 
-Other builds have none: with them, objects take 1.7 times the space, 1.4 times the time to load and 1.1 times the time to compile."""
+Other builds have none: objects would take 1.7 times the space, 1.4 times as long to load and 1.1 times as long to compile."""
 
 from __future__ import annotations
 
