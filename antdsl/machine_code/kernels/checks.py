@@ -76,8 +76,8 @@ class Checks:
             lines.append(f"  {fine}.each = icmp ne {first.typed}, zeroinitializer")
             lines.append(f"  {fine} = call i1 @check.all({_MASK} {fine}.each, {_mask(others)})")
         elif first.wide:
-            given = f"{first.typed}, {others[0].typed}, i64 {each.extra}, {_mask(others[1:])}"
-            lines.append(f"  {fine} = call i1 @check.indices({given})")
+            passed = f"{first.typed}, {others[0].typed}, i64 {each.extra}, {_mask(others[1:])}"
+            lines.append(f"  {fine} = call i1 @check.indices({passed})")
         else:
             length = others[0].name
             for k, other in enumerate(others[1:] if each.op == "span" else ()):
@@ -97,9 +97,9 @@ class Checks:
 
     def _left(self, function: Function, fine: str, *before: str) -> list[str]:
         label = fine[1:]
-        given = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
+        passed = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
         branch = f"  br i1 {fine}, label %{label}.fine, label %{label}.fault"
-        return [branch, f"{label}.fault:", *before, f"  {given}", f"{label}.fine:"]
+        return [branch, f"{label}.fault:", *before, f"  {passed}", f"{label}.fine:"]
 
     def text(self) -> str:
         """Definitions that the checks of a module share."""
@@ -118,11 +118,11 @@ def guarded(run: Callable[..., Any], code: Code) -> Callable[..., Any]:
 
     @wraps(run, assigned=())
     def call(*arguments: Any) -> Any:
-        found = run(*arguments)
+        output = run(*arguments)
         if word.value:
             place = code.told(_PLACES).split("\n")[word.value - 1]
             word.value = 0
             raise KernelFault(place)
-        return found
+        return output
 
     return call

@@ -95,14 +95,14 @@ class Interpreter:
             self._codes[each.name] = _Prepared(each, self._codes).code()
 
     def __call__(self, *arguments: Any) -> Any:
-        given: list[Any] = []
+        passed: list[Any] = []
         kinds = list(_kinds(self._types))
         for type, value in zip(kinds, flat(self._label, self._types, arguments), strict=True):
-            given += _array(value, type) if isinstance(type, ArrayType) else [_number(value, type)]
+            passed += _array(value, type) if isinstance(type, ArrayType) else [_number(value, type)]
         with np.errstate(all="ignore"):
-            found = _run(self._codes[self._name], given)
+            output = _run(self._codes[self._name], passed)
         numbers = list(leaves(self._result))
-        values = [_given(each, value) for each, value in zip(numbers, found if len(numbers) > 1 else (found,), strict=False)]
+        values = [_given(each, value) for each, value in zip(numbers, output if len(numbers) > 1 else (output,), strict=False)]
         if not numbers:
             return None
         return tuple(values) if isinstance(self._result, tuple) else values[0]
@@ -191,8 +191,8 @@ class _Prepared:
         to = -1 if each.result is None else self.place(each.result)
         meaning = OPS[each.op].meaning
         if meaning is None:
-            found: _Step = getattr(self, f"_{each.op}")(each, to, *places)
-            return found
+            output: _Step = getattr(self, f"_{each.op}")(each, to, *places)
+            return output
         function, dtype = meaning, DTYPES.get("" if each.result is None else each.result.base)
         one, two, three = (*places, -1, -1)[:3]
         if "to {r.type}" in OPS[each.op].text or each.op in ("fptosi", "fptoui"):
@@ -268,14 +268,14 @@ class _Prepared:
 
     # --- functions -----------------------------------------------------------------------------------------------------
 
-    def _call(self, each: Instruction, to: int, *given: int) -> _Step:
+    def _call(self, each: Instruction, to: int, *passed: int) -> _Step:
         code = self.codes[each.extra]
 
         def step(registers: list[Any]) -> None:
-            registers[to] = _run(code, [registers[place] for place in given])
+            registers[to] = _run(code, [registers[place] for place in passed])
 
         if to < 0:
-            return lambda registers: _run(code, [registers[place] for place in given])
+            return lambda registers: _run(code, [registers[place] for place in passed])
         return step
 
     def _extractvalue(self, each: Instruction, to: int, of: int) -> _Step:
@@ -309,10 +309,10 @@ class _Prepared:
 
 def _room(extra: str) -> Callable[[], Any]:
     """What makes a place on the stack."""
-    found = _ROOM.match(extra)
-    if found is None:
+    output = _ROOM.match(extra)
+    if output is None:
         return _Slot
-    bytes_ = int(found[1]) * np.dtype(DTYPES[found[2]]).itemsize
+    bytes_ = int(output[1]) * np.dtype(DTYPES[output[2]]).itemsize
     return lambda: _Pointer(_Memory(np.zeros(bytes_, np.uint8), bytearray(b"\1") * bytes_), 0)
 
 

@@ -35,8 +35,8 @@ class LineTables:
         """What is written after the head of a function."""
         file = self._node(f'!DIFile(filename: "{_escaped(_relative(file_name))}", directory: "")')
         self._first = line
-        about = f'name: "{name}", scope: !{file}, file: !{file}, line: {line}, type: !3, unit: !0'
-        self._function = f"!{self._node(f'distinct !DISubprogram({about}, spFlags: DISPFlagDefinition)')}"
+        fields = f'name: "{name}", scope: !{file}, file: !{file}, line: {line}, type: !3, unit: !0'
+        self._function = f"!{self._node(f'distinct !DISubprogram({fields}, spFlags: DISPFlagDefinition)')}"
         return f" !dbg {self._function}"
 
     def of(self, line: int) -> str:

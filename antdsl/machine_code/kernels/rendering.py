@@ -24,11 +24,11 @@ def rendered(functions: Sequence[Function], checks: Checks | None = None, tables
 
 def _function(function: Function, declared: dict[str, str], checks: Checks | None, tables: LineTables | None) -> str:
     arguments = ", ".join(each.typed for each in function.arguments)
-    about = ""
+    metadata = ""
     if tables is not None:
         first = min((each.line for block in function.blocks for each in block.body if each.line), default=1)
-        about = tables.begin(function.name[1:], function.file, first)
-    head = f"define internal {function.result} {function.name}({arguments}) {function.attribute}{about} {{"
+        metadata = tables.begin(function.name[1:], function.file, first)
+    head = f"define internal {function.result} {function.name}({arguments}) {function.attribute}{metadata} {{"
     lines = [head, "entry:", *(_line(each, declared) for each in function.slots)]
     for k, block in enumerate(function.blocks):
         if k:
