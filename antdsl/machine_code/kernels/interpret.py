@@ -126,8 +126,8 @@ def _array(array: Any, type: ArrayType) -> list[Any]:
     """The address of an array, its lengths, and its steps if it may have any."""
     low, high = byte_bounds(array)
     start = array.__array_interface__["data"][0]
-    room = (ctypes.c_uint8 * (high - low if array.size else 0)).from_address(low)
-    memory = _Memory(np.ctypeslib.as_array(room))
+    buffer = (ctypes.c_uint8 * (high - low if array.size else 0)).from_address(low)
+    memory = _Memory(np.ctypeslib.as_array(buffer))
     steps = [np.int64(each // array.itemsize) for each in array.strides] if type.strided else []
     return [_Pointer(memory, start - low if array.size else 0), *map(np.int64, array.shape), *steps]
 
@@ -178,36 +178,36 @@ class _Prepared:
         return KernelFault(f"{self.function.file}, line {each.line}: {why}")
 
     def end(self, each: Instruction) -> _Step:
-        places = [self.place(operand) for operand in each.operands]
+        numbers = [self.place(operand) for operand in each.operands]
         if each.op == "return":
-            return lambda registers: (registers[places[0]] if places else None,)
+            return lambda registers: (registers[numbers[0]] if numbers else None,)
         targets = [self.labels[label] for label in each.extra]
         if each.op == "jump":
             return lambda registers: targets[0]
-        return lambda registers: targets[0] if registers[places[0]] else targets[1]
+        return lambda registers: targets[0] if registers[numbers[0]] else targets[1]
 
     def step(self, each: Instruction) -> _Step:
-        places = [self.place(operand) for operand in each.operands]
+        numbers = [self.place(operand) for operand in each.operands]
         to = -1 if each.result is None else self.place(each.result)
         meaning = OPS[each.op].meaning
         if meaning is None:
-            output: _Step = getattr(self, f"_{each.op}")(each, to, *places)
+            output: _Step = getattr(self, f"_{each.op}")(each, to, *numbers)
             return output
         function, dtype = meaning, DTYPES.get("" if each.result is None else each.result.base)
-        one, two, three = (*places, -1, -1)[:3]
+        one, two, three = (*numbers, -1, -1)[:3]
         if "to {r.type}" in OPS[each.op].text or each.op in ("fptosi", "fptoui"):
 
             def cast(registers: list[Any]) -> None:
                 registers[to] = function(registers[one], dtype)
 
             return cast
-        if len(places) == 1:
+        if len(numbers) == 1:
 
             def unary(registers: list[Any]) -> None:
                 registers[to] = function(registers[one])
 
             return unary
-        if len(places) == 2:
+        if len(numbers) == 2:
 
             def binary(registers: list[Any]) -> None:
                 registers[to] = function(registers[one], registers[two])

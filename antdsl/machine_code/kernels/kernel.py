@@ -97,7 +97,7 @@ class Kernel:
         return found
 
     def _told(self, code: machine.Code) -> Told:
-        return Told.read(code.told(_about(self.__name__)))
+        return Told.read(code.told(_description_name(self.__name__)))
 
     def parted(self) -> Callable[..., list[Any]] | None:
         """The function that has its machine code run by a pool of workers, as `calling.parted` says; None where there is none."""
@@ -171,12 +171,12 @@ def _entry(kernel: Kernel, unit: Unit, module: Module, tables: LineTables | None
             value, stored = f"%wide{k}", "double"
         body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
     several = isinstance(result, tuple) and bool(found)
-    told = Told(tuple(each.kind for each in found), several, tuple(sorted(unit.written))).text()
-    about = f'@{_about(kernel.__name__)} = constant [{len(told) + 1} x i8] c"{told}\\00"'
-    return about, entry(module, kernel.__name__, "\n".join(body), line_table)
+    line = Told(tuple(each.kind for each in found), several, tuple(sorted(unit.written))).text()
+    constant = f'@{_description_name(kernel.__name__)} = constant [{len(line) + 1} x i8] c"{line}\\00"'
+    return constant, entry(module, kernel.__name__, "\n".join(body), line_table)
 
 
-def _about(name: str) -> str:
+def _description_name(name: str) -> str:
     """The constant that describes a kernel."""
     return f"about.{name}"
 
