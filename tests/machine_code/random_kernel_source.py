@@ -124,8 +124,8 @@ class Source:
             fitting = [each for each in self.helpers if each[2] == [kind]]
             if fitting:
                 return self.call(self.draw.choice(fitting), depth - 1)
-        found: str = getattr(self, f"_{kind.lower()}")(depth - 1)
-        return found
+        text: str = getattr(self, f"_{kind.lower()}")(depth - 1)
+        return text
 
     def any(self, kind: str, depth: int) -> str:
         """An expression of a kind, or a constant."""
@@ -145,16 +145,16 @@ class Source:
         return f"{word}({a})" if pick < 0.75 else ""
 
     def _f64(self, depth: int) -> str:
-        found = self._float("F64", depth)
+        text = self._float("F64", depth)
         options = (
             "np.float64({f})", "np.float64({i})", "float({u})", "as_float({i})", "({d} * {i})", "({d} + {b})", "float({b})",
             "({i} / {j})",
         )  # fmt: skip
-        return found or self.filled(self.draw.choice(options), depth)
+        return text or self.filled(self.draw.choice(options), depth)
 
     def _f32(self, depth: int) -> str:
-        found = self._float("F32", depth)
-        return found or self.filled(
+        text = self._float("F32", depth)
+        return text or self.filled(
             self.draw.choice(("np.float32({d})", "np.float32({i})", "({f} * {b})", "np.float32({u})")), depth
         )
 
@@ -167,7 +167,7 @@ class Source:
             return f"({self.of(kind, depth)} & 7)"
         return f"({self.of(kind, depth)} | 1)" if self.chance(0.7) else self.draw.choice(("3", "7", "64", "1"))
 
-    def _whole(self, kind: str, depth: int) -> str:
+    def _integer(self, kind: str, depth: int) -> str:
         pick, a = self.draw.random(), self.of(kind, depth)
         if pick < 0.4:
             return f"({a} {self.draw.choice('+-*&|^')} {self.any(kind, depth)})"
@@ -183,11 +183,11 @@ class Source:
             "int({d})", "np.int64({f})", "np.int64({u})", "np.int32({i})", "np.uint32({i})", "whole({d})", "int({b})",
             "({i} + {b})", "abs({i})", "(-{i})", "math.floor({d})", "as_bits(float({i}))", "np.int64({d})",
         )  # fmt: skip
-        return self._whole("I64", depth) or self.filled(self.draw.choice(options), depth)
+        return self._integer("I64", depth) or self.filled(self.draw.choice(options), depth)
 
     def _u64(self, depth: int) -> str:
         options = ("np.uint64({i})", "np.uint64({d})", "np.uint64({f})", "np.uint64({b})")
-        return self._whole("U64", depth) or self.filled(self.draw.choice(options), depth)
+        return self._integer("U64", depth) or self.filled(self.draw.choice(options), depth)
 
     def _bool(self, depth: int) -> str:
         pick, kind = self.draw.random(), self.draw.choice(("F64", "F32", "I64", "U64"))
@@ -204,21 +204,21 @@ class Source:
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
-    def block(self, count: int, room: int) -> None:
-        """Statements one level deeper, of which `room` levels may follow. What is named in it stays there."""
+    def block(self, count: int, levels: int) -> None:
+        """Statements one level deeper, of which `levels` levels may follow. What is named in it stays there."""
         saved = {kind: list(names) for kind, names in self.scope.items()}, {kind: list(names) for kind, names in self.own.items()}
         self.depth += 1
         previous = len(self.lines)
         for _ in range(count):
-            self.statement(room)
+            self.statement(levels)
         if len(self.lines) == previous:
             self.put("pass")
         self.depth -= 1
         self.scope, self.own = saved
 
-    def statement(self, room: int) -> None:
+    def statement(self, levels: int) -> None:
         options = [self.assign, self.assign, self.assign, self.either]
-        if room > 0:
+        if levels > 0:
             options += [self.condition, self.condition, self.loop]
         if self.loops and self.depth > 2:
             options.append(self.leave)
@@ -228,7 +228,7 @@ class Source:
             options.append(self.several)
         chosen = self.draw.choice(options)
         if chosen in (self.condition, self.loop):
-            chosen(room - 1)  # type: ignore[call-arg]
+            chosen(levels - 1)  # type: ignore[call-arg]
         else:
             chosen()
 
@@ -267,21 +267,21 @@ class Source:
             if len(set(names)) == len(names):
                 self.put(f"{', '.join(names)} = {self.call(helper, 1)}")
 
-    def condition(self, room: int) -> None:
+    def condition(self, levels: int) -> None:
         self.put(f"if {self.of('BOOL', 2)}:")
-        self.block(self.draw.randint(1, 2), room)
+        self.block(self.draw.randint(1, 2), levels)
         if self.chance(0.3):
             self.put(f"elif {self.of('BOOL', 1)}:")
-            self.block(1, room)
+            self.block(1, levels)
         if self.chance(0.5):
             self.put("else:")
-            self.block(self.draw.randint(1, 2), room)
+            self.block(self.draw.randint(1, 2), levels)
 
     def leave(self) -> None:
         self.put(f"if {self.of('BOOL', 2)}:")
         self.put(f"    {self.draw.choice(('break', 'continue'))}" if self.loops > 0 else "    continue")
 
-    def loop(self, room: int) -> None:
+    def loop(self, levels: int) -> None:
         number, pick = self.new("k"), self.draw.random()
         loops, self.loops = self.loops, self.loops + 1
         end = self.draw.choice((self.small(1, 7), str(self.draw.randint(1, 6))))
@@ -299,7 +299,7 @@ class Source:
         else:
             self.put(f"for {number} in small:")
         self.scope["I64"].append(number)
-        self.block(self.draw.randint(1, 2), room)
+        self.block(self.draw.randint(1, 2), levels)
         self.scope["I64"].remove(number)
         self.loops = loops
 

@@ -86,7 +86,7 @@ def inputs(seed: int, length: int) -> dict[str, Any]:
 def outcome(run: Any, passed: dict[str, Any]) -> tuple[str, list[Any]]:
     """The message of the error if there is one, and all that a kernel wrote and returned. The arrays are copied before."""
     own = {name: value.copy(order="K") if isinstance(value, np.ndarray) else value for name, value in passed.items()}
-    own["strided"] = passed["strided"]  # whose steps a copy would not keep
+    own["strided"] = passed["strided"]  # a copy would not have its steps
     try:
         output = run(*own.values())
     except KernelFault as fault:

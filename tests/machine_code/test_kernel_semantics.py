@@ -266,7 +266,7 @@ def one(a: Array1[F64], rows: Array1[I64], to: Array1[F64], begin: I64, end: I64
 def divide(a: I64, b: I64) -> I64:
     return a // b
 
-def told(run):
+def outcome(run):
     try:
         return run()
     except KernelFault as fault:
@@ -275,13 +275,13 @@ def told(run):
 a, rows = np.ones(40), np.arange(40)
 for wrong in (40, -1, 10**12, 5):
     rows[23] = wrong
-    print(told(lambda: one(a, rows, np.zeros(40), 0, 40)))
+    print(outcome(lambda: one(a, rows, np.zeros(40), 0, 40)))
 many = np.zeros(100_000, np.int64)
 many[77_777] = 40
-print(told(lambda: compiled.in_parts(partial(one, a, many, np.zeros(len(many))), len(many), 2)))
+print(outcome(lambda: compiled.in_parts(partial(one, a, many, np.zeros(len(many))), len(many), 2)))
 rows[23] = 99
-print(told(lambda: one(a, rows, np.zeros(9), 0, 9)), told(lambda: one(a, rows, np.zeros(9), 0, 16)))
-print(told(lambda: divide(7, 0)), told(lambda: divide(7, 2)))
+print(outcome(lambda: one(a, rows, np.zeros(9), 0, 9)), outcome(lambda: one(a, rows, np.zeros(9), 0, 16)))
+print(outcome(lambda: divide(7, 0)), outcome(lambda: divide(7, 2)))
 """
 
 

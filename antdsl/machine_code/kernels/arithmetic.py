@@ -25,7 +25,7 @@ _INT_RANGE = range(-(1 << 63), 1 << 63)
 class Arithmetic(Builder):
     """Operations on numbers."""
 
-    mask: Number | None = None  # for which of the turns side by side the text counts; None where one turn is written
+    mask: Number | None = None  # the turns for which the text counts; None where one turn is written
 
     def convert(self, value: Number, kind: str) -> Number:
         """As a cast of NumPy does; floats saturate, and NaN becomes 0."""
@@ -130,7 +130,7 @@ class Arithmetic(Builder):
         return self._divided(node, word is ast.Mod, a, b)
 
     def _folded(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
-        """An operation on two whole numbers of the text, whose result has to be one."""
+        """An operation on two whole numbers of the text, that gives a whole number."""
         kind = UNSIGNED if UNSIGNED in (a.kind, b.kind) else INT
         try:
             value = _FOLDED[word](int(a.known or 0), int(b.known or 0))
@@ -150,7 +150,7 @@ class Arithmetic(Builder):
 
     def _divided(self, node: ast.AST, is_rest: bool, a: Number, b: Number) -> Number:
         """The quotient of integers, rounded down, or the remainder. The checked build reports division by 0; other builds
-        divide by 1 instead. They also do so for the least integer by -1, whose quotient wraps around."""
+        divide by 1 instead. They also do so for the least integer by -1, which wraps around."""
         if b.known == 0:
             self.fail(node, "division by 0")
         if b.known is None:

@@ -12,7 +12,7 @@ from antdsl.machine_code.kernels.ir import ZEROS
 from antdsl.machine_code.kernels.types import INT, TRUTH, Scalar
 from antdsl.machine_code.kernels.values import WIDTH, Array, Number, constant
 
-ALL = Number(TRUTH, "splat (i1 true)", True, WIDTH)  # all turns side by side
+ALL = Number(TRUTH, "splat (i1 true)", True, WIDTH)  # all turns
 
 
 class Elements(Arithmetic):
@@ -26,7 +26,7 @@ class Elements(Arithmetic):
             self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
 
     def _check_span(self, array: Array, first: Number, count: int = WIDTH) -> None:
-        """Elements that are read or stored at once are to be elements of the array, for all turns side by side."""
+        """Elements that are read or stored at once are to be elements of the array, for all turns."""
         self.do("span", first, *array.lengths, x=count)
 
     def offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:

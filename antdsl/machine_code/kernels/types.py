@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
-# Kinds of values; u64 is told from i64 by the name alone.
+# Kinds of values; only the name distinguishes u64 from i64.
 DOUBLE, FLOAT, INT, UNSIGNED, TRUTH = "double", "float", "i64", "u64", "i1"
 LLVM = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i64", TRUTH: "i1"}
 

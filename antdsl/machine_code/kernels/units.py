@@ -33,7 +33,7 @@ class Loop:
 @dataclass(slots=True, eq=False)
 class Unit:
     """All functions of a text: `made` by what they are known by, with what each gives back; `written`: the arguments whose
-    arrays some function stores to, by number. `lanes`: how many turns of independent loops are done side by side, 1 or 8."""
+    arrays some function stores to, by number. `lanes`: the lanes of independent loops, 1 or 8."""
 
     lanes: int = WIDTH
     functions: list[Function] = field(default_factory=list)

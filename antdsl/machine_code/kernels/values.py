@@ -22,7 +22,7 @@ _SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
 @dataclass(frozen=True, slots=True)
 class Number:
     """A number by its kind and its name in the text; `known` is its value where the text has it. `lanes`: how many of them there
-    are, one for each of the turns that are done side by side; `first` is that of the first turn where each has one more than the
+    are, one for each lane; `first` is that of the first turn where each has one more than the
     turn before."""
 
     kind: str
