@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.rays import RayScene
@@ -74,8 +73,6 @@ def rays_at_edges() -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(params=["numpy", "compiled"])
 def kernels(request: Any, monkeypatch: pytest.MonkeyPatch) -> str:
-    if request.param == "compiled":
-        need_kernels()
     monkeypatch.setattr(compiled, "wanted", lambda count: request.param == "compiled")
     return request.param
 
@@ -151,7 +148,6 @@ def test_two_sheets_in_one_place_are_told_apart_by_their_number(kernels: str):
 
 
 def test_the_kernels_and_the_arrays_say_the_same(monkeypatch: pytest.MonkeyPatch):
-    need_kernels()
     from antdsl.casting import faces_compiled
 
     found = []
@@ -173,7 +169,6 @@ def test_the_kernels_and_the_arrays_say_the_same(monkeypatch: pytest.MonkeyPatch
     [(1, 2, 3), (3, 2, 1), (2, 3, 1), (2, 2, 1), (1, 2, 2), (2, 1, 2), (np.nan, 1, 2), (1, np.nan, np.nan), (1, 2, np.nan)],
 )
 def test_the_heaviest_corner_is_the_same_one(weights: tuple[float, float, float]):
-    need_kernels()
     from antdsl.casting import faces_compiled
 
     assert faces_compiled._heaviest(*map(float, weights)) == int(np.argmax(weights))

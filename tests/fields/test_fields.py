@@ -6,7 +6,6 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 
 from antdsl.fields.cells import FieldTooFine, SurfaceCells, compatible, facing
 from antdsl.fields.pheromone import LARGEST_DEPOSIT, UNIT, PheromoneField
@@ -373,7 +372,6 @@ def test_answers_do_not_depend_on_the_batch():
 
 
 def test_strongest_is_the_same_bits_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     mesh = terrain(150, 30)
     field = PheromoneField(SurfaceCells([mesh], 4.0))
     rng = np.random.default_rng(8)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import meshes
 import numpy as np
 import pytest
-from compilers import need_kernels
 from meaning import WAYS
 from plan_text import plan_of
 
@@ -25,10 +24,7 @@ WORLD = "ant 1\nuse steering\nworld { surface ground }\nfield scent on ground { 
 @pytest.mark.parametrize("kernels", [False, True])
 @pytest.mark.parametrize("k", [1, 9, 16, 27])
 def test_it_is_reached_where_as_much_is_smelled(kernels: bool, k: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    if kernels:
-        need_kernels()
     monkeypatch.setattr(compiled, "wanted", lambda count: kernels)
-    monkeypatch.setattr(compiled, "_running", kernels)
     monkeypatch.setattr(compiled, "cores", lambda: 4)
     monkeypatch.setattr(compiled, "LIGHT", 100)  # so that it goes in parts
     field = PheromoneField(SurfaceCells([meshes.terrain(150, 30)], 4.0))

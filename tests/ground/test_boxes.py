@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 from meshes import ball, terrain
 from numpy.typing import NDArray
 from open_shapes import joined, soup
@@ -94,7 +93,6 @@ def test_ground_without_a_triangle_is_met_nowhere() -> None:
 
 
 def test_the_compiled_twin_meets_the_same_to_the_bit() -> None:
-    need_kernels()
     from antdsl.ground.mesh.boxes_compiled import first_of, gather
     from antdsl.ground.mesh.face_table import packed
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 from open_shapes import WORSE
 from sampling import sampled
 from torture_walks import shapes
@@ -79,7 +78,6 @@ def crowd(ground: MeshGround, rng: np.random.Generator) -> Move:
 
 @pytest.mark.parametrize("name", sampled(GROUNDS, GROUNDS.keys() - {"slivers", "soup", "book", "layers", "bows"}))
 def test_the_compiled_walk_gives_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     ground = MeshGround(GROUNDS[name]())
     rng = np.random.default_rng(5)
     use(monkeypatch, False)
@@ -108,7 +106,6 @@ def test_the_compiled_walk_gives_the_same_bits(name: str, monkeypatch: pytest.Mo
 
 
 def test_odd_wishes_and_footings_nowhere_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     ground = MeshGround(GROUNDS["boulders"]())
     rng = np.random.default_rng(6)
     use(monkeypatch, False)
@@ -132,7 +129,6 @@ def test_odd_wishes_and_footings_nowhere_give_the_same_bits(monkeypatch: pytest.
 
 
 def test_how_far_agents_look_out_is_the_same_by_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     ground = MeshGround(GROUNDS["boulders"]())
     rng = np.random.default_rng(8)
     for values in ([0.0, 1.0, 3.0], [np.nan, np.inf, -np.inf, 1e200, 2.0], [np.nan]):
@@ -195,7 +191,6 @@ def test_finer_distances_of_an_obstacle_are_still_below_the_true_ones() -> None:
 
 
 def test_the_compiled_walk_gives_the_same_bits_beside_a_mesh_that_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     meshes = {"sheet": grid(30, 12), "stone": ball(5, (0, 1, 0), 7)}
     ground = MovingGround(meshes, ["stone"])
     rng = np.random.default_rng(16)
@@ -215,7 +210,6 @@ def test_the_compiled_walk_gives_the_same_bits_beside_a_mesh_that_moves(monkeypa
 
 @pytest.mark.parametrize("name", ["hills", "flipped, doubled and flat faces", "loose sheets", "a mesh that moves"])
 def test_places_of_footings_have_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     rng = np.random.default_rng(3)
     if name == "a mesh that moves":
         stone = ball(14, (8, 4, 3), 9)

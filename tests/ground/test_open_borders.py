@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 from open_shapes import WORSE
 
 from antdsl.bench.cases import case_of
@@ -117,7 +116,6 @@ def marked(walk: walk_events.Walk) -> int:
 
 
 def test_marks_are_for_the_widest_of_a_crowd_and_go_where_a_mesh_moves() -> None:
-    need_kernels()
     ground = MeshGround(GROUNDS["a sheet far below"])
     for widest, count in ((4.0, 8), (1.0, 8), (30.0, 0), (4.0, 0)):
         walk = ground.crowd_walk(1.0, widest)
@@ -137,7 +135,6 @@ def bound(size: int) -> World:
 
 
 def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     waiting: list[int] = []
     monkeypatch.setattr(walk_events.CrowdWalk, "on", looked_at(walk_events.CrowdWalk.on, waiting))
     populations = []

@@ -7,7 +7,6 @@ from typing import Any
 import meshes
 import numpy as np
 import pytest
-from compilers import need_kernels
 
 from antdsl.ground.solid import Unusable, Volume
 from antdsl.ground.solid_feelers import SolidFeelers
@@ -178,8 +177,6 @@ def test_sums_are_exact_to_the_last_bit(voxel: float) -> None:
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_the_order_of_digging_does_not_matter(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if fast:
-        need_kernels()
     monkeypatch.setattr(compiled, "wanted", lambda count: fast)
     centres, radii, owners = digging()
     a, b = ball(), ball()
@@ -212,7 +209,6 @@ def test_what_two_dig_at_once_goes_to_the_deeper_and_at_a_tie_to_the_least_owner
 
 
 def test_compiled_digging_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     solids = []
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)

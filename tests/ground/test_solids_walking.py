@@ -7,14 +7,13 @@ from collections.abc import Iterator
 import meshes
 import numpy as np
 import pytest
-from compilers import need_kernels
 
 from antdsl.ground.protocol import Move
 from antdsl.ground.solid import Volume, move
 from antdsl.numerics import compiled
 
 BODY = 5.0
-FAST = compiled.available()
+FAST = True
 
 
 def made(mesh: meshes.Mesh, voxel: float = 1.0) -> Volume:
@@ -173,7 +172,6 @@ def test_who_loses_the_ground_goes_to_what_is_left(quick: int) -> None:
 
 
 def test_the_compiled_walk_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     rng = np.random.default_rng(5)
     for solid in (cube(), cheese()):
         ways = unit(rng.normal(size=(300, 3)))

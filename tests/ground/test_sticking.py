@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 from meshes import box, grid, terrain
 from torture_long import SHAPES, long_walk
 from torture_walks import BODY, crowd, wander
@@ -72,7 +71,6 @@ def test_it_steps_through_what_is_thin_where_walkers_do_not() -> None:
 
 
 def test_results_are_the_same_bits_compiled_or_not_and_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     mesh = terrain(120.0, 20)
     ends = []
     for use, threads in ((True, 1), (False, 1), (True, 3)):

@@ -123,7 +123,6 @@ def test_machine_code_works_as_the_standard_says(bits: int) -> None:
 
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
 def test_parts_on_threads_work_as_the_standard_says(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "_running", True)
     monkeypatch.setattr(compiled, "cores", lambda: 4)
     values = np.linspace(2.0**-540, 2.0**-500, 4_000)
 

@@ -21,7 +21,6 @@ def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     """By kernels or by NumPy, in so many threads."""
     kernels, count = request.param
     monkeypatch.setattr(compiled, "wanted", lambda numbers: kernels and numbers > 0)
-    monkeypatch.setattr(compiled, "_running", kernels)
     monkeypatch.setattr(compiled, "cores", lambda: 4)
     return int(count)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 
 from antdsl.numerics import compiled
 from antdsl.numerics.sorting import interleaved, stable_order
@@ -19,10 +18,7 @@ def test_numbers_are_sorted_as_numpy_does(high: int) -> None:
 
 @pytest.mark.parametrize("kernels", [False, True])
 def test_cells_are_numbered_bit_by_bit(kernels: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if kernels:
-        need_kernels()
     monkeypatch.setattr(compiled, "wanted", lambda count: kernels)
-    monkeypatch.setattr(compiled, "_running", kernels)
     monkeypatch.setattr(compiled, "cores", lambda: 4)
     monkeypatch.setattr(compiled, "LIGHT", 50)
     cells = np.random.default_rng(3).integers(0, 1 << 21, (200, 3)).astype(np.uint64)

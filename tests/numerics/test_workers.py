@@ -52,8 +52,7 @@ def nothing(begin: I64, end: I64) -> None:
 
 @pytest.fixture(autouse=True)
 def many(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """As on a machine of eight cores, with kernels in use."""
-    monkeypatch.setattr(compiled, "_running", True)
+    """As on a machine of eight cores."""
     monkeypatch.setattr(compiled, "cores", lambda: 8)
     before = dict(workers._kept)
     yield
@@ -185,7 +184,7 @@ def test_functions_of_machine_code_are_called_with_each_row() -> None:
     room = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
     for count in (1, 3, PARTS, 3 * PARTS + 5):
         compiled.listed(workers_text.code().function("turns"), np.array([(room.ctypes.data, 3, 0)] * count, np.int64), 3)
-    pool = workers._kept[3, True]
+    pool = workers._kept[3]
     assert isinstance(pool, workers.Workers)
     assert pool._words[workers_text.DONE] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT] % 2**32
 
@@ -210,7 +209,7 @@ from functools import partial
 import numpy as np
 from antdsl.numerics import compiled
 from test_workers import squared, arrays
-compiled._running, compiled.cores = True, lambda: 8
+compiled.cores = lambda: 8
 x, out, times = arrays(4000)
 def go():
     while True:
@@ -243,13 +242,14 @@ def test_a_program_ends_whatever_its_threads_are_at(how: str, status: int) -> No
 
 def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "possible", lambda: False)
+    monkeypatch.setattr(workers, "_kept", {})
     x, out, times = arrays(1_000)
     for threads in THREADS:
         found = compiled.in_parts(partial(squared, x, out, times), 1_000, threads, 10)
         assert sum(total for _, total, _ in found) == x.sum()
         with pytest.raises(ZeroDivisionError):
             compiled.in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
-    assert (times == len(THREADS)).all() and isinstance(workers._kept[2, False], workers.Executed)
+    assert (times == len(THREADS)).all() and isinstance(workers._kept[2], workers.Executed)
 
 
 @pytest.mark.parametrize("pool", [workers.Workers, workers.Executed])
@@ -285,12 +285,10 @@ def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> 
 
 
 @pytest.mark.parametrize("threads", THREADS)
-@pytest.mark.parametrize("by_kernels", (True, False))
-def test_each_part_has_a_room_of_its_own(threads: int, by_kernels: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "_running", by_kernels)
+def test_each_part_has_a_room_of_its_own(threads: int) -> None:
     for count in (1, 15, 16, 17, 100, 129, 500, 5_001, 100_003):
         for least in (16, 64, 1_000):
             rooms = np.zeros(compiled.parts(count, threads, least), np.int64)
             found = compiled.in_parts(partial(in_rooms, rooms, count), count, threads, least)
             assert len(set(found)) == len(found) <= len(rooms) and rooms.sum() == count
-            assert len(found) == len(rooms) or not by_kernels
+            assert len(found) == len(rooms)

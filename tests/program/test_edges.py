@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, state_hash, step
@@ -223,7 +222,6 @@ def test_thousands_in_one_place_are_not_measured_pair_by_pair(monkeypatch: pytes
 
 
 def test_compiled_loops_turn_bodies_to_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     from antdsl.numerics import compiled, elementary, elementary_compiled
 
     draw = np.random.default_rng(3)

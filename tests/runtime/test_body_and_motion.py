@@ -7,7 +7,6 @@ from fractions import Fraction
 import meshes
 import numpy as np
 import pytest
-from compilers import need_kernels
 from meaning import WAYS, Seen, crowd, item, play
 from plan_text import WORLD, plan_of
 
@@ -183,7 +182,6 @@ def test_bodies_back_up_walls_without_a_jerk_and_with_their_heads_out() -> None:
 
 
 def test_loops_and_arrays_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     text = crab(BACK, "layers { face uphill when slope > 20 deg; state }", more="min_speed 8 mm/s; max_turn 150 deg/s")
     plan = optimise(plan_of(text, WORLD))
     setting = Setting(fps=Fraction(24), crowds=(crowd(24, radius=25),), surfaces={"ground": room(30, 60)}, seed=4, substeps=2)

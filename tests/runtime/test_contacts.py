@@ -118,7 +118,6 @@ def test_the_same_bits_for_any_rows_threads_chunks_and_backend(mode: str) -> Non
     assert len(found) == 1
 
 
-@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 @pytest.mark.parametrize("mode", ["hard", "soft"])
 @pytest.mark.parametrize("spread", [0.0, 4.0, 30.0])
 def test_compiled_loops_give_the_same_bits(mode: str, spread: float, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,7 +132,6 @@ def test_compiled_loops_give_the_same_bits(mode: str, spread: float, monkeypatch
     assert found[0] == found[1]
 
 
-@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 @pytest.mark.parametrize("place", [0.0, np.nan, np.inf])
 def test_bounds_of_trunks_are_those_of_all_species(place: float, monkeypatch: pytest.MonkeyPatch) -> None:
     found = []
@@ -153,7 +151,6 @@ def test_bounds_of_trunks_are_those_of_all_species(place: float, monkeypatch: py
     assert any(70 in pair for pair in found[0]) == np.isfinite(place)
 
 
-@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 @pytest.mark.parametrize("mass", [np.nan, np.inf])
 def test_one_without_a_mass_changes_nothing_for_who_does_not_touch_it(mass: float, monkeypatch: pytest.MonkeyPatch) -> None:
     found = []
@@ -246,9 +243,7 @@ def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
 # --- who is near ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "fast", [False, pytest.param(True, marks=pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels"))]
-)
+@pytest.mark.parametrize("fast", [False, True])
 @pytest.mark.parametrize(
     "size, reach", [((90, 90, 0), (1, 1.2)), ((60, 60, 60), (1, 8)), ((90, 90, 4), (0.5, 6)), ((1e6, 1e6, 3), (1, 2))]
 )
@@ -286,7 +281,6 @@ def test_who_is_left_out_of_a_heap_goes_by_ids_and_not_by_rows() -> None:
     assert len(found) == 1
 
 
-@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 @pytest.mark.parametrize("size", [(0, 0, 0), (4, 4, 0.1), (40, 3, 0), (4, 4, 9), (5, 5, 5)])
 @pytest.mark.parametrize("sizes", [(1.0,), (1.0, 6.0)])
 def test_the_same_pairs_of_a_heap_are_left_out_by_kernels(

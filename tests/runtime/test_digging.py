@@ -8,7 +8,6 @@ from pathlib import Path
 import digging_shots
 import numpy as np
 import pytest
-from compilers import need_kernels
 from test_cli import antdsl
 
 from antdsl.bodies.shapes import sphere
@@ -252,11 +251,8 @@ def test_a_surface_has_no_voxels(tmp_path):
 
 
 def test_kernels_give_the_same_bits(shot, watched, monkeypatch):
-    need_kernels()
     from antdsl.numerics import compiled
 
-    if not compiled.available():
-        pytest.skip("kernels cannot be compiled here")
     monkeypatch.setattr(compiled, "wanted", lambda count: True)
     world = bound(shot)
     for frame in range(50):
@@ -267,8 +263,6 @@ def test_kernels_give_the_same_bits(shot, watched, monkeypatch):
 @pytest.mark.parametrize("kernels", [False, True])
 def test_cells_are_found_alike_however_many_are_asked_for(kernels, monkeypatch):
     """Rows of the nearest and cells near a place, one by one and all at once, with NumPy and compiled."""
-    if kernels:
-        need_kernels()
     from antdsl.numerics import compiled
 
     def grown(fast: bool) -> GrowingCells:
@@ -325,7 +319,6 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
 
 
 def test_the_field_between_nodes_is_the_same_compiled(monkeypatch):
-    need_kernels()
     from antdsl.ground.solid import trilinear
     from antdsl.numerics import compiled
 

@@ -11,7 +11,6 @@ from antdsl.numerics import compiled
 from antdsl.runtime.planes import Plane
 
 N = 3000
-pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 
 
 def vectors(rng: np.random.Generator, size: float) -> np.ndarray:

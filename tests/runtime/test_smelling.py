@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import meshes
 import numpy as np
 import pytest
-from compilers import need_kernels
 from meaning import WAYS
 from plan_text import plan_of
 
@@ -173,7 +172,6 @@ def test_on_ground_that_has_moved_the_cells_go_along() -> None:
 
 
 def test_a_crowd_smells_alike_by_the_compiled_walk_and_by_the_plain_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     from antdsl.numerics import compiled
 
     ground, count = meshes.grid(60.0, 9, lambda x, z: 4 * np.sin(x / 6) * np.cos(z / 5)), 300

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.surface import MeshGround
@@ -96,7 +95,6 @@ def by_rays() -> MeshGround:
 def test_substeps_have_the_same_bits(
     ground: MeshGround, of: str, facing: bool, keeps: bool, orient: str, substep: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    need_kernels()
     found: list[dict[str, Any]] = []
     here = {"meshes": ground, "rays": by_rays(), "plane": Plane(np.array([0.36, 0.48, 0.8]))}[of]
     walls = []
@@ -127,7 +125,6 @@ def test_substeps_have_the_same_bits(
 
 
 def test_bodies_are_laid_and_stand_up_with_the_same_bits(ground: MeshGround, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     found = []
     for fast in (False, True):
         monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
@@ -143,7 +140,6 @@ def test_bodies_are_laid_and_stand_up_with_the_same_bits(ground: MeshGround, mon
 
 
 def test_straight_walks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     rng, plane = np.random.default_rng(7), Plane(np.array([0.36, 0.48, 0.8]))
     footing, _ = plane.nearest(rng.normal(0, 30, (N, 3)))
     way, heading = rng.normal(size=(N, 3)) * rng.choice([0, 1e-200, 1], (N, 1)), unit(rng).astype(np.float64)
@@ -159,7 +155,6 @@ def test_straight_walks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("odd_sizes", [False, True])
 def test_steps_along_an_obstacle_are_the_same(monkeypatch: pytest.MonkeyPatch, odd_sizes: bool, threads: int) -> None:
-    need_kernels()
     rng, found = np.random.default_rng(8), []
     scene = RayScene(*box((-2, -2, -2), (2, 3, 1)))
     place, step = (tuple((size * rng.normal(size=(3, N))).astype(np.float32)) for size in (3, 2))

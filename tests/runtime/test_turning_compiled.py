@@ -7,13 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from antdsl.numerics import compiled
 from antdsl.runtime.moving import advance, strides
 from antdsl.runtime.world import Population
 
 N = 4000
 DT = np.float32(1 / 24)
-pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 
 
 def vectors(rng: np.random.Generator, size: float) -> np.ndarray:

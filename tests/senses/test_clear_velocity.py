@@ -81,7 +81,6 @@ def test_a_change_by_half_each_just_misses_within_the_horizon() -> None:
     assert found[0][0] == -found[0][1] and found[1][0] == -found[1][1]
 
 
-@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 @pytest.mark.parametrize(("count", "near"), [(0, 1.0), (1, 20.0), (4, 25.0), (10, 25.0), (10, 3.0), (16, 0.5)])
 def test_kernels_give_the_same_bits(monkeypatch: pytest.MonkeyPatch, count: int, near: float) -> None:
     o, (velocity, wish, fastest, horizon) = case(count, count, near)
@@ -98,7 +97,6 @@ def test_kernels_give_the_same_bits(monkeypatch: pytest.MonkeyPatch, count: int,
         assert plain.tobytes() == by_loops.tobytes()
 
 
-@pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 def test_kernels_find_the_same_others_of_two_species(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     line = "{{species: {0}, from: {0}.ant, count: 60, place: {{radius: 3 m}}}}"
     crowds = ", ".join(line.format(name) for name in ("dog", "cat"))

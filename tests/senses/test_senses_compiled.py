@@ -13,7 +13,6 @@ from antdsl.senses import neighbours
 from antdsl.senses.cell_order import ordered
 from antdsl.senses.neighbours import CellGrid, Pairs
 
-pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs compiled kernels")
 COLUMNS = Pairs.__slots__
 EXTENTS = ((400, 10, 400), (100, 100, 100), (3000, 0, 0), (0, 900, 0), (9e6, 4e4, 9e6), (60, 1, 60))
 RADII = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 from scipy.spatial import cKDTree
 
 from antdsl import limits
@@ -16,8 +15,6 @@ from antdsl.senses.neighbours import CellGrid, Pairs
 
 @pytest.fixture(autouse=True, params=["numpy", "compiled"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    if request.param == "compiled":
-        need_kernels()
     monkeypatch.setattr(compiled, "wanted", lambda count: request.param == "compiled")
     return request.param
 
