@@ -9,7 +9,8 @@ import pytest
 
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.plane import Plane
-from antdsl.runtime.moving import advance, tilting
+from antdsl.runtime.moving import advance, rises, tilting
+from antdsl.runtime.moving.headings import LEANS, STANDS
 from antdsl.runtime.world import Population
 from tests.meshes import box, terrain
 from tests.motion_oracle import Agent, find_walls, laid, substep
@@ -40,12 +41,14 @@ def people(ground: MeshGround, seed: int, facing: bool) -> People:
     """A crowd on a ground of which some lean, some stand upside down and some have sizes and limits that are none."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(ground.low, ground.high, (N, 3))
-    points[::2] = rng.uniform((-8, -1, -9), (8, 1, 9), (N, 3))[::2]  # where pieces cut each other
+    rises = rng.random(N) < 0.7
+    points[rises] = rng.uniform((-8, -1, -9), (8, 1, 9), (N, 3))[rises]  # where pieces cut each other
     footing, _ = ground.nearest(points)
     normal = ground.normal(footing).astype(np.float32)
     up, heading = normal.copy(), unit(rng)
     heading -= normal * (heading * normal).sum(axis=1, keepdims=True)
     heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+    heading[12:16] = up[12:16]  # straight up
     leans = rng.random(N) < 0.3
     up[leans] = unit(rng)[leans]
     up[:9] = -normal[:9]
@@ -94,6 +97,8 @@ def test_substeps_are_those_of_one_agent_after_another(
     if of != "meshes":
         crowd.footing = here.nearest(crowd.position)[0]
         crowd.position = here.position(crowd.footing)
+    else:
+        crowd.footing.mesh[16:19] = -1  # nowhere
     if keeps:
         crowd.now["min_speed"] = odd(np.random.default_rng(4), 0, -1, np.nan, np.inf)
     setting = SimpleNamespace(substeps=2, orient="normal", crowds=())
@@ -158,7 +163,9 @@ def test_bodies_that_begin_before_a_wall_are_tilted_for_it(ground: MeshGround) -
     for agent in agents:
         agent.step = np.zeros(3)
     find_walls(ground, crowd, agents)
-    rows = np.flatnonzero(np.random.default_rng(8).random(N) < 0.7)
+    chosen = np.random.default_rng(8).random(N) < 0.7
+    chosen[min(i for i, agent in enumerate(agents) if agent.wall is not None)] = True
+    rows = np.flatnonzero(chosen)
     world = SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1))
     with np.errstate(all="ignore"):
         tilting.settle(world, crowd, rows)  # type: ignore[arg-type]
@@ -175,3 +182,25 @@ def test_bodies_that_begin_before_a_wall_are_tilted_for_it(ground: MeshGround) -
             assert all(np.array_equal(crowd.now[name][i], before[name][i], equal_nan=True) for name in before)
             assert all(np.array_equal(crowd.start[name][i], start[name][i], equal_nan=True) for name in start)
     assert tilts > 5
+
+
+@pytest.mark.parametrize("facing", [False, True])
+def test_walls_are_those_that_bodies_tilt_for(ground: MeshGround, facing: bool) -> None:
+    crowd = people(ground, 9, facing)
+    agents = [Agent.of(crowd, i) for i in range(N)]
+    for agent, step in zip(agents, unit(np.random.default_rng(10)) * np.float32(0.7), strict=True):
+        agent.step = step.astype(float)
+    find_walls(ground, crowd, agents)
+    step = tuple(np.ascontiguousarray([agent.step[k] for agent in agents], np.float32) for k in range(3))
+    looking = tuple(np.ascontiguousarray([agent.looking[k] for agent in agents], np.float32) for k in range(3))
+    state = np.array([LEANS if agent.leans else STANDS for agent in agents], np.int32)
+    reach, world = np.empty(N), SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1))
+    rises.reaches(crowd.now["size"], reach)
+    assert np.allclose(reach, [3 * agent.half for agent in agents])
+    found = rises.find_walls(world, crowd, looking, step, reach, state)  # type: ignore[arg-type]
+    walls = [agent.wall for agent in agents]
+    assert np.array_equal(state >= 0, [wall is not None for wall in walls]) and (state >= 0).sum() == len(found.far) > 20
+    for k, wall in ((state[i], wall) for i, wall in enumerate(walls) if wall is not None):
+        assert np.allclose(found.wall[:, k], wall.normal, atol=1e-5) and np.allclose(found.ahead[:, k], wall.ahead, atol=1e-5)
+        own = [found.angle[k], found.far[k], found.over[k], found.half[k]]
+        assert np.allclose(own, [wall.angle, wall.far, wall.over, wall.half], atol=1e-4)
