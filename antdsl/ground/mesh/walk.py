@@ -150,8 +150,6 @@ def walk_all(
                 to_mesh[i], to_face[i], to_b1[i], to_b2[i], to_over[i], gone[i] = -1, -1, 0.0, 0.0, 0.0, 0.0
                 _put(i, ((0.0, 0.0, 0.0), above_it, look, look), place, above, ahead, direction)
                 continue
-            if not np.isfinite(step[0] + step[1] + step[2]):
-                step = (0.0, 0.0, 0.0)
             high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length, _ = walked(
                 surface, near, False, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], body[i], step, look, above_it
             )
