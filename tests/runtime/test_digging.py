@@ -318,25 +318,6 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
     assert (clear <= 30.0 + 1e-3).all() and (clear > 0).all()
 
 
-def test_the_field_between_nodes_is_the_same_compiled(monkeypatch):
-    from antdsl.ground.solid import trilinear
-    from antdsl.numerics import compiled
-
-    draw = np.random.default_rng(1)
-    volume = Volume.from_mesh(*digging_shots.hill(), 0.7)
-    assert isinstance(volume, Volume)
-    volume.carve(draw.normal(size=(30, 3)) * 12, draw.uniform(1, 4, 30), np.arange(30))
-    places = draw.uniform(-35, 35, (20_000, 3))
-    places[:4] = [[np.nan] * 3, [np.inf] * 3, [-np.inf] * 3, [1e300, 0, 0]]
-    places[1000:3000] = volume.low + np.round((places[1000:3000] - volume.low) / 0.7) * 0.7  # at nodes
-    found = []
-    for fast in (False, True):
-        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
-        found.append([trilinear.distance(volume.bricks, *places.T), *trilinear.field(volume.bricks, *places.T)])
-    for plain, quick in zip(*found, strict=True):
-        assert np.array_equal(plain, quick, equal_nan=True)
-
-
 def test_who_hangs_from_a_ceiling_that_is_dug_away_falls_to_the_floor(shot):
     world = bound(shot)
     hill, ground = world.solids["hill"], world.ground

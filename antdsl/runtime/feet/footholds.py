@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.casting.grid_rays import AHEAD, Grid, fetch_rays, first_hit
 from antdsl.casting.tolerances import FURTHER
-from antdsl.casting.triangle_grid_compiled import AHEAD, Grid, fetch_rays, first_hit
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,

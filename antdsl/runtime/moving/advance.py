@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh import walk_compiled as loop
+from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.walk_events import CrowdWalk, Waiting
 from antdsl.ground.plane import Plane
@@ -201,8 +201,8 @@ class _Crowd:
         above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
         (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
         placed, moved = _ON_FACES(to.columns), (place, above, ahead, direction, gone)
-        rows, left = walk.on(waiting, how, placed, moved, blocked, self.threads)
-        if left:
+        rows = walk.on(waiting, how, placed, moved, blocked, self.threads)
+        if waiting.left:
             others = np.flatnonzero(how != loop.DONE)
             result = Move(to, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
             result.put(others, self._moved(ground, others))

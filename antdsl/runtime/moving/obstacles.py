@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearest_faces_compiled import fetch_around, fetch_lists, way_out
+from antdsl.casting.grid_rays import AHEAD, Grid, feel
+from antdsl.casting.nearest_faces import fetch_around, fetch_lists, way_out
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import FURTHER
-from antdsl.casting.triangle_grid_compiled import AHEAD, Grid, feel
 from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
 from antdsl.numerics import compiled
 from antdsl.numerics import vectors as vec

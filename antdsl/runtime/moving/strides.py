@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.face_table import WIDTH
-from antdsl.ground.mesh.stretches_compiled import finish
-from antdsl.ground.mesh.walk_compiled import (
+from antdsl.ground.mesh.stretches import finish
+from antdsl.ground.mesh.walk import (
     DONE,
     LEFT_OUT,
     ROWS_AHEAD,
@@ -164,8 +164,6 @@ def stride(
             high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length, hops = walked(
                 surface, near, True, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], long, way, look, up
             )
-            if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
-                continue
             if event:
                 how[i] = WAITS
                 keep(

@@ -1,10 +1,10 @@
-"""What `triangle_grid` does, for one ray or place at a time: the same float64 operations in the same order for each face."""
+"""The first face that rays meet in a grid of triangles, see `triangle_grid`: one ray at a time, cube by cube."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from antdsl.casting.faces_compiled import along, towards
+from antdsl.casting.faces import along, towards
 from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, SHORTEST
 from antdsl.machine_code.kernels import (
     BOOL,

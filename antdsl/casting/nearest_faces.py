@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.casting.faces_compiled import nearest_on, square_of
+from antdsl.casting.faces import nearest_on, square_of
+from antdsl.casting.grid_rays import Grid, Three
 from antdsl.casting.tolerances import BEYOND, FURTHER, RINGS, TOUCHING, UNSURE
-from antdsl.casting.triangle_grid_compiled import Grid, Three
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, called, fetch_ahead, inlined, kernel, whole
 from antdsl.numerics.vectors_compiled import minus
 

@@ -1,4 +1,4 @@
-"""Stretches of a walk, each across one face: the operations of `walk` for one agent in the same order, and so the same bits."""
+"""Stretches of a walk, each across one face, until something may be in the way or beyond a border."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import numpy as np
 
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
 from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.ground.mesh.walk import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
 from antdsl.machine_code.kernels import consecutive, fetch_ahead, inlined, whole
 from antdsl.numerics.vectors_compiled import inside, plus, times
 
+CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
+STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
+GRAIN = 1e-7  # of a face: how far it is moved
+INWARD = 1e-6  # of a direction along a border: off it, or rounding would ask about it again and again
+HOPS = 6  # from surface to surface, or turns along a border, in one step
 AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the border; over one already
 
 
@@ -22,17 +26,19 @@ def frame(table, row):  # type: ignore[no-untyped-def]
 
 @inlined
 def laid_down(axis1, axis2, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
+    """A vector laid into a face: unit (c, s) in its frame, (c0, s0) where nothing finite is left, and its length (mm)."""
     c = axis1[0] * x + axis1[1] * y + axis1[2] * z
     s = axis2[0] * x + axis2[1] * y + axis2[2] * z
     flat = np.sqrt(c * c + s * s)
-    if not flat > 1e-150:
+    if not (flat > 1e-150 and flat < np.inf):
         return c0, s0, 0.0
+    # Up to 60 degrees off the surface the length is kept; beyond, it falls steadily to nothing.
     return c / flat, s / flat, min(np.sqrt(x * x + y * y + z * z), 2 * flat)
 
 
 @inlined
 def free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-untyped-def]
-    """As `Parts.of`."""
+    """A distance (mm) within which a place has no other piece, see `Parts`; `reach` being enough."""
     n = sub_count[f]
     if n == 0:
         return reach

@@ -1,5 +1,4 @@
-"""Where footings are in the world and which way their faces point, of many in one pass: as `MeshGround.position` and `sides`; and
-how far agents may look out, as `MeshGround` reckons it.
+"""Where footings are in the world and which way their faces point, of many in one pass, and how far agents may look out.
 
 Places are made from vertices, of which neighbours share most, so that less of memory is read than of a table of faces."""
 
