@@ -34,10 +34,7 @@ class RowCopies:
     def copy(self, to: Sequence[NDArray[Any]], of: Sequence[NDArray[Any]], threads: int) -> None:
         """Copy arrays `of` [n, ..], each in one piece, to those of the same length and type that are not the same."""
         arrays = [*to, *of]
-        if not arrays or not compiled.wanted(len(arrays[0])):
-            for one, other in zip(to, of, strict=True):
-                if one is not other:
-                    one[:] = other
+        if not arrays:
             return
         if len(arrays) != len(self._arrays) or threads != self._threads or any(map(is_not, arrays, self._arrays)):
             self._arrays, self._threads = arrays, threads
@@ -49,10 +46,6 @@ class RowCopies:
 def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
     """Copy these rows of arrays [n, ..], each in one piece, to arrays [k, ..] of the same type."""
     if not pairs:
-        return
-    if not compiled.wanted(len(rows)):
-        for to, of in pairs:
-            of.take(rows, axis=0, out=to, mode="clip")
         return
     rows = np.ascontiguousarray(rows)  # which lasts as long as its address is in use
     table = _table(pairs, rows)

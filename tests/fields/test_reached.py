@@ -21,10 +21,8 @@ NATIVE = Options(backend="native", chunk=16, threads=2, wait_for_code=True)
 WORLD = "ant 1\nuse steering\nworld { surface ground }\nfield scent on ground { cell 4 mm; half_life 2 s }\n"
 
 
-@pytest.mark.parametrize("kernels", [False, True])
 @pytest.mark.parametrize("k", [1, 9, 16, 27])
-def test_it_is_reached_where_as_much_is_smelled(kernels: bool, k: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "wanted", lambda count: kernels)
+def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "cores", lambda: 4)
     monkeypatch.setattr(compiled, "LIGHT", 100)  # so that it goes in parts
     field = PheromoneField(SurfaceCells([meshes.terrain(150, 30)], 4.0))

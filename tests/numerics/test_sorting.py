@@ -16,9 +16,7 @@ def test_numbers_are_sorted_as_numpy_does(high: int) -> None:
     assert stable_order(keys[:0]).size == 0
 
 
-@pytest.mark.parametrize("kernels", [False, True])
-def test_cells_are_numbered_bit_by_bit(kernels: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "wanted", lambda count: kernels)
+def test_cells_are_numbered_bit_by_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "cores", lambda: 4)
     monkeypatch.setattr(compiled, "LIGHT", 50)
     cells = np.random.default_rng(3).integers(0, 1 << 21, (200, 3)).astype(np.uint64)

@@ -222,13 +222,13 @@ def test_thousands_in_one_place_are_not_measured_pair_by_pair(monkeypatch: pytes
 
 
 def test_compiled_loops_turn_bodies_to_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.numerics import compiled, elementary, elementary_compiled
+    from antdsl.numerics import compiled, elementary, elementary_loops
 
     draw = np.random.default_rng(3)
     x, y = (draw.normal(size=(2, 500)) * 4).astype(np.float32)
-    pairs = np.array([elementary_compiled.cos_sin(value) for value in x], np.float32)
+    pairs = np.array([elementary_loops.cos_sin(value) for value in x], np.float32)
     assert np.array_equal(pairs[:, 0], elementary.cos(x)) and np.array_equal(pairs[:, 1], elementary.sin(x))
-    angles = np.array([elementary_compiled.atan2(one, other) for one, other in zip(y, x, strict=True)], np.float32)
+    angles = np.array([elementary_loops.atan2(one, other) for one, other in zip(y, x, strict=True)], np.float32)
     assert np.array_equal(angles, elementary.atan2(y, x))
     found, hashes = shot(tmp_path, wedge()), []
     for fast in (False, True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, kernel
-from antdsl.numerics.elementary_compiled import atan2
+from antdsl.numerics.elementary_loops import atan2
 from antdsl.numerics.vectors_compiled import cross, dot, minus, of, plus, times
 from antdsl.runtime.moving.tilting_compiled import STANDS, half_of
 

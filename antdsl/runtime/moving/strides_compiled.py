@@ -20,7 +20,7 @@ from antdsl.ground.mesh.walk import (
     keep,
     walked,
 )  # fmt: skip
-from antdsl.ground.plane_compiled import straight
+from antdsl.ground.plane import straight
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, Array2, Strided2, called, independent, inlined, kernel, three
-from antdsl.numerics.elementary_compiled import atan2, cos_sin
+from antdsl.numerics.elementary_loops import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]

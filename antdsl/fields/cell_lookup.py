@@ -1,4 +1,4 @@
-"""The cell of each agent as one pass: as `cells` finds it, the same bits. Imported only where `compiled.wanted` says so."""
+"""The cell of each agent's voxel and side, as one pass over the agents."""
 
 import numpy as np
 
