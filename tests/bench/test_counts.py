@@ -22,7 +22,7 @@ from antdsl.bench.counting import SETTLED, count_step, counts_of
 from antdsl.machine_code.kernels import sources
 from antdsl.numerics import compiled
 from antdsl.runtime import Options, World, bind, state_hash, step, stepping
-from antdsl.senses.overlaps_compiled import worst
+from antdsl.senses.overlaps import worst
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "tests" / "benchmarks"

@@ -16,7 +16,7 @@ from antdsl.machine_code.lanes import WIDTH
 from antdsl.numerics import compiled
 from antdsl.numerics.cores import EACH, cores
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, Does, Instruction, Scope
+from antdsl.runtime.backends.compile import EFFECTS, PAIRS, POPULATION, THREADS, WORLD, Does, Instruction, Scope
 from antdsl.runtime.backends.metering import Metered
 from antdsl.runtime.backends.native.asking import asked
 from antdsl.runtime.backends.native.lane import Lane
@@ -24,7 +24,6 @@ from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.ready import Ready
 from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.backends.native.tables import Tables
-from antdsl.runtime.pairs import NearbySets
 from antdsl.runtime.requests import FaultEntry
 from antdsl.runtime.sensing import IN_PLACE, SENSES
 from antdsl.runtime.world import Population, World
@@ -251,7 +250,7 @@ class Chunk:
             compiler = self.block.compiler
             v = self._slots = [None] * compiler.slots
             v[WORLD], v[POPULATION], v[EFFECTS] = self.world, self.population, self.population.effects
-            v[PAIRS], v[NEARBY] = {}, NearbySets(1)
+            v[PAIRS], v[THREADS] = {}, 1
             v[compiler.root.rows] = slice(self.first, self.last)
             for node, slot in compiler.uniforms.items():
                 v[slot] = self.values[node]

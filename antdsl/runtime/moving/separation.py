@@ -1,4 +1,4 @@
-"""The passes of `contacts` over pairs as loops: the same operations, and sums that are exact in any order, so the same bits."""
+"""Loops over pairs of bodies that part them; sums over pairs are exact, so that no order counts."""
 
 from __future__ import annotations
 
@@ -23,14 +23,23 @@ from antdsl.machine_code.kernels import (
 )
 from antdsl.numerics.sorting_compiled import listed
 from antdsl.numerics.vectors_compiled import dot, minus, of, plus, put, times
-from antdsl.runtime.moving.capsules_compiled import measured_some
-from antdsl.runtime.moving.cutting_compiled import add, negative
+from antdsl.runtime.moving.capsule_distances import measured_some
+from antdsl.runtime.moving.cutting import add, negative
 
-_FINE, _SHARES, _SPREADS = 40, 1 << 20, 3  # as `contacts`
-_OUTWARD, _PRESSED, _LEAST, _EAGER, _STEEPEST, _DEAD = 10.0, 1.0, 1 / 64, 1.5, 0.1, 5e-4
-_YIELD, _HEAP, _RESTS = 0.3, 0.4, 0.01
+DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
+FINE = 40  # digits of a term in a sum, below the widest overlap
+_SHARES = 1 << 20  # a share is a multiple of one in so many
+_SPREADS = 3  # contacts along which it is told how locked in agents are
+_OUTWARD = 10.0  # times the difference of two, by which the outer one makes room in a heap
+_PRESSED = 1.0  # the same among those who are hardly in each other: there a crowd that presses must not be thrown about
+_LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
+_EAGER = 1.5  # times the mean of its contacts, by which one in a heap is moved
+_STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
+_HEAP = 0.4  # radii: who was half as deep in another begins to be in a heap, who was one and a half times as deep is
+_RESTS = 0.01  # of the way that it may walk: who goes less rests, and presses nobody
+_YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
 _ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
-_MAGIC = 1.5 * 2.0 ** (52 - _FINE)
+_MAGIC = 1.5 * 2.0 ** (52 - FINE)
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Bodies = tuple[Strided2[F64], Strided2[F64], Strided2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
@@ -79,7 +88,8 @@ def faced(
     ahead: Array2[F64],
     middle: Array2[F64],
 ) -> None:
-    """As `contacts._face_as_before`, for rows of a species, which are `stopped` among those in pairs and `whole` among all."""
+    """Let rows of a species face as before the substep, with their trunks; they are `stopped` among those in pairs and `whole`
+    among all."""
     for n in independent(0, rows.size):
         row, k = rows[n], stopped[n]
         above = (up[0][row], up[1][row], up[2][row])
@@ -106,7 +116,11 @@ def _greatest(numbers, count):  # type: ignore[no-untyped-def]
 
 @called
 def _share(m, count, room, light, heap):  # type: ignore[no-untyped-def]
-    """As `contacts._shares`, for the first `m` pairs of `room`, among the first `count` rows."""
+    """What of their overlap the first and the second of each pair make room for, together 1: the lighter more, and the one that
+    is less locked in; for the first `m` pairs of `room`, among the first `count` rows.
+
+    Locked in is who is deep in others that are deep in others: the overlaps of each, added up along contacts again and again
+    (power iteration to the first eigenvector of the contact graph, whose values fall from the middle of a heap to its rim)."""
     locked, spread = room[2][_LOCKED], room[2][_SPREAD]
     numbers, first, second = room[5], room[7][_FIRST], room[7][_SECOND]
     deep = numbers[_DEEP]
@@ -141,7 +155,7 @@ def _share(m, count, room, light, heap):  # type: ignore[no-untyped-def]
 
 @inlined
 def _within(gone, middle, room):  # type: ignore[no-untyped-def]
-    """As `contacts._within`, for one."""
+    """A correction cut so that it ends no farther than its `room` from a place that lies `middle` before where the walk led."""
     way = plus(middle, gone)
     size = np.sqrt(dot(way, way))
     if size > room:
@@ -162,7 +176,7 @@ def parted(
     lost: Array1[I64],
     room: Room,
 ) -> tuple[I64, I64]:
-    """As the looks of `contacts._apart`, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`.
+    """Looks at pairs, each with its sweeps, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`.
     Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
     middle, ahead, up, half, radius = bodies
     i, j, gap, way, which = pairs
@@ -209,7 +223,7 @@ def parted(
 @inlined
 def _dead(radius, i, j, pair):  # type: ignore[no-untyped-def]
     """The gap of a pair below which it counts."""
-    return -((radius[i[pair]] + radius[j[pair]]) * _DEAD)
+    return -((radius[i[pair]] + radius[j[pair]]) * DEAD)
 
 
 @called
@@ -231,7 +245,7 @@ def _group(i, j, starts, about):  # type: ignore[no-untyped-def]
 
 @called
 def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
-    """As `contacts._apart`: how easily each of some rows is moved, how much it is in a heap, how far it may get and how far be
+    """How easily each of some rows is moved, how much it is in a heap, how far it may get and how far be
     pushed."""
     mass, yields, reach, deep, held, _, walked, _ = stand
     light, heap, most, room = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
@@ -247,8 +261,8 @@ def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
 
 @called
 def _look(radius, pairs, touch, stand, gone, magic, sweeps, slow, alone, room):  # type: ignore[no-untyped-def]
-    """As `contacts._look`, where so many pairs `touch`, for all about their rows or for these `alone`; says who has changed, and
-    whether anybody has; and how many rows it has looked at, which are the first of `some`."""
+    """One look and its sweeps, where so many pairs `touch`, for all about their rows or for these `alone`; says who has changed,
+    and whether anybody has; and how many rows it has looked at, which are the first of `some`."""
     i, j, gap, way, which = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
     led, sums, of_rows, wholes, changed, numbers, ways, indices, starts, about = room

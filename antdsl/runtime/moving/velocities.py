@@ -1,5 +1,4 @@
-"""What `advance` does before and after the walk, for one agent at a time: the same float32 operations in the same order, and so
-the same bits."""
+"""Velocities after a push, and velocities and headings where a walk has led, for one agent at a time in float32."""
 
 from __future__ import annotations
 
@@ -8,8 +7,17 @@ import numpy as np
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel, put_three
 from antdsl.numerics.elementary_loops import atan2, cos_sin
 from antdsl.numerics.vectors_compiled import cross, dot, flat, minus, plus, times
-from antdsl.runtime.moving.headings import BEYOND, BOUNCE, LEAST_TURN, LEVEL, NINETIETH, SLOW, TWELFTH
-from antdsl.runtime.moving.tilting_compiled import HASTENS, STANDS
+from antdsl.runtime.moving.headings import (
+    BEYOND,
+    BOUNCE,
+    HASTENS,
+    LEAST_TURN,
+    LEVEL,
+    NINETIETH,
+    SLOW,
+    STANDS,
+    TWELFTH,
+)
 
 Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 # `max_speed`, `max_turn` and `response`.
@@ -24,13 +32,13 @@ _F = np.float32
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 _TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
 _PI = _F(np.pi)
-_SURELY = _F(1e-3)  # as `advance`
+_SURELY = _F(1e-3)  # of a cosine: an angle that is less by as much needs no inverse tangent
 
 
 @inlined
 def pushed(push, velocity, up, heading, limits, keeps, min_speed, times_of, i):  # type: ignore[no-untyped-def]
     """The velocity of agent i after its push along the ground, whose `up` is given, within the limits of speed and turn: see
-    `strides_compiled.set_out`."""
+    `strides.set_out`."""
     max_speed, max_force, mass, response, max_turn = limits
     at_once, first, dt = times_of
     wish = flat((push[0][i], push[1][i], push[2][i]), up)
@@ -58,7 +66,8 @@ def pushed(push, velocity, up, heading, limits, keeps, min_speed, times_of, i): 
 
 @inlined
 def _quickened(velocity, before, heading, least):  # type: ignore[no-untyped-def]
-    """As `moving._quickened`, for one."""
+    """Velocity of at least a speed: an agent that would be slower continues the way that it went `before`, from a stand along its
+    heading, by as much as makes up for it. A sideways push turns it, and braking never turns it round."""
     square = dot(velocity, velocity)
     if not square < least * least:
         return velocity
@@ -74,7 +83,7 @@ def _quickened(velocity, before, heading, least):  # type: ignore[no-untyped-def
 
 @called
 def _turned(velocity, before, up, most):  # type: ignore[no-untyped-def]
-    """As `moving._limit_turn`, for one."""
+    """The velocity turned by at most `most` (radians) from before, at its own speed; from a stand it may have any direction."""
     if not length(before) > 0:
         most = _F(4.0)
     ahead, good = _unit(before)
@@ -178,13 +187,14 @@ def arrive(
 
 @inlined
 def _squared_angle(square):  # type: ignore[no-untyped-def]
-    """As `advance._squared_angle`."""
+    """The square of an angle, by the first terms of its series in the squared chord of unit vectors: less beyond 1 rad."""
     return square * (_ONE + square * (TWELFTH + square * NINETIETH))
 
 
 @inlined
 def _faced(heading, velocity, up, faces, wish, max_speed, max_turn, at_once, tilt, dt, part):  # type: ignore[no-untyped-def]
-    """As `moving._face`, for one."""
+    """The heading turned towards the movement or the direction to face: by a `part` of the turn or at once, and with the body's
+    tilt, whose squared angle is given, no faster than max_turn. Over a right angle it turns towards its side first."""
     heading, good = _unit(flat(heading, up))
     if not good:
         heading = _across(up)

@@ -1,4 +1,4 @@
-"""How near capsules are to each other by loops: the same operations in the same order as `capsules`, and so the same bits."""
+"""Capsules of bodies, and how near any two are to each other."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from antdsl.machine_code.kernels import (
 from antdsl.numerics.sorting_compiled import listed
 from antdsl.numerics.vectors_compiled import dot, minus, of, plus, times
 
-_OPPOSITE, _NOWHERE, _ABOUT, _SEEN = -0.5, 1e-6, 1.5, 1.6  # as `capsules`
+_SEEN = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
+_ABOUT = 1.5  # widths that two are apart, up to which they may yet meet
+_OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
+_NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
 _ZERO = np.float32(0)
 _TOGETHER = 64  # agents of whom bounds are found side by side
 _NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * _TOGETHER, 4 * _TOGETHER, _TOGETHER]).reshape(9, _TOGETHER)
@@ -93,7 +96,8 @@ def trunks(
 
 @called
 def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untyped-def]
-    """As `capsules._gaps`, of one pair: gap and way; and whether both stand in one place, and so have none."""
+    """Gap and way to part of one pair, and whether both stand in one place, and so have none. The nearest points of two segments
+    by C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. Where axes cross, the way is from middle to middle."""
     between = plus(one, other)
     factor = 0.0 if dot(one, other) < _OPPOSITE else 1 / np.sqrt(max(dot(between, between), 1e-12))
     between = times(between, factor)
