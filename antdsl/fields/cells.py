@@ -17,7 +17,7 @@ from antdsl.casting.rays import Mesh
 from antdsl.fields.cell_lookup import located
 from antdsl.fields.numbered import NO_CELLS, NO_INDEX, Index, rank, summed
 from antdsl.ground.mesh.topology import facing
-from antdsl.numerics import compiled, stored_tables
+from antdsl.numerics import parallel, stored_tables
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
@@ -194,7 +194,7 @@ class SurfaceCells:
         keys = (self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
         along = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
         work = partial(located, along, side, *keys, known.key, known.cell, cell)
-        return sum(compiled.in_parts(work, len(points), threads, compiled.LIGHT)), known
+        return sum(parallel.in_parts(work, len(points), threads, parallel.LIGHT)), known
 
     def _searched(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
         """The same where cells have keys in no order; gives how many points have none."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.fields.cells import NEAREST, Cells, Links, SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone_step import flowed, stepped, strongest
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.row_hash import RowHash
 from antdsl.numerics.sorting import stable_order
 from antdsl.scene.stability import largest_stable_diffusion
@@ -140,7 +140,7 @@ class PheromoneField:
         """The rest of a step by kernels."""
 
         def step(*how: Any) -> None:
-            compiled.in_parts(partial(stepped, self._padded, *how), len(self._pending), threads, compiled.LIGHT)
+            parallel.in_parts(partial(stepped, self._padded, *how), len(self._pending), threads, parallel.LIGHT)
 
         lands = 0 if not self._touched else 1 if self.combine == "add" else 2
         self._touched = False
@@ -262,7 +262,7 @@ class _Flow:
         if not len(self._change):
             self._change = np.empty(len(self._out))
         work = partial(flowed, held, *self._links, self._out, self._change)
-        compiled.in_parts(work, len(self._out), threads)
+        parallel.in_parts(work, len(self._out), threads)
         return self._change
 
 

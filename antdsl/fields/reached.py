@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, U8, Array1, independent, kernel, scratch
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 
 _LISTED = 1 << 22  # numbers in the table of blocks of which another one is made that is as large
 _PART = 512  # cells that are compared before those that differ are written down
@@ -46,7 +46,7 @@ class Reached:
         """Cells that hold as much and did not before, or the other way round."""
         (field, _, least), holds = self._of, self._holds
         work = partial(differing, field.held, least, holds, self._changed)
-        return compiled.joined(compiled.in_parts(work, len(holds), threads, compiled.LIGHT), self._changed)[0]
+        return parallel.joined(parallel.in_parts(work, len(holds), threads, parallel.LIGHT), self._changed)[0]
 
 
 @kernel

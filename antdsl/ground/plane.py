@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh.topology import facing
 from antdsl.ground.protocol import Floats, Footing, Move
 from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, inlined, kernel
-from antdsl.numerics.vectors_compiled import dot, minus, plus, times
+from antdsl.numerics.kernel_vectors import dot, minus, plus, times
 
 
 class Plane:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.numerics import compiled, elementary_loops
+from antdsl.numerics import elementary_loops, parallel
 from antdsl.numerics.coefficients import (
     ATAN,
     COS,
@@ -175,4 +175,4 @@ def _by_kernel(loop: str, *values: Value) -> Value | None:
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None
     found = np.empty(one.size, np.float32)
-    return found if getattr(elementary_loops, loop)(*compiled.plain(*values), found) else None
+    return found if getattr(elementary_loops, loop)(*parallel.plain(*values), found) else None

@@ -15,7 +15,7 @@ from antdsl.machine_code.entries import entry
 from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.cores import EACH
 
 Pairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # to which array, and of which
@@ -40,7 +40,7 @@ class RowCopies:
             self._arrays, self._threads = arrays, threads
             self._table = _table([pair for pair in zip(to, of, strict=True) if pair[0] is not pair[1]], None)
             self._parts = _parts(self._table, len(arrays[0]), threads)
-        compiled.listed(_function(), self._parts, threads)
+        parallel.listed(_function(), self._parts, threads)
 
 
 def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
@@ -49,7 +49,7 @@ def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
         return
     rows = np.ascontiguousarray(rows)  # which lasts as long as its address is in use
     table = _table(pairs, rows)
-    compiled.listed(_function(), _parts(table, len(rows), threads), threads)
+    parallel.listed(_function(), _parts(table, len(rows), threads), threads)
 
 
 def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
@@ -62,8 +62,8 @@ def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
 
 
 def _parts(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
-    """What `compiled.listed` is to do for so many rows."""
-    most = max(1, min(EACH * threads, count // compiled.PART))
+    """What `parallel.listed` is to do for so many rows."""
+    most = max(1, min(EACH * threads, count // parallel.PART))
     ends = [count * k // most for k in range(most + 1)]
     return np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import I64, U64, Array1, Array2, independent, inlined, kernel
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 
 _BITS = 16  # NumPy sorts numbers of this width by counting
 
@@ -32,7 +32,7 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
 def interleaved(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
     """Numbers of cells [n,3] along the curve of G. Morton (1966), by their bits in turn; 21 bits of each axis count."""
     code = np.zeros(len(cells), np.uint64)
-    compiled.in_parts(partial(interleave, np.ascontiguousarray(cells), code), len(cells), threads, compiled.LIGHT)
+    parallel.in_parts(partial(interleave, np.ascontiguousarray(cells), code), len(cells), threads, parallel.LIGHT)
     return code
 
 
@@ -52,3 +52,27 @@ def interleave(cells: Array2[U64], code: Array1[U64], begin: I64, end: I64) -> N
     for n in independent(begin, end):
         x, y, z = _spread(cells[n, 0]), _spread(cells[n, 1]), _spread(cells[n, 2])
         code[n] = x | (y << np.uint64(1)) | (z << np.uint64(2))
+
+
+@inlined
+def place_among(keys, key, first, last):  # type: ignore[no-untyped-def]
+    """How many of the keys are less than a key, which is known to stand between `first` and `last`: by halving."""
+    a, b = first, last
+    while a < b:
+        middle = (a + b) >> 1
+        if keys[middle] < key:
+            a = middle + 1
+        else:
+            b = middle
+    return a
+
+
+@inlined
+def listed(flags, count):  # type: ignore[no-untyped-def]
+    """How many of the first flags are 1, not 0, whose numbers come first now."""
+    found = 0
+    for k in range(count):
+        flag = flags[k]
+        flags[found] = k  # written whatever it is: no branch that is hard to foretell
+        found += flag
+    return found

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled, row_copies
+from antdsl.numerics import parallel, row_copies
 from antdsl.numerics.row_copies import RowCopies, pick
 
 COUNT = 9_001
@@ -17,7 +17,7 @@ COUNT = 9_001
 @pytest.fixture(params=[1, 3])
 def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     """By so many threads."""
-    monkeypatch.setattr(compiled, "cores", lambda: 4)
+    monkeypatch.setattr(parallel, "cores", lambda: 4)
     return int(request.param)
 
 

@@ -37,7 +37,7 @@ from antdsl.machine_code.kernels import (
     kernel,
     three,
 )  # fmt: skip
-from antdsl.numerics.vectors_compiled import dot, times
+from antdsl.numerics.kernel_vectors import dot, times
 from antdsl.runtime.moving.headings import STANDS
 from antdsl.runtime.moving.rises import WIDEST, half_of
 from antdsl.runtime.moving.tilting import stood
