@@ -271,7 +271,8 @@ def test_cells_are_found_alike_however_many_are_asked_for(dense, monkeypatch):
     assert np.array_equal(one_by_one, found[::30])
     voxel = np.floor(places / cells.cell + 0.5).astype(np.int64) - cells._low
     assert np.array_equal(
-        SurfaceCells._nearby(cells, places, voxel, facing(normals)), cells._nearby(places, voxel, facing(normals))
+        SurfaceCells._nearby(cells, places, voxel, facing(normals).astype(np.int64)),
+        cells._nearby(places, voxel, facing(normals).astype(np.int64)),
     )
     for count in (5, 16):
         assert np.array_equal(cells._nearest(np.arange(cells.used), count), cells.nearest(count)[: cells.used])
