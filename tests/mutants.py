@@ -75,12 +75,21 @@ def mutations(source: str, kernel: str | None) -> list[Mutation]:
             continue
         if any(isinstance(each, ast.Name) and each.id in DECORATORS for each in function.decorator_list):
             for statement in function.body[1:] if ast.get_docstring(function) else function.body:
-                for node in ast.walk(statement):
+                for node in _nodes(statement):
                     if isinstance(node, ast.If | ast.While):
                         found.append(Mutation(node.test, f"not ({ast.unparse(node.test)})", function.name, "condition"))
                     if isinstance(node, ast.expr | ast.stmt):
                         found += [Mutation(node, text, function.name, about) for text, about in _replaced(node)]
     return found
+
+
+def _nodes(node: ast.AST) -> Iterator[ast.AST]:
+    """A node and all below it, without what says which memory is fetched ahead: that changes no result."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "fetch_ahead":
+        return
+    yield node
+    for each in ast.iter_child_nodes(node):
+        yield from _nodes(each)
 
 
 def _replaced(node: ast.AST) -> Iterator[tuple[str, str]]:
@@ -99,7 +108,8 @@ def _replaced(node: ast.AST) -> Iterator[tuple[str, str]]:
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("min", "max") and len(node.args) > 1:
         yield _changed(node, args=node.args[::-1]), "arguments"
         yield _changed(node, func=ast.Name("max" if node.func.id == "min" else "min")), "min/max"
-    if isinstance(node, ast.Assign | ast.AugAssign | ast.Expr | ast.Break | ast.Continue):
+    fetches = isinstance(node, ast.Expr) and not list(_nodes(node.value))
+    if not fetches and isinstance(node, ast.Assign | ast.AugAssign | ast.Expr | ast.Break | ast.Continue):
         yield "pass", "statement"
     if isinstance(node, ast.IfExp):
         yield _changed(node, test=ast.UnaryOp(ast.Not(), node.test)), "condition"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.casting.grid_filters import distances
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, independent, inlined, kernel, whole
-from antdsl.numerics import compiled, stored_tables
+from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
 _CELLS = 250_000  # a table that stays in the processor's cache beside all else of a step
@@ -70,8 +70,8 @@ class DistanceGrid:
         single = all(each.dtype == np.float32 for each in columns)
         if not single:
             columns = (x.astype(np.float64), y.astype(np.float64), z.astype(np.float64))
-        work = partial(at_least if single else at_least_of, compiled.plain(*columns), self._cells, self._least, found)
-        compiled.in_parts(work, len(x), threads, compiled.LIGHT)
+        work = partial(at_least if single else at_least_of, parallel.plain(*columns), self._cells, self._least, found)
+        parallel.in_parts(work, len(x), threads, parallel.LIGHT)
         return found
 
 

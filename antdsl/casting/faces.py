@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from antdsl.casting.tolerances import CLOSED
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, inlined, kernel
+from antdsl.numerics.kernel_vectors import dot as dot_of
+from antdsl.numerics.kernel_vectors import minus
 from antdsl.numerics.vector_rows import dot, unit
-from antdsl.numerics.vectors_compiled import dot as dot_of
-from antdsl.numerics.vectors_compiled import minus
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]

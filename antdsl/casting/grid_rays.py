@@ -23,7 +23,7 @@ from antdsl.machine_code.kernels import (
     scratch,
     whole,
 )
-from antdsl.numerics.vectors_compiled import minus, of
+from antdsl.numerics.kernel_vectors import minus, of
 
 # As `TriangleGrid.tables`.
 Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]

@@ -8,7 +8,7 @@ from antdsl.casting.faces import nearest_on, square_of
 from antdsl.casting.grid_rays import Grid, Three
 from antdsl.casting.tolerances import BEYOND, FURTHER, RINGS, TOUCHING, UNSURE
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, called, fetch_ahead, inlined, kernel, whole
-from antdsl.numerics.vectors_compiled import minus
+from antdsl.numerics.kernel_vectors import minus
 
 _FETCHED = 12  # faces of a row of cubes that are brought near
 

@@ -18,7 +18,7 @@ from antdsl.casting.distance_grid import cell_width, sides_and_area
 from antdsl.casting.faces import Faces
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.tolerances import LONGEST, RINGS
-from antdsl.numerics import compiled, stored_tables
+from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
 Floats = NDArray[np.float64]
@@ -83,7 +83,7 @@ class TriangleGrid:
         hair of their start. NOTHING where there is none, FURTHER for rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
         work = partial(grid_rays.firsts, self.tables, origin, way, t, face)
-        compiled.in_parts(work, len(origin), threads, _RAYS)
+        parallel.in_parts(work, len(origin), threads, _RAYS)
         return t, face
 
     def faced(
@@ -94,8 +94,8 @@ class TriangleGrid:
         cannot tell."""
         which, found = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
         work = partial(grid_rays.faced, self.tables, origin, way, normals, named, which, found)
-        parts = compiled.in_parts(work, len(origin), threads, _RAYS)
-        which, found = compiled.joined(parts, which, found)
+        parts = parallel.in_parts(work, len(origin), threads, _RAYS)
+        which, found = parallel.joined(parts, which, found)
         return (which, found[0], found[1:]), sum([left for _, _, left in parts])
 
     def feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, int]:
@@ -110,7 +110,7 @@ class TriangleGrid:
         length, the last of which is how far they reach; into `found` (whether, distance, normal x y z) of those who touch
         something or have to ask elsewhere."""
         work = partial(grid_rays.felt, self.tables, places, asking, ways, found)
-        return sum(compiled.in_parts(work, len(asking), threads))
+        return sum(parallel.in_parts(work, len(asking), threads))
 
     # ---- nearest faces
 
@@ -119,7 +119,7 @@ class TriangleGrid:
         way out, float32[4,n]; and how many have to."""
         found = np.empty((4, len(place[0])), np.float32)
         work = partial(nearest_faces.apart, self.tables, _plain(*place), found)
-        return found, sum(compiled.in_parts(work, len(place[0]), threads, _RAYS))
+        return found, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """The place nearest to each point [n,3], its square distance and its face; FURTHER where none is near enough to tell."""

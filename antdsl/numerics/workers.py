@@ -155,7 +155,7 @@ def parts(count: int, threads: int) -> int:
 
 
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: int) -> list[T]:
-    """As `compiled.in_parts`, where so many threads pay."""
+    """As `parallel.in_parts`, where so many threads pay."""
     pool = _kept_for(threads)
 
     def together() -> list[T]:
@@ -200,13 +200,13 @@ def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int,
 
 
 def side_by_side(work: Callable[[int], object], threads: int) -> None:
-    """As `compiled.side_by_side`."""
+    """As `parallel.side_by_side`."""
     pool = _kept_for(threads)
     _asked(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
 
 
 def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
-    """As `compiled.listed`."""
+    """As `parallel.listed`."""
     pool = _kept_for(threads)
 
     def alone() -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, inlined, kernel
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.cell_grids import grid_for
@@ -67,18 +67,18 @@ def _others(
     x, y, vx, vy, room = (np.zeros(shape) for _ in range(5))
     there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
     nearest = np.empty(shape, np.float32), *(np.empty(shape, np.int64) for _ in range(3)), np.zeros(n, np.int64)
-    up, ahead, left = (compiled.plain(*each) for each in (plane.up, plane.ahead, plane.left))
-    moving = ahead if own is None else compiled.plain(*own)
+    up, ahead, left = (parallel.plain(*each) for each in (plane.up, plane.ahead, plane.left))
+    moving = ahead if own is None else parallel.plain(*own)
     found = []
     for number, (name, other) in enumerate(world.populations.items()):
         if not len(other) or not widest:
             continue
         p = _near(world, other, ids if other is population else None, place, reach, far)
-        theirs = compiled.plain(*vec.named(other.start, "up"))
+        theirs = parallel.plain(*vec.named(other.start, "up"))
         _choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
         found.append((number, name, other, p))
     for number, name, other, p in found:
-        velocity = compiled.plain(*vec.named(other.start, "velocity"))
+        velocity = parallel.plain(*vec.named(other.start, "velocity"))
         both = radius, _radius(other)
         who = ids, other is population, population.name < name
         _lay(

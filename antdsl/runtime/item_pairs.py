@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, I64, Array1, kernel
-from antdsl.numerics.compiled import plain
+from antdsl.numerics.parallel import plain
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.world import AXES, Items
 

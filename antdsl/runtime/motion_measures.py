@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.parts_compiled import own
+from antdsl.numerics.parallel import own
 from antdsl.runtime.binding.spacing import takes_room
 from antdsl.runtime.moving.capsules import depths
 from antdsl.runtime.moving.heads import heads_inside
@@ -160,19 +160,19 @@ class Motion:
         given = (*seen, now[9:12], now[12:15], *now[15:], population.position, window.start, window.path, window.age)
 
         n = len(population)
-        several = compiled.parts(n, threads, compiled.LIGHT)
+        several = parallel.parts(n, threads, parallel.LIGHT)
         if self.counted.shape[1] < several:
             self._add_counted()
             self.counted = np.zeros((2, several, _BINS + 1), np.int64)
         work = partial(_count_step, *given, *self.counted, several, n, *_bins(), window.straight, dt, *_MEANT, steps)
-        counts = compiled.in_parts(work, n, threads, compiled.LIGHT)
+        counts = parallel.in_parts(work, n, threads, parallel.LIGHT)
         for _, _, standing, half, share in counts:
             if half > self.half_max:
                 self.half_max = half
                 self.tilt_max = max(self.tilt_max, float(_angle(np.array([half], np.float32))[0]))
             self.step_max = max(self.step_max, share)
             self.standing += standing
-        return compiled.joined(counts, window.straight)[0]
+        return parallel.joined(counts, window.straight)[0]
 
     def _add_counted(self) -> None:
         """Add up what each part of a kernel has counted of turns and tilts in rows of its own."""
@@ -219,7 +219,7 @@ class Motion:
             with np.errstate(all="ignore"):  # which each thread has for itself
                 return [look() for look in looks[begin:end]]
 
-        found = chain.from_iterable(compiled.in_parts(some, len(looks), world.options.threads, 1))
+        found = chain.from_iterable(parallel.in_parts(some, len(looks), world.options.threads, 1))
         if deep:
             self.deep_max = max(self.deep_max, float((next(found) > _DEEP).mean()))
         for population in crowds:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, independent, inlined, kernel
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import cross, direction, dot, flat, put
 from antdsl.numerics.vectors import Vector
-from antdsl.numerics.vectors_compiled import cross, direction, dot, flat, put
 from antdsl.runtime.world import Population
 
 Floats = NDArray[np.float64]
@@ -47,7 +47,7 @@ class Plane:
         """That of the agents of some rows, as the step began."""
         up, heading = (vec.named(population.start, name) for name in ("up", "heading"))
         found = np.empty((3, 3, len(rows)))
-        compiled.in_parts(partial(_stand, rows, up, heading, *found), len(rows), threads, compiled.LIGHT)
+        parallel.in_parts(partial(_stand, rows, up, heading, *found), len(rows), threads, parallel.LIGHT)
         return cls(*(tuple(each) for each in found))
 
     def moves(self, population: Population, rows: Rows, wish: Vector, threads: int) -> Moves:
@@ -57,13 +57,13 @@ class Plane:
         wished, n = tuple(np.ascontiguousarray(component, np.float64) for component in wish), len(rows)
         own, laid, fastest = np.empty((3, n)), np.empty((4, n)), np.empty(n)
         work = partial(_move, rows, velocity, speed, wished, self.ahead, self.left, own, laid, fastest)
-        compiled.in_parts(work, n, threads, compiled.LIGHT)
+        parallel.in_parts(work, n, threads, parallel.LIGHT)
         return Moves((own[0], own[1], own[2]), (laid[0], laid[1]), (laid[2], laid[3]), fastest)
 
     def raised(self, x: Floats, y: Floats, threads: int) -> tuple[NDArray[np.float32], ...]:
         """Vectors of such parts."""
         made = np.empty((3, len(x)), np.float32)
-        compiled.in_parts(partial(_lift, self.ahead, self.left, x, y, made), len(x), threads, compiled.LIGHT)
+        parallel.in_parts(partial(_lift, self.ahead, self.left, x, y, made), len(x), threads, parallel.LIGHT)
         return tuple(made)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, independent, inlined, kernel
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.sorting import stable_order
 
 Floats = NDArray[np.float32]
@@ -100,7 +100,7 @@ class Ordered:
 
 def ordered(x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float) -> Ordered:
     """Agents at places float32[n] (mm) with `ids` int64[n], by cells for queries of a usual radius `cell` (mm)."""
-    places, ends = compiled.plain(x, y, z), np.empty((2, 3))
+    places, ends = parallel.plain(x, y, z), np.empty((2, 3))
     count, ascending = _box(*places, ids, ends)
     low, high = ends.tolist()
     shape = Shape.of(low, high, cell)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, called, inlined, kernel
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -54,9 +54,9 @@ def clear_velocities(
     """Velocities (mm/s, float64[n] along both axes of each agent's plane) nearest to a `wish`, no faster than `fastest`, by which
     nobody is met within `horizon` s if the others do their half; those who are in each other part within `dt` s."""
     o = others
-    columns = compiled.plain(o.x, o.y, o.vx, o.vy, o.room, o.there, o.first)
-    own, wished, (most, until) = (compiled.plain(*each) for each in (velocity, wish, (fastest, horizon)))
-    found = compiled.in_parts(lambda *part: _some(columns, own, wished, most, until, dt, *part), len(fastest), threads)
+    columns = parallel.plain(o.x, o.y, o.vx, o.vy, o.room, o.there, o.first)
+    own, wished, (most, until) = (parallel.plain(*each) for each in (velocity, wish, (fastest, horizon)))
+    found = parallel.in_parts(lambda *part: _some(columns, own, wished, most, until, dt, *part), len(fastest), threads)
     if len(found) == 1:
         return found[0]
     return np.concatenate([each[0] for each in found]), np.concatenate([each[1] for each in found])

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from antdsl.limits import NEIGHBOURS
 from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, as_bits, as_float, called, inlined, kernel
-from antdsl.numerics import compiled
-from antdsl.numerics.sorting_compiled import place_among
+from antdsl.numerics import parallel
+from antdsl.numerics.sorting import place_among
 from antdsl.senses.cell_order import ordered
 
 Floats = NDArray[np.float32]
@@ -158,7 +158,7 @@ class CellGrid:
                 found[0][:] += begin
             return found
 
-        found = compiled.in_parts(part, query[0].size, threads)
+        found = parallel.in_parts(part, query[0].size, threads)
         good = [columns for columns in found if columns is not None]
         if len(good) < len(found):
             raise TooManyWithin

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, consecutive, fetch_ahead, independent, kernel
-from antdsl.numerics.compiled import plain
-from antdsl.numerics.sorting import stable_order
-from antdsl.numerics.sorting_compiled import listed
+from antdsl.numerics.parallel import plain
+from antdsl.numerics.sorting import listed, stable_order
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]

@@ -7,10 +7,10 @@ import re
 import pytest
 from compilers import need_llvmlite
 
-from antdsl.fields.pheromone_step_compiled import stepped
+from antdsl.fields.pheromone_step import stepped
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.kernel import Kernel
-from antdsl.numerics.elementary_compiled import cosines
+from antdsl.numerics.elementary_loops import cosines
 from antdsl.runtime.moving.strides import set_out
 from antdsl.runtime.moving.velocities import arrive
 

@@ -7,7 +7,7 @@ import pytest
 
 from antdsl.bench.cases import case_of
 from antdsl.machine_code.memory import has_room, roomy, roomy_rows
-from antdsl.numerics import compiled, randomness
+from antdsl.numerics import parallel, randomness
 from antdsl.plan import ir
 from antdsl.runtime import Options, bind, claims, motion_measures, state_hash, step
 from antdsl.runtime.requests import ClaimEntry
@@ -148,7 +148,7 @@ def observe(found, population, window, dt, steps):
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_measures_of_motion_are_those_of_plain_numpy(threads, monkeypatch):
-    monkeypatch.setattr(compiled, "LIGHT", 100)
+    monkeypatch.setattr(parallel, "LIGHT", 100)
     world, rng = flock(700), np.random.default_rng(8)
     world.options = Options(backend="numpy", threads=threads)
     population, window, found = world.populations["boid"], {}, {"turns": np.zeros(1801, int), "tilts": np.zeros(1801, int)}
@@ -212,7 +212,7 @@ def test_rows_are_put_in_order_in_arrays_with_room():
 
 
 def test_parts_on_threads_give_the_same_bits_as_one(monkeypatch):
-    shot, whole, parts, split = case_of("foraging").make(1_500), compiled.in_parts, compiled.parts, []
+    shot, whole, parts, split = case_of("foraging").make(1_500), parallel.in_parts, parallel.parts, []
 
     def parted(work, count, threads, least=0):
         split.append(min(threads, count // 50) > 1)
@@ -225,8 +225,8 @@ def test_parts_on_threads_give_the_same_bits_as_one(monkeypatch):
         return state_hash(world), world.motion.arrays()
 
     alone, counted = stepped(1)
-    monkeypatch.setattr(compiled, "in_parts", parted)
-    monkeypatch.setattr(compiled, "parts", lambda count, threads, least=0: parts(count, threads, 50))
+    monkeypatch.setattr(parallel, "in_parts", parted)
+    monkeypatch.setattr(parallel, "parts", lambda count, threads, least=0: parts(count, threads, 50))
     found, other = stepped(3)
     assert found == alone and sum(split) > 15
     assert counted.keys() == other.keys() and all(np.array_equal(counted[name], other[name]) for name in counted)

@@ -11,8 +11,10 @@ import pytest
 from test_cli import antdsl
 
 from antdsl.bodies.shapes import sphere
+from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.ground.combined import Terrain
+from antdsl.ground.mesh.topology import facing
 from antdsl.ground.protocol import Footing
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid_feelers import SolidFeelers
@@ -250,41 +252,30 @@ def test_a_surface_has_no_voxels(tmp_path):
     assert "only solids have voxels" in run("check", scene, code=1)
 
 
-def test_kernels_give_the_same_bits(shot, watched, monkeypatch):
-    from antdsl.numerics import compiled
+@pytest.mark.parametrize("dense", [8_000_000, 0])
+def test_cells_are_found_alike_however_many_are_asked_for(dense, monkeypatch):
+    """Rows of the nearest and cells near a place, one by one and all at once, in a box that is listed and in one that is not."""
+    from antdsl.fields import cells as cell_tables
 
-    monkeypatch.setattr(compiled, "wanted", lambda count: True)
-    world = bound(shot)
-    for frame in range(50):
-        step(world)
-        assert state_hash(world) == watched[1][frame + 1], frame
-
-
-@pytest.mark.parametrize("kernels", [False, True])
-def test_cells_are_found_alike_however_many_are_asked_for(kernels, monkeypatch):
-    """Rows of the nearest and cells near a place, one by one and all at once, with NumPy and compiled."""
-    from antdsl.numerics import compiled
-
-    def grown(fast: bool) -> GrowingCells:
-        monkeypatch.setattr(compiled, "wanted", lambda count: fast)
-        cells, draw = GrowingCells([digging_shots.hill()], 3.0), np.random.default_rng(3)
-        cells.nearest(5)
-        for _ in range(6):
-            normal = draw.normal(size=(80, 3))
-            cells.grow(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
-        return cells
-
+    monkeypatch.setattr(cell_tables, "_DENSE", dense)
+    cells, draw = GrowingCells([digging_shots.hill()], 3.0), np.random.default_rng(3)
+    cells.nearest(5)
+    for _ in range(6):
+        normal = draw.normal(size=(80, 3))
+        cells.grow(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
     draw = np.random.default_rng(4)
     places, normals = draw.uniform(-24, 24, (900, 3)), draw.normal(size=(900, 3))
-    cells = grown(kernels)
     found = cells.lookup(places, normals)
     assert 0.05 < (found < 0).mean() < 0.9 and cells.used - cells.at_start > 200
-    other = grown(False)
-    assert np.array_equal(other.lookup(places, normals), found)
-    one_by_one = [other.lookup(places[n : n + 1], normals[n : n + 1])[0] for n in range(0, 900, 30)]
+    one_by_one = [cells.lookup(places[n : n + 1], normals[n : n + 1])[0] for n in range(0, 900, 30)]
     assert np.array_equal(one_by_one, found[::30])
+    voxel = np.floor(places / cells.cell + 0.5).astype(np.int64) - cells._low
+    assert np.array_equal(
+        SurfaceCells._nearby(cells, places, voxel, facing(normals).astype(np.int64)),
+        cells._nearby(places, voxel, facing(normals).astype(np.int64)),
+    )
     for count in (5, 16):
-        assert np.array_equal(other._nearest(np.arange(other.used), count), cells.nearest(count)[: cells.used])
+        assert np.array_equal(cells._nearest(np.arange(cells.used), count), cells.nearest(count)[: cells.used])
 
 
 def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from antdsl.casting.rays import RayScene
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.runtime.moving import obstacles
 from tests.meshes import Mesh, ball, box, terrain
 
@@ -94,7 +94,7 @@ def test_steps_past_an_obstacle_keep_their_margin_and_slide(
     asked: list[object] = []
     touching = obstacles.touching
     monkeypatch.setattr(obstacles, "touching", lambda *given: asked.append(given) or touching(*given))
-    monkeypatch.setattr(compiled, "LIGHT", n // 4)
+    monkeypatch.setattr(parallel, "LIGHT", n // 4)
     if not by_grid:
         monkeypatch.setattr(scene, "tables", lambda: None)
     found = np.stack(obstacles._along(scene, (x, y, z), tuple(steps), tuple(up), radius, clear, threads))  # type: ignore[arg-type]

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.runtime.planes import Plane
 
 N = 3000
@@ -29,7 +29,7 @@ def of(name: str, three: np.ndarray) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "LIGHT", 100)
+    monkeypatch.setattr(parallel, "LIGHT", 100)
     rng = np.random.default_rng(4)
     up = vectors(rng, 1.0)
     with np.errstate(all="ignore"):

@@ -7,7 +7,7 @@ import pytest
 from foraging_shots import EXAMPLE, world
 
 from antdsl import limits
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.runtime import Options, item_pairs, state_hash, step
 from antdsl.senses import neighbours
 from antdsl.senses.cell_order import Shape, ordered
@@ -132,7 +132,7 @@ def test_others_ask_and_some_rows_of_them() -> None:
 
 
 def test_arrays_grow_and_several_threads_come_to_the_same(monkeypatch) -> None:
-    monkeypatch.setattr(compiled, "PART", 500)
+    monkeypatch.setattr(parallel, "PART", 500)
     places, ids = crowd((90, 2, 90))
     grid = CellGrid(*places, ids, 3.0)
     for view in (None, view_of(2000)):
@@ -206,7 +206,7 @@ def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_parts_walked_side_by_side_come_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "PART", 100)
+    monkeypatch.setattr(parallel, "PART", 100)
     hashes = []
     for threads in (1, 3):
         crowd_of_many = world(count=700, scene=EXAMPLE / "many.yaml", options=Options(threads=threads))

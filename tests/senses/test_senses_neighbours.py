@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from antdsl import limits
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.senses.neighbours import CellGrid, Pairs
 
 
@@ -78,7 +78,7 @@ def test_the_order_of_rows_is_not_observable(monkeypatch):
     ids = np.arange(n, dtype=np.int64) * 3
     before = as_ids(CellGrid(x, y, z, ids, 15.0).pairs(None, 14.0), ids, ids)
     order = np.random.default_rng(5).permutation(n)
-    monkeypatch.setattr(compiled, "PART", 37)
+    monkeypatch.setattr(parallel, "PART", 37)
     grid = CellGrid(x[order], y[order], z[order], ids[order], 15.0)
     back = np.argsort(order).astype(np.int32)
     for threads in (1, 3):

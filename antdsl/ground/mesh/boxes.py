@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh.face_table import CORNER, EDGE1, EDGE2, WIDTH
 from antdsl.machine_code.kernels import F64, I64, Array1, Array2, called, fetch_ahead, inlined, scratch
+from antdsl.numerics.kernel_vectors import at, cross, dot, minus
 from antdsl.numerics.sorting import interleaved
-from antdsl.numerics.vectors_compiled import at, cross, dot, minus
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]

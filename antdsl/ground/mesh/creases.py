@@ -14,7 +14,7 @@ from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.topology import NO_LINK, Topology
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array3, Strided2, as_bits, inlined, kernel
-from antdsl.numerics import compiled, stored_tables
+from antdsl.numerics import parallel, stored_tables
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -89,7 +89,7 @@ class Creases:
         for rung in range(asked.bit_length()):
             if asked >> rung & 1:
                 work = partial(close, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
-                compiled.in_parts(work, len(rows), threads, _ASKED)
+                parallel.in_parts(work, len(rows), threads, _ASKED)
         found: NDArray[np.bool_] = rungs == -1
         return found
 
@@ -212,8 +212,8 @@ class RiseMap:
             return np.empty(0, np.int64)  # nothing rises so near to any face
         rows, rungs = np.empty((2, len(reach)), np.int64)
         on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
-        parts = compiled.in_parts(partial(candidates, *on, rows, rungs), len(reach), threads)
-        rows, rungs = compiled.joined(parts, rows, rungs)
+        parts = parallel.in_parts(partial(candidates, *on, rows, rungs), len(reach), threads)
+        rows, rungs = parallel.joined(parts, rows, rungs)
         if not len(rows):
             return rows
         found = self._creases.near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)

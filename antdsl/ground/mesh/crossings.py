@@ -7,7 +7,7 @@ import numpy as np
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, NORMAL, RATE1, RATE2, SHEAR, WIDTH
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.machine_code.kernels import called, inlined
-from antdsl.numerics.vectors_compiled import at, dot, inside, minus, more, plus, times
+from antdsl.numerics.kernel_vectors import at, dot, inside, minus, more, plus, times
 
 OFF = 16.0  # touches that feet are put off the face they left: beyond all that is taken for its border
 STEEP = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it

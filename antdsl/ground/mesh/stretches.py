@@ -7,7 +7,7 @@ import numpy as np
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.machine_code.kernels import consecutive, fetch_ahead, inlined, whole
-from antdsl.numerics.vectors_compiled import inside, plus, times
+from antdsl.numerics.kernel_vectors import inside, plus, times
 
 CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
 STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling

@@ -20,7 +20,7 @@ from antdsl.ground.mesh.topology import Topology, build, facing
 from antdsl.ground.mesh.walk_events import CrowdWalk, Walk
 from antdsl.ground.protocol import Floats, Footing, Index, Move
 from antdsl.ground.sticking import move_by_rays
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.vectors import dot
 
 
@@ -130,7 +130,7 @@ class MeshGround:
         """Which of six ways the faces' normals point most, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
         found = np.empty(len(footing), np.int8)
         on = (footing.mesh, footing.face, self._first, self._side)
-        compiled.in_parts(partial(footings.faced, *on, found), len(footing), threads, compiled.LIGHT)
+        parallel.in_parts(partial(footings.faced, *on, found), len(footing), threads, parallel.LIGHT)
         return found
 
     def upright(self, footing: Footing, up: Floats) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 from antdsl.ground.mesh.boxes import first_of, gather
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, EDGES, NORMAL, WIDTH
 from antdsl.machine_code.kernels import called, inlined
-from antdsl.numerics.vectors_compiled import at, dot, inside, less, level, minus, more, nearest, plus, times, turned
+from antdsl.numerics.kernel_vectors import at, dot, inside, less, level, minus, more, nearest, plus, times, turned
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
 STEEPEST = 8.0  # of that height is the way left at least: who climbs comes up by it besides

@@ -34,9 +34,9 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
-from antdsl.numerics.parts_compiled import own
-from antdsl.numerics.vectors_compiled import inside as _inside
-from antdsl.numerics.vectors_compiled import of, put
+from antdsl.numerics.kernel_vectors import inside as _inside
+from antdsl.numerics.kernel_vectors import of, put
+from antdsl.numerics.parallel import own
 
 # `packed` faces, `link` and `forked` of the topology, the first face of each mesh.
 Surface = tuple[Array1[F64], Array2[I32], BOOL, Array1[I64]]

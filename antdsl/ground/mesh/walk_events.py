@@ -16,7 +16,7 @@ from antdsl.ground.mesh.open_borders import open_borders
 from antdsl.ground.mesh.surface_clearance import Clearances, Parts
 from antdsl.ground.mesh.surroundings import LIFT, Scale
 from antdsl.ground.mesh.topology import NO_LINK, Topology
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
 _WAITING = 16  # agents who look out for other surfaces, for whom a thread pays
@@ -33,7 +33,7 @@ class Waiting:
     @staticmethod
     def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> Waiting:
         """What kernels have found that have done the loop in parts."""
-        own = compiled.joined(parts, reals, wholes)
+        own = parallel.joined(parts, reals, wholes)
         return Waiting(own[0], own[1], sum([left for _, _, left in parts]))
 
 
@@ -104,7 +104,7 @@ class CrowdWalk:
         placed, moved, blocked = to[:5], to[5:10], to[10]
         reals, wholes = np.empty((loop.REALS, n)), np.empty((loop.WHOLES, n), np.int64)
         work = partial(loop.walk_all, *self.tables(), at, body, vectors, reals, wholes, how, placed, moved)
-        waiting = Waiting.of(compiled.in_parts(work, n, threads), reals, wholes)
+        waiting = Waiting.of(parallel.in_parts(work, n, threads), reals, wholes)
         self.on(waiting, how, placed, moved, blocked, threads, straight)
 
     def on(
@@ -128,8 +128,8 @@ class CrowdWalk:
         cuts = (table.cuts.first, table.cuts.other)
         known = (*self.tables(), sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch, straight)
         count = wholes.shape[1]
-        parts = compiled.parts(count, threads, _WAITING)
+        parts = parallel.parts(count, threads, _WAITING)
         rooms = (np.empty(parts * boxes.order.size, np.int64), parts, count)
         further = partial(loop.walk_on, *known, rooms, reals, wholes, how, placed, moved, blocked)
-        compiled.in_parts(further, count, threads, _WAITING)
+        parallel.in_parts(further, count, threads, _WAITING)
         return rows

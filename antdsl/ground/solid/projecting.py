@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.ground.solid.bricks import Bricks
 from antdsl.ground.solid.trilinear import Grid, field_at, grid_of
 from antdsl.machine_code.kernels import BOOL, F64, Array1, Array2, called, kernel
-from antdsl.numerics.vectors_compiled import dot
+from antdsl.numerics.kernel_vectors import dot
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from antdsl.ground.solid.projecting import CLOSE, settle_at
 from antdsl.ground.solid.trilinear import LEAN, Grid, corners_at, distance_at, field_at, grid_of, slope_at
 from antdsl.ground.solid.volume import Volume
 from antdsl.machine_code.kernels import BOOL, F64, Array1, Array2, Array3, called, inlined, kernel
-from antdsl.numerics.vectors_compiled import cross, dot
+from antdsl.numerics.kernel_vectors import cross, dot
 
 Vectors = Array2[F64]
 

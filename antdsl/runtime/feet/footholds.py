@@ -25,7 +25,7 @@ from antdsl.machine_code.kernels import (
     kernel,
     scratch,
 )
-from antdsl.numerics.vectors_compiled import dot, minus, of, put
+from antdsl.numerics.kernel_vectors import dot, minus, of, put
 from antdsl.runtime.feet.bodies import body_at
 from antdsl.runtime.feet.gaits import HIP, REACHED, SINK
 from antdsl.runtime.feet.state import NOTHING

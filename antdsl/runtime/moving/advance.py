@@ -25,7 +25,7 @@ from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.walk_events import CrowdWalk, Waiting
 from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Footing, Ground, Move
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.falling import in_the_air
@@ -60,7 +60,7 @@ def move(world: World, population: Population, substep: int) -> None:
     *walls, half = find_walls(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
     n, threads = len(population), crowd.threads
     work = partial(pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, tuple(walls))
-    compiled.in_parts(work, n, threads)
+    parallel.in_parts(work, n, threads)
     came_from = population.position
     crowd.walk(world.ground)
     if before is not None:
@@ -68,7 +68,7 @@ def move(world: World, population: Population, substep: int) -> None:
     ways = (*crowd.kept, came_from, population.position)
     (rows,) = population.room("following", 1, (n,), np.int64)
     turns = (crowd.most, population.now["max_turn"], dt)
-    compiled.in_parts(partial(follow, crowd.state, *ways, *turns, tuple(walls), half, RAISED, up, heading, rows), n, threads)
+    parallel.in_parts(partial(follow, crowd.state, *ways, *turns, tuple(walls), half, RAISED, up, heading, rows), n, threads)
 
 
 @dataclass(slots=True)
@@ -120,7 +120,7 @@ class _Crowd:
         to = (self.velocity, self.step, self.looking, (self.long, self.most, self.reach), self.state)
         does = (vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times)
         work = partial(set_out, *does, *to)
-        found = compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+        found = parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
         self.longest, self.widest = found[0] if len(found) == 1 else map(max, zip(*found, strict=True))
         if self.widest == -inf:
             self.widest = nan
@@ -141,7 +141,7 @@ class _Crowd:
         step = no_slower(world, p, slide(world, p, wanted, up, p.now["radius"]), up, self.dt)
         if step is not wanted:
             work = partial(slowed, wanted, step, self.velocity, _F(1) / self.dt)
-            compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
+            parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
             self.step = step
 
     def walk(self, ground: Ground) -> None:
@@ -161,7 +161,7 @@ class _Crowd:
         place, normals = np.empty((n, 3)), np.empty((n, 3), np.float32)
         going = (self.velocity, self.step, self.looking)
         work = partial(glide, plane.up, p.footing.point, *going, *there, place, normals)
-        compiled.in_parts(work, n, self.threads)
+        parallel.in_parts(work, n, self.threads)
         p.footing, p.position, p.normal = Footing.on_plane(place), place, normals
 
     def _over_meshes(self, ground: MeshGround, there: tuple[Any, ...]) -> bool:
@@ -178,7 +178,7 @@ class _Crowd:
         (reals,), (wholes,) = p.room("reals", 1, (loop.REALS, n), np.float64), p.room("wholes", 1, (loop.WHOLES, n), np.int64)
         given = (at, p.now["size"], p.normal, self.velocity, self.step, self.looking, *there)
         work = partial(stride, *tables, *given, reals, wholes, how, placed, place, p.position, normals)
-        parts = compiled.in_parts(work, n, self.threads)
+        parts = parallel.in_parts(work, n, self.threads)
         if any([waiting or left for _, waiting, left in parts]):
             self._later(ground, there, walk, Waiting.of(parts, reals, wholes), to, place, normals, how)
         p.footing, p.position, p.normal = to, place.T, normals
@@ -233,4 +233,4 @@ class _Crowd:
         self, rows: NDArray[np.intp], walked: tuple[Any, ...], there: tuple[Any, ...], normals: NDArray[np.float32]
     ) -> None:
         work = partial(arrive, rows, self.velocity, self.step, self.population.position, walked, *there, normals)
-        compiled.in_parts(work, len(rows), self.threads, _ARRIVING)
+        parallel.in_parts(work, len(rows), self.threads, _ARRIVING)

@@ -19,8 +19,8 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
-from antdsl.numerics.sorting_compiled import listed
-from antdsl.numerics.vectors_compiled import dot, minus, of, plus, times
+from antdsl.numerics.kernel_vectors import dot, minus, of, plus, times
+from antdsl.numerics.sorting import listed
 
 _SEEN = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
 _ABOUT = 1.5  # widths that two are apart, up to which they may yet meet

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.catalogue import CAPSULES, Capsule, body_of
-from antdsl.numerics import compiled, elementary, randomness
+from antdsl.numerics import elementary, parallel, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.moving.capsule_distances import before, gathered, measured, met, nothing_seen, trunks
 from antdsl.runtime.world import AXES, Population, World
@@ -156,7 +156,7 @@ def find(crowd: Crowd, dead: float | None = None) -> Near:
     of two."""
     x, y, z = crowd.middle
     pairs = within_reach((x, y, z), crowd.reach, crowd.key, crowd.bounds)
-    i, j, m = *compiled.plain(pairs.i, pairs.j), len(pairs.i)
+    i, j, m = *parallel.plain(pairs.i, pairs.j), len(pairs.i)
     gap, way, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
     rows, number = np.empty((2, len(crowd)), np.intp)
     stand = (crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from antdsl.ground.protocol import Move
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import dot, minus, plus, put, times
 from antdsl.numerics.vectors import Columns, Vector
-from antdsl.numerics.vectors_compiled import dot, minus, plus, put, times
 from antdsl.runtime.moving.capsules import Crowd
 from antdsl.runtime.moving.falling import floating, pushed_in_the_air
 from antdsl.runtime.moving.obstacles import slide_some

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, independent, inlined, kernel
-from antdsl.numerics.sorting_compiled import listed
-from antdsl.numerics.vectors_compiled import dot, minus, of, put, times
+from antdsl.numerics.kernel_vectors import dot, minus, of, put, times
+from antdsl.numerics.sorting import listed
 from antdsl.runtime.moving.capsules import Near
 
 Floats = NDArray[np.float64]

@@ -12,10 +12,10 @@ from antdsl.casting.nearest_faces import fetch_around, fetch_lists, way_out
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import FURTHER
 from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import dot, minus, plus, times
 from antdsl.numerics.vectors import Columns, Vector
-from antdsl.numerics.vectors_compiled import dot, minus, plus, times
 from antdsl.runtime.moving.obstacle_clearance import clearance
 from antdsl.runtime.world import Population, World
 
@@ -77,7 +77,7 @@ def mesh_of(world: World, name: str) -> RayScene:
 def _where_they_were(population: Population, threads: int) -> bool:
     """Whether everybody is still where the step began; not so after a first substep."""
     now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
-    return all(compiled.in_parts(partial(same, now, start), len(population), threads, compiled.LIGHT))
+    return all(parallel.in_parts(partial(same, now, start), len(population), threads, parallel.LIGHT))
 
 
 def _along(
@@ -96,12 +96,12 @@ def _along(
         (rows, met), found, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
         normals = np.stack(up) if isinstance(up, tuple) else up
         work = partial(along, tables, place, step, normals, radius, clear, rows, found, met, faces)
-        parts = compiled.in_parts(work, n, threads, compiled.LIGHT)
+        parts = parallel.in_parts(work, n, threads, parallel.LIGHT)
         if not any([left for _, _, _, left in parts]):
             return _turned(scene, step, rows, found, met, faces, parts, threads)
     rows, found = np.empty(n, np.int64), np.empty((9, n), np.float32)
-    parts = compiled.in_parts(partial(touching, place, step, radius, clear, rows, found), n, threads)
-    rows, found = compiled.joined(parts, rows, found)
+    parts = parallel.in_parts(partial(touching, place, step, radius, clear, rows, found), n, threads)
+    rows, found = parallel.joined(parts, rows, found)
     count, found = len(rows), np.ascontiguousarray(found)
     if not count:
         return step
@@ -132,10 +132,10 @@ def _turned(
     threads: int,
 ) -> Vector:
     """Steps, of those whom the kernel `along` has found bent ones, of those who have met a face turned aside from that."""
-    rows, found = compiled.joined(parts, rows, found)
+    rows, found = parallel.joined(parts, rows, found)
     if not len(rows):
         return step
-    met, hits = compiled.joined([(begin, hit) for begin, _, hit, _ in parts], met, hits)
+    met, hits = parallel.joined([(begin, hit) for begin, _, hit, _ in parts], met, hits)
     if len(met):
         if len(parts) > 1:  # each part counts its own
             counts = [count for _, count, _, _ in parts]

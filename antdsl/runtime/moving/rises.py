@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.elementary_compiled import atan2
+from antdsl.numerics.elementary_loops import atan2
+from antdsl.numerics.kernel_vectors import cross, dot, minus, of, plus, times
 from antdsl.numerics.vectors import Vector
-from antdsl.numerics.vectors_compiled import cross, dot, minus, of, plus, times
 from antdsl.runtime.moving.headings import FACE, STANDS
 from antdsl.runtime.world import Population, World
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Strided2, independent, kernel
-from antdsl.numerics.vectors_compiled import dot, minus, of, plus, put
+from antdsl.numerics.kernel_vectors import dot, minus, of, plus, put
 from antdsl.runtime.moving.capsules import Near
 
 Floats = NDArray[np.float64]

@@ -21,8 +21,8 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
-from antdsl.numerics.sorting_compiled import listed
-from antdsl.numerics.vectors_compiled import dot, minus, of, plus, put, times
+from antdsl.numerics.kernel_vectors import dot, minus, of, plus, put, times
+from antdsl.numerics.sorting import listed
 from antdsl.runtime.moving.capsule_distances import measured_some
 from antdsl.runtime.moving.cutting import add, negative
 

@@ -20,7 +20,7 @@ from antdsl.ground.mesh.walk import (
     keep,
     walked,
 )  # fmt: skip
-from antdsl.ground.plane_compiled import straight
+from antdsl.ground.plane import straight
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,
@@ -37,7 +37,7 @@ from antdsl.machine_code.kernels import (
     kernel,
     three,
 )  # fmt: skip
-from antdsl.numerics.vectors_compiled import dot, times
+from antdsl.numerics.kernel_vectors import dot, times
 from antdsl.runtime.moving.headings import STANDS
 from antdsl.runtime.moving.rises import WIDEST, half_of
 from antdsl.runtime.moving.tilting import stood

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, Array2, Strided2, called, independent, inlined, kernel, three
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.elementary_compiled import atan2, cos_sin
+from antdsl.numerics.elementary_loops import atan2, cos_sin
+from antdsl.numerics.kernel_vectors import cross, dot, minus, plus, times
 from antdsl.numerics.vectors import Vector
-from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 from antdsl.runtime.moving.headings import LEANS, STANDS
 from antdsl.runtime.moving.rises import find_walls, reaches
 from antdsl.runtime.world import Population, World
@@ -54,8 +54,8 @@ def lay(population: Population, threads: int = 1) -> None:
     n, start, now = len(population), population.start, population.now
     (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
     work = partial(_lay, population.normal, *_registers(start), *_registers(now), found, *lean)
-    parts = compiled.in_parts(work, n, threads)
-    population.laid = tuple(compiled.joined(parts, found, *lean)) if any([count for _, count in parts]) else None
+    parts = parallel.in_parts(work, n, threads)
+    population.laid = tuple(parallel.joined(parts, found, *lean)) if any([count for _, count in parts]) else None
 
 
 def stand_up(population: Population) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel, put_three
-from antdsl.numerics.elementary_compiled import atan2, cos_sin
-from antdsl.numerics.vectors_compiled import cross, dot, flat, minus, plus, times
+from antdsl.numerics.elementary_loops import atan2, cos_sin
+from antdsl.numerics.kernel_vectors import cross, dot, flat, minus, plus, times
 from antdsl.runtime.moving.headings import (
     BEYOND,
     BOUNCE,

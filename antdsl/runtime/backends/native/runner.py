@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.lanes import WIDTH
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.cores import EACH, cores
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, PAIRS, POPULATION, THREADS, WORLD, Does, Instruction, Scope
@@ -109,7 +109,7 @@ def _part(count: int, chunk: int, threads: int) -> int:
     """Rows of a part: as many as a chunk has at most, and where that pays several parts for each thread, to even them out. All
     that a thread has in a round are no more than a chunk, which stays in its memory from stage to stage."""
     most = chunk if threads < 2 else chunk // EACH
-    parts = max(-(-count // max(WIDTH, most)), min(EACH * threads, count // compiled.PART) if threads > 1 else 1)
+    parts = max(-(-count // max(WIDTH, most)), min(EACH * threads, count // parallel.PART) if threads > 1 else 1)
     most = _GRAIN * parts
     return _GRAIN * max(1, -(-count // most))
 
@@ -134,7 +134,7 @@ class Round:
             if timed:
                 self._each(partial(Chunk.stage, function=function))
             else:
-                compiled.listed(function, self._table, self._threads)
+                parallel.listed(function, self._table, self._threads)
             if calls:
                 self._calls(world, population, values, calls)
         return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]
@@ -148,7 +148,7 @@ class Round:
                 work(each)
 
         if len(self.chunks) > 1:
-            compiled.side_by_side(some, min(self._threads, len(self.chunks)))
+            parallel.side_by_side(some, min(self._threads, len(self.chunks)))
         else:
             some(0)
 

@@ -1,10 +1,8 @@
-"""The compiled half of `frames`, `agent_arrays`, `clip_arrays`, `shown_arrays` and `surface_error`, the same bits: one pass over
-the agents for an array, or for all that a machine plays.
+"""Loops of `frames`, `agent_arrays`, `clip_arrays`, `shown_arrays` and `surface_error`: one pass over the agents for an array, or
+for all that a machine plays.
 
 What takes several numbers of an agent goes by rows, as they lie in memory, and writes to the place of the agent's rank by id: one
-such write costs less than several reads here and there.
-
-Imported only where `compiled.wanted` says so."""
+such write costs less than several reads here and there."""
 
 from __future__ import annotations
 
@@ -120,7 +118,10 @@ def _signed(size, sign):  # type: ignore[no-untyped-def]
 
 @kernel
 def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]) -> None:
-    """As `agent_arrays.orientation`, each to the place of its rank."""
+    """Quaternions x, y, z, w that turn +x to the heading and +y to the part of `up` across it, each to the place of its rank.
+
+    A turn of +x to the heading by the shortest way, then one about the heading. A heading of nothing counts as +x, an `up` along
+    the heading as some direction across it."""
     px, py, pz = heading
     qx, qy, qz = up
     for i in independent(0, px.size):
@@ -131,10 +132,12 @@ def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]
         inverse = 1.0 / (1.0 if still else length)
         hx, hy, hz = hx * inverse, hy * inverse, hz * inverse
         hx = np.float64(1.0) if still else hx
+        # The shortest way: half way between +x and the heading; straight back is half a turn about z.
         back = hx < -1 + 1e-12
         half = 1.0 / np.sqrt(1.0 if back else 2 * (1 + hx))
         aw, ay, az = (1 + hx) * half, -hz * half, hy * half
         aw, ay, az = 0.0 if back else aw, 0.0 if back else ay, 1.0 if back else az
+        # Where that turn brings +y and +z, and how `up` lies between them.
         above = 2 * -az * aw * ux + (1 - 2 * az * az) * uy + 2 * ay * az * uz
         beside = 2 * ay * aw * ux + 2 * ay * az * uy + (1 - 2 * ay * ay) * uz
         size = np.sqrt(above * above + beside * beside)

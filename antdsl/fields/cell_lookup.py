@@ -1,9 +1,9 @@
-"""The cell of each agent as one pass: as `cells` finds it, the same bits. Imported only where `compiled.wanted` says so."""
+"""The cell of each agent's voxel and side, as one pass over the agents."""
 
 import numpy as np
 
 from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
-from antdsl.numerics.sorting_compiled import place_among
+from antdsl.numerics.sorting import place_among
 
 _TOGETHER = 64  # points whose cells are brought near at once
 

@@ -1,8 +1,8 @@
-"""A step of a field as one pass over its cells: as `pheromone.PheromoneField.step`, the same bits."""
+"""Loops of `pheromone`: a step of a field as one pass over its cells, and the strongest of the cells around each."""
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F64, I32, I64, Array1, independent, kernel
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, independent, kernel
 
 
 @kernel
@@ -59,3 +59,23 @@ def stepped(
         if value < least:
             value = 0.0
         held[n] = value
+
+
+@kernel
+def strongest(own: Array1[I32], block: Array2[I32], held: Array1[F64], best: Array1[I64], value: Array1[F64]) -> None:
+    """For own cells [n] (-1: none), the first of the cells in their row of `block` [cells, k] that hold most, and how much.
+
+    `held` [cells + 1] has 0 for no cell; where nothing is held, `best` is the own cell and `value` 0.
+    """
+    none = held.size - 1
+    for n in range(own.size):
+        cell = own[n]
+        where, most = cell, 0.0
+        if cell < 0:
+            where = none
+        else:
+            for k in range(block.shape[1]):
+                at = block[cell, k]
+                if held[at] > most:
+                    where, most = at, held[at]
+        best[n], value[n] = where, most

@@ -1,4 +1,4 @@
-"""Vectors of compiled walks: three numbers each, summed in the order of `walk.dot` and `walk.cross`."""
+"""Vectors in kernels: three numbers each, summed in the order of `vectors.dot` and `vectors.cross`."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def less(a, b):  # type: ignore[no-untyped-def]
 
 @inlined
 def inside(b1, b2):  # type: ignore[no-untyped-def]
-    """As `walk.inside`."""
+    """Weights moved to the nearest that are of a point of the triangle, against rounding."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2
     if total > 1.0:
@@ -99,7 +99,7 @@ def inside(b1, b2):  # type: ignore[no-untyped-def]
 
 @inlined
 def turned(v, before, after, direction):  # type: ignore[no-untyped-def]
-    """As `walk.turned`, for one."""
+    """A vector turned by the least turn that takes one unit normal into another; half a turn goes over `direction`."""
     cosine = dot(before, after)
     if cosine < -1 + 1e-9:
         hinge = cross(before, direction)
@@ -120,7 +120,8 @@ def level(c, s):  # type: ignore[no-untyped-def]
 
 @inlined
 def nearest(edge1, edge2, v):  # type: ignore[no-untyped-def]
-    """As `walk.nearest`, for one."""
+    """Weights of the point of a triangle nearest to a place `v` from its first corner, and how far off it is: above the inside,
+    else on an edge."""
     edge3 = minus(edge2, edge1)
     d11, d12, d22, d33 = dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2), dot(edge3, edge3)
     w1, w2 = dot(v, edge1), dot(v, edge2)

@@ -10,16 +10,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.machine_code.kernels import inlined
 from antdsl.numerics.cores import cores
 
 T = TypeVar("T")
 PART = 1_024  # agents for whom a thread pays
 LIGHT = 4_096  # the same, of work that is a few operations each
-
-
-def wanted(count: int) -> bool:
-    """Whether there is work for a kernel."""
-    return count > 0
 
 
 def plain(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
@@ -40,7 +36,7 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int
 
 def parts(count: int, threads: int, least: int = PART) -> int:
     """In how many parts `in_parts`, asked the same with 16 for `least` or more, does a kernel at most: of as many rooms each part
-    has one of its own (`parts_compiled.own`)."""
+    has one of its own (`own`)."""
     threads = min(threads, cores())
     if threads < 2 or count < 2 * least:
         return 1
@@ -83,3 +79,10 @@ def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], 
     from antdsl.numerics import workers
 
     workers.listed(function, parts, threads)
+
+
+@inlined
+def own(begin, count, rooms):  # type: ignore[no-untyped-def]
+    """The number of the room of the part of `count` numbers (1 at least) that starts at `begin`, of as many `rooms` as
+    `parts` says: no two parts have the same."""
+    return (begin * rooms + count - 1) // count
