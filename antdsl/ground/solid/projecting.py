@@ -30,8 +30,8 @@ class Projected:
 
 def project(bricks: Bricks, points: Floats, hints: Floats, reach: float | None = None) -> Projected:
     """As `Volume.project`; where nothing is found the point stays, with its hint."""
-    start = np.array(points, np.float64).reshape(-1, 3)
-    hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape))
+    start = np.array(points, np.float64, order="C").reshape(-1, 3)
+    hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
     landed, turned, found = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
     settle(grid_of(bricks), start, hint, CLOSE * bricks.voxel, landed, turned, found)
     far = 2 * bricks.voxel if reach is None else float(reach)
