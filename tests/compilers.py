@@ -6,13 +6,6 @@ from __future__ import annotations
 import pytest
 
 from antdsl.machine_code import machine
-from antdsl.numerics import compiled
-
-
-def need_kernels() -> None:
-    """Skip the test where kernels cannot be compiled."""
-    if not compiled.available():
-        pytest.skip("needs compiled kernels")
 
 
 def need_numba() -> None:

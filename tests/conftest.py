@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 LONGEST = (
     "test_preview_browser", "test_preview_browser_tools", "test_specs_kept", "test_docs_shell", "test_session", "test_cache",
     "test_same_bits", "test_docs", "test_preview_view", "test_preview_shown", "test_preview_live", "test_local_edits",
-    "test_preview_why", "test_foraging", "test_page_panels", "test_explain", "test_profiling", "test_compiled_walk",
+    "test_preview_why", "test_foraging", "test_page_panels", "test_explain", "test_profiling", "test_walk",
     "test_preview_coming_back", "test_digging", "test_new_project", "test_preview_memory", "test_foraging_rates",
     "test_program_steering", "test_meaning_programs", "test_thesis", "test_coming_from", "test_preview_hostile",
 )  # fmt: skip

@@ -4,8 +4,7 @@
 the first frame that differs; `--record` writes that file anew. `--frames 8` stops after frame 8, `--most 200` takes at most
 so many agents of each line of a crowd (and is only printed: the file is of whole crowds). Scenes may be named one by one. With
 `--feet` compares or records `tests/feet_hashes.txt` instead: hashes of the feet of at most 60 agents of each line, to frame 16.
-COMPILED=host in the environment, compiled kernels are used for any number of agents; with COMPILED=oldest they are made for the
-oldest x86-64. Exit code 1 where a hash differs, so that
+COMPILED=oldest in the environment, kernels are compiled for the oldest x86-64. Exit code 1 where a hash differs, so that
 `git bisect run python tests/state_hashes.py --compare examples/worth/scene.yaml` finds the commit that changed one."""
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from antdsl.machine_code import machine
-from antdsl.numerics import compiled
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options, bind, feet_hash, state_hash, step
 
@@ -87,10 +85,7 @@ def main() -> int:
     task.add_argument("--record", action="store_true")
     parser.add_argument("--feet", action="store_true")
     asked = parser.parse_args()
-    chosen = os.environ.get("COMPILED")
-    if chosen:
-        compiled.wanted = lambda count: True
-    if chosen == "oldest":
+    if os.environ.get("COMPILED") == "oldest":
         machine.host = lambda: machine.Target("x86_64-unknown-linux-gnu", "x86-64", "")
     if asked.feet:
         return _feet(asked.scenes, record=asked.record)

@@ -61,7 +61,6 @@ def _measure(job: Job) -> Measured:
     agents = len(world)
     runners: dict[str, Callable[[], None]] = {name: _stepper(each) for name, each in worlds.items()}
     _, second = _timed(runners[job.backends[0]])
-    with_kernels()  # as runs do where others have kept kernels; the empty folder has none
     for stepped in runners.values():
         stepped()
     _, once = _timed(runners[job.backends[0]])
@@ -113,20 +112,11 @@ def _folder_for_code() -> Iterator[None]:
             stored_tables.forget()
 
 
-def with_kernels() -> None:
-    """Go on with kernels, whatever the size of the crowd."""
-    from antdsl.numerics import compiled  # whose import is timed
-
-    compiled.begin()
-
-
 def _packages(llvm: bool) -> float:
     """CPU seconds of this process once all is imported that steps need, what makes machine code too if it is asked for."""
     import antdsl.casting.rays
     import antdsl.runtime.backends  # noqa: F401
-    from antdsl.numerics import compiled
 
-    compiled.available()
     if llvm:
         machine.available()
     return process_time()

@@ -2,7 +2,7 @@
 
 In go vertices and triangles in mm; out come faces, distances and weights in float64. `rays` lets Open3D name a face, and
 `faces` measures it again in float64, so that no result depends on the processor; `picture_rays` takes its word, for what is only
-looked at. `triangle_grid` answers short rays and near places
-without it: all faces nearby in float64, by kernels where these run (`*_compiled`). `distance_grid` gives lower bounds of
+looked at. `triangle_grid` answers short rays (`grid_rays`) and near
+places (`nearest_faces`) without it: all faces nearby in float64. `distance_grid` gives lower bounds of
 distances, by which most rays are never cast; `rasterise` tells which cells of a lattice triangles touch; `curves` are
 polylines with nearest points. Nothing here knows agents, plans or scenes."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 
 from antdsl.casting.grid_filters import distances
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.numerics import compiled, stored_tables
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, independent, inlined, kernel, whole
+from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
 _CELLS = 250_000  # a table that stays in the processor's cache beside all else of a step
-_SINGLE = np.dtype(np.float32)
 _LISTED = 4_000_000  # cells of triangles, one in several counted as often
 _MEASURED = 150_000  # cells: about 2 microseconds each
+
+Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Places = tuple[Array1[F64], Array1[F64], Array1[F64]]
+Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin and end, how many along each axis, and how wide
 
 
 class DistanceGrid:
@@ -62,31 +66,57 @@ class DistanceGrid:
 
     def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
-        if compiled.wanted(len(x)) and x.dtype == y.dtype == z.dtype == _SINGLE:
-            found = np.empty(len(x), np.float32)
-            work = partial(_kernels().at_least, compiled.plain(x, y, z), self._cells, self._least, found)
-            compiled.in_parts(work, len(x), threads, compiled.LIGHT)
-            return found
-        flat: NDArray[np.int64] | int = 0
-        outside: NDArray[Any] | float = 0.0
-        for axis, place in enumerate((x, y, z)):
-            low, high, size = self._low[axis], self._high[axis], int(self._size[axis])
-            inside = np.fmin(np.fmax(place, low), high)  # what is no place has to lie in some cell too
-            gap = place - inside
-            outside = outside + gap * gap
-            step = ((inside - low) * (1.0 / self._width)).astype(np.int32)
-            flat = flat * size + np.minimum(step, size - 1)
-        least = self._least.take(flat)
-        # The nearest place of the box is a projection, so the two distances are legs of a right angle at least.
-        away: NDArray[np.float32] = np.where(outside > 0, np.sqrt(least * least + outside) * (1 - 1e-5), least).astype(np.float32)
-        return away
+        found, columns = np.empty(len(x), np.float32), (x, y, z)
+        single = all(each.dtype == np.float32 for each in columns)
+        if not single:
+            columns = (x.astype(np.float64), y.astype(np.float64), z.astype(np.float64))
+        work = partial(at_least if single else at_least_of, parallel.plain(*columns), self._cells, self._least, found)
+        parallel.in_parts(work, len(x), threads, parallel.LIGHT)
+        return found
 
 
-@cache
-def _kernels() -> Any:
-    from antdsl.casting import distance_grid_compiled
+@inlined
+def _bound(cells, least, px, py, pz):  # type: ignore[no-untyped-def]
+    low, high, size, width = cells
+    part = 1.0 / width
+    ix, iy, iz = _inside(px, low[0], high[0]), _inside(py, low[1], high[1]), _inside(pz, low[2], high[2])
+    gx, gy, gz = px - ix, py - iy, pz - iz
+    outside = (gx * gx + gy * gy) + gz * gz
+    cell = min(_number((ix - low[0]) * part), size[0] - 1) * size[1] + min(_number((iy - low[1]) * part), size[1] - 1)
+    cell = cell * size[2] + min(_number((iz - low[2]) * part), size[2] - 1)
+    away = least[cell]
+    # The nearest place of the box is a projection, so the two distances are legs of a right angle at least.
+    further = np.float32(np.sqrt(np.float64(away * away) + outside) * (1 - 1e-5))
+    return further if outside > 0 else away
 
-    return distance_grid_compiled
+
+@kernel
+def at_least(places: Columns, cells: Cells, least: Array1[F32], found: Array1[F32], begin: I64, end: I64) -> None:
+    """Writes the distances of places from `begin` to before `end`."""
+    x, y, z = places
+    for n in independent(begin, end):
+        found[n] = _bound(cells, least, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
+
+
+@kernel
+def at_least_of(places: Places, cells: Cells, least: Array1[F32], found: Array1[F32], begin: I64, end: I64) -> None:
+    """The same of places in float64."""
+    x, y, z = places
+    for n in independent(begin, end):
+        found[n] = _bound(cells, least, x[n], y[n], z[n])
+
+
+@inlined
+def _number(place):  # type: ignore[no-untyped-def]
+    """The number of a cell, of a place among cells that is not below 0."""
+    return whole(np.floor(place))
+
+
+@inlined
+def _inside(place, low, high):  # type: ignore[no-untyped-def]
+    """As fmin and fmax have it: what is no place lies at the lowest."""
+    inside = place if place > low else low
+    return inside if inside < high else high
 
 
 def cell_width(extent: NDArray[np.float64], cells: int) -> float:

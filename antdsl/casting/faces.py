@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.tolerances import CLOSED
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, inlined, kernel
+from antdsl.numerics.kernel_vectors import dot as dot_of
+from antdsl.numerics.kernel_vectors import minus
 from antdsl.numerics.vector_rows import dot, unit
 
 Floats = NDArray[np.float64]
@@ -21,6 +23,9 @@ _RIM = 20.0  # hairs: nearer to a side than this, the faces at its end are asked
 AHEAD = 40.0  # hairs behind a face that is named: where another one may be the first that is hit
 _TABLES = 200_000  # faces, above which what is known of each is worked out when it is asked for
 _SHARP = 1 / 128  # 1 + cosine of two sides' outward directions: below it their corner is moved no further out
+
+# Planes and rims of faces; the place of each corner by number, where the faces at each place begin, and these faces.
+Table = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64]]
 
 
 class Faces:
@@ -91,13 +96,11 @@ class Faces:
         """For rays that Open3D says meet the named faces after about `at` of their way: after what part they do, the weights of
         the corners there, whether they do, and a hair as a part of the way. Those that cross the named face near its rim meet
         the first of the faces that meet it there, and `named` is changed to that one."""
-        tables = self.tables() if compiled.wanted(len(named)) else None
+        tables = self.tables()
         if tables is not None:
-            from antdsl.casting import faces_compiled
-
             n = len(named)
             here, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
-            faces_compiled.hits(tables, self.hair, AHEAD, at.astype(np.float64), origin, way, named, here, weights, hit, hair)
+            hits(tables, self.hair, AHEAD, at.astype(np.float64), origin, way, named, here, weights, hit, hair)
             return here, weights, hit, hair
         hair = self.hair / np.sqrt((way[:, 0] * way[:, 0] + way[:, 1] * way[:, 1]) + way[:, 2] * way[:, 2])
         here, weights, hit, beside = self.crossing(named, origin, way)
@@ -117,7 +120,7 @@ class Faces:
         return here, weights, hit, hair
 
     def tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
-        """For the compiled kernels, where all is known of all faces: planes, rims, and as `_met`; else None."""
+        """For the kernels, where all is known of all faces: planes, rims, and as `_met`; None of those that are brief."""
         if self._brief:
             return None
         self._known(np.empty(0, np.int64))
@@ -127,12 +130,10 @@ class Faces:
     def nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
         """Nearest place to each point [k,3], its square distance and its face, where float32 says that it is `face`: that one,
         or one of those that meet it where it is nearest. Of equally near ones the first."""
-        tables = self.tables() if compiled.wanted(len(face)) else None
+        tables = self.tables()
         if tables is not None:
-            from antdsl.casting import faces_compiled
-
             face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
-            faces_compiled.nearest(tables, self.corners, points, face, place, square)
+            nearest(tables, self.corners, points, face, place, square)
             return place, square, face
         place = nearest_on_triangle(points, self.corners.take(face, axis=0))
         gap = place - points
@@ -232,4 +233,147 @@ def _nearest_on_sides(points: Floats, corners: Floats) -> Floats:
         here = dot(away, away)
         closer = here < gap
         best[closer], gap[closer] = place[closer], here[closer]
+    return best
+
+
+@kernel
+def hits(
+    table: Table,
+    hair: F64,
+    ahead: F64,
+    at: Array1[F64],
+    origin: Strided2[F64],
+    way: Strided2[F64],
+    named: Array1[I64],
+    here: Array1[F64],
+    weights: Array2[F64],
+    hit: Array1[BOOL],
+    short: Array1[F64],
+) -> None:
+    """As `Faces.judged`, into the last five arrays: the face, after what part of the way, the weights of its corners, whether
+    it is hit, and a hair as a part of the way."""
+    planes, rims, weld, first, faces = table
+    for i in range(named.size):
+        x, y, z = way[i, 0], way[i, 1], way[i, 2]
+        a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
+        h = hair / np.sqrt((x * x + y * y) + z * z)
+        face = named[i]
+        t, w0, w1, w2, least = _crossing(planes, face, a, b, c, x, y, z)
+        short[i], here[i], hit[i] = h, t, least >= -CLOSED and abs(t) < np.inf and t > h
+        weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
+        if not abs(least) > rims[face]:
+            hit[i] = False
+            place = weld[3 * face + _heaviest(w0, w1, w2)]
+            most = at[i] + ahead * h
+            for k in range(first[place], first[place + 1]):
+                t, w0, w1, w2, least = _crossing(planes, faces[k], a, b, c, x, y, z)
+                good = least >= -CLOSED and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
+                if good and (not hit[i] or t < here[i]):
+                    named[i], here[i], hit[i] = faces[k], t, True
+                    weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
+
+
+@kernel
+def nearest(
+    table: Table,
+    corners: Array3[F64],
+    points: Strided2[F64],
+    face: Array1[I64],
+    place: Array2[F64],
+    square: Array1[F64],
+) -> None:
+    """As `Faces.nearest`, into the last three arrays; `face` holds what Open3D names."""
+    planes, rims, weld, first, faces = table
+    for i in range(face.size):
+        p = (points[i, 0], points[i, 1], points[i, 2])
+        f = face[i]
+        q = nearest_on(corners, f, p)
+        d = square_of(minus(q, p))
+        place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
+        w1, w2 = along(planes, f, 1, q[0], q[1], q[2]), along(planes, f, 2, q[0], q[1], q[2])
+        w0 = (1.0 - w1) - w2
+        if not _least(w0, w1, w2) > rims[f]:
+            at = weld[3 * f + _heaviest(w0, w1, w2)]
+            begin = True
+            for k in range(first[at], first[at + 1]):
+                q = nearest_on(corners, faces[k], p)
+                d = square_of(minus(q, p))
+                if begin or d < square[i]:
+                    face[i], begin = faces[k], False
+                    place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
+
+
+@inlined
+def along(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
+    """One row of a face's planes, for a place."""
+    return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
+
+
+@inlined
+def towards(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
+    """The same for a way."""
+    return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
+
+
+@inlined
+def _least(a, b, c):  # type: ignore[no-untyped-def]
+    """NaN if any is, as `np.minimum` has it."""
+    if a != a or b != b or c != c:
+        return np.nan
+    return min(min(a, b), c)
+
+
+@inlined
+def _heaviest(a, b, c):  # type: ignore[no-untyped-def]
+    """As `np.argmax` has it: NaN is the greatest, and the first of equals counts."""
+    if a != a or (not (b > a or b != b) and not (c > a or c != c)):
+        return 0
+    if b != b or (b >= c and c == c):
+        return 1
+    return 2
+
+
+@inlined
+def _crossing(planes, face, a, b, c, x, y, z):  # type: ignore[no-untyped-def]
+    t = -along(planes, face, 0, a, b, c) / towards(planes, face, 0, x, y, z)
+    w1 = along(planes, face, 1, a, b, c) + t * towards(planes, face, 1, x, y, z)
+    w2 = along(planes, face, 2, a, b, c) + t * towards(planes, face, 2, x, y, z)
+    w0 = (1.0 - w1) - w2
+    return t, w0, w1, w2, _least(w0, w1, w2)
+
+
+@inlined
+def square_of(a):  # type: ignore[no-untyped-def]
+    """The square of a vector's length."""
+    return dot_of(a, a)
+
+
+@inlined
+def _on(a, v, s):  # type: ignore[no-untyped-def]
+    return a[0] + s * v[0], a[1] + s * v[1], a[2] + s * v[2]
+
+
+@inlined
+def nearest_on(corners, face, p):  # type: ignore[no-untyped-def]
+    """As `nearest_on_triangle`."""
+    a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])
+    b = (corners[face, 1, 0], corners[face, 1, 1], corners[face, 1, 2])
+    c = (corners[face, 2, 0], corners[face, 2, 1], corners[face, 2, 2])
+    u, v, w = minus(b, a), minus(c, a), minus(p, a)
+    uu, uv, vv, wu, wv = dot_of(u, u), dot_of(u, v), dot_of(v, v), dot_of(w, u), dot_of(w, v)
+    size = uu * vv - uv * uv
+    if size > 0:
+        s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
+        if s >= 0 and t >= 0 and s + t <= 1:
+            return _on(_on(a, u, s), v, t)
+    best, gap = a, np.inf
+    for k in range(3):
+        start = a if k == 0 else (b if k == 1 else c)
+        side = minus(b if k == 0 else (c if k == 1 else a), start)
+        length = dot_of(side, side)
+        s = min(max(dot_of(minus(p, start), side) / (length if length > 0 else 1.0), 0.0), 1.0)
+        place = _on(start, side, s)
+        here = square_of(minus(place, p))
+        if here < gap:
+            best, gap = place, here
     return best

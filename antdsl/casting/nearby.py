@@ -15,7 +15,6 @@ from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces
 from antdsl.casting.tolerances import TOUCHING
 from antdsl.casting.triangle_grid import Arrays, Tables, TriangleGrid
-from antdsl.numerics import compiled
 
 Vectors = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -108,7 +107,7 @@ class Nearby:
         if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
             reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
         assert isinstance(reach, np.ndarray)
-        grid = self._compiled((x, y, z, dx, dy, dz))
+        grid = self._grid_for((x, y, z, dx, dy, dz))
         if grid is not None:
             found, left = grid.feelers((x, y, z), (dx, dy, dz), reach)
             if left:
@@ -124,8 +123,8 @@ class Nearby:
         """As `feelers`, several times at once, for those of n agents who are asking. `places`: x y z and how far they have no
         face, [n] each; ways (x y z) of any length and how far they reach, [n] each; what is found, whether, distance and normal
         (x y z), [n] each, which says until then that nothing is touched; all float32 in one piece. Gives back who has still to
-        ask by `feelers`, with the number of what they ask: all where the grid's kernels do not run."""
-        grid = self._triangles() if compiled.wanted(len(places[0])) else None
+        ask by `feelers`, with the number of what they ask: all where there is no grid."""
+        grid = self._triangles()
         if grid is None:
             return everybody(asks)
         left = []
@@ -141,11 +140,9 @@ class Nearby:
         grid = self._triangles()
         return None if grid is None else grid.tables
 
-    def _compiled(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
-        """The grid, where its kernels run and take these columns."""
-        if not compiled.wanted(len(columns[0])) or any(each.dtype != np.float32 for each in columns):
-            return None
-        return self._triangles()
+    def _grid_for(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
+        """The grid, where its kernels take these columns."""
+        return self._triangles() if all(each.dtype == np.float32 for each in columns) else None
 
     def _touched(
         self, rays: tuple[NDArray[Any], ...], reach: NDArray[np.float32], threads: int
@@ -194,7 +191,7 @@ class Nearby:
         """How far (mm, float32[n]) places are out of the meshes, below 0 inside, and the unit way out, float32[3,n].
 
         Inside is behind the nearest face; slow far from the surface."""
-        grid = self._compiled((x, y, z))
+        grid = self._grid_for((x, y, z))
         if grid is None:
             return self._apart(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
         found, left = grid.apart((x, y, z), threads)

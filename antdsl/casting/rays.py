@@ -18,7 +18,6 @@ from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.nearby import END, Index, Nearby, Vectors
 from antdsl.casting.tolerances import FURTHER, NOTHING
 from antdsl.casting.triangle_grid import TriangleGrid
-from antdsl.numerics import compiled
 
 Mesh = tuple[Vectors, NDArray[np.int32]]
 Met = tuple[Index, Vectors, Index, Vectors]
@@ -181,7 +180,7 @@ class RayScene(Nearby):
         """Which rays hit from `origin` [n,3] to `origin + way`, ascending; after what part of it; and the normal (3, k), of
         those of (3, m), which each face of the scene has by its `named` number."""
         grid = self._triangles()
-        if grid is not None and compiled.wanted(len(origin)):
+        if grid is not None:
             found, left = grid.faced(origin, way, normals, named, threads)
             if not left:
                 return found

@@ -7,18 +7,18 @@ faces, the least distance and then the least number, whatever the cubes are: the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting import grid_rays, nearest_faces
 from antdsl.casting.distance_grid import cell_width, sides_and_area
-from antdsl.casting.faces import Faces, nearest_on_triangle
+from antdsl.casting.faces import Faces
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.casting.tolerances import CLOSED, FURTHER, LONGEST, NOTHING, RINGS
-from antdsl.numerics import compiled, stored_tables
+from antdsl.casting.tolerances import LONGEST, RINGS
+from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
 Floats = NDArray[np.float64]
@@ -81,184 +81,56 @@ class TriangleGrid:
     def first(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Floats, Index]:
         """The first face that rays from `origin` [n,3] meet within their `way` [n,3], after what part of it, but not within a
         hair of their start. NOTHING where there is none, FURTHER for rays that are too long."""
-        if compiled.wanted(len(origin)):
-            t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
-            work = partial(_kernels().firsts, self.tables, origin, way, t, face)
-            compiled.in_parts(work, len(origin), threads, _RAYS)
-            return t, face
-        with np.errstate(all="ignore"):
-            return self._first(origin, way)
+        t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
+        work = partial(grid_rays.firsts, self.tables, origin, way, t, face)
+        parallel.in_parts(work, len(origin), threads, _RAYS)
+        return t, face
 
     def faced(
         self, origin: Floats, way: Floats, normals: Floats, named: Index, threads: int = 1
     ) -> tuple[tuple[Index, Floats, Floats], int]:
         """Of rays from places in the world those that `first` finds a face for: their numbers, ascending, after what part of
         their way, and the normal (3, k), of those of (3, m) which each face has by its `named` number; and for how many the grid
-        cannot tell. Compiled."""
+        cannot tell."""
         which, found = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
-        work = partial(_kernels().faced, self.tables, origin, way, normals, named, which, found)
-        parts = compiled.in_parts(work, len(origin), threads, _RAYS)
-        which, found = compiled.joined(parts, which, found)
+        work = partial(grid_rays.faced, self.tables, origin, way, normals, named, which, found)
+        parts = parallel.in_parts(work, len(origin), threads, _RAYS)
+        which, found = parallel.joined(parts, which, found)
         return (which, found[0], found[1:]), sum([left for _, _, left in parts])
-
-    def _first(self, origin: Floats, way: Floats) -> tuple[Floats, Index]:
-        low, width = self.tables[0][:3], self.tables[0][3]
-        hair = self._hair / np.sqrt(dot(way, way))
-        t, face = np.full(len(origin), np.inf), np.full(len(origin), NOTHING)
-        start, step = (origin - low) * (1.0 / width), way * (1.0 / width)
-        long = (np.abs(step[:, 0]) + np.abs(step[:, 1])) + np.abs(step[:, 2])
-        face[long > LONGEST] = FURTHER
-        asked = np.flatnonzero((long <= LONGEST) & np.isfinite(start).all(axis=1))
-        which, cell = self._along(start[asked], step[asked])
-        row, other = self._listed(asked[which], cell)
-        part = np.empty(len(row))
-        inside = np.empty(len(row), np.bool_)
-        planes = self.tables[5]
-        for piece in _pieces(len(row)):
-            part[piece], inside[piece] = _crossing(planes.take(other[piece], axis=0), origin[row[piece]], way[row[piece]])
-        good = np.flatnonzero(inside & (part > hair[row]) & (part <= 1.0))
-        order = good[np.lexsort((other[good], part[good], row[good]))]
-        best = order[np.append(True, row[order[1:]] != row[order[:-1]])] if order.size else order
-        t[row[best]], face[row[best]] = part[best], other[best]
-        return t, face
-
-    def _along(self, start: Floats, step: Floats) -> tuple[Index, Index]:
-        """The cubes that rays pass, by where they cross from one to the next: which ray, and the cube's number."""
-        size = self.tables[1]
-        cuts, rays = [np.zeros(len(start)), np.ones(len(start))], [np.arange(len(start))] * 2
-        for axis in range(3):
-            one, two = start[:, axis], start[:, axis] + step[:, axis]
-            lowest = np.maximum(np.floor(np.minimum(one, two)), -1.0)
-            count = np.maximum(np.minimum(np.floor(np.maximum(one, two)), size[axis] + 1.0) - lowest, 0.0).astype(np.int64)
-            ray = np.repeat(np.arange(len(start)), count)
-            border = lowest[ray] + (1 + np.arange(len(ray)) - np.repeat(np.cumsum(count) - count, count))
-            cuts.append(np.fmin(np.fmax((border - one[ray]) / step[ray, axis], 0.0), 1.0))
-            rays.append(ray)
-        cut, ray = np.concatenate(cuts), np.concatenate(rays)
-        order = np.lexsort((cut, ray))
-        cut, ray = cut[order], ray[order]
-        same = np.flatnonzero(ray[1:] == ray[:-1])
-        ray = ray[same]
-        middle = (cut[same] + cut[same + 1]) / 2
-        cell = np.floor(start[ray] + step[ray] * middle[:, None]).astype(np.int64)
-        inside = np.flatnonzero(((cell >= 0) & (cell < size)).all(axis=1))
-        ray, cell = ray[inside], cell[inside]
-        return ray, (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
-
-    def _listed(self, which: Index, cell: Index) -> tuple[Index, Index]:
-        """The faces of cubes, for whom they are asked about."""
-        first, faces = self.tables[2], self.tables[3]
-        begin = first.take(cell).astype(np.int64)
-        count = first.take(cell + 1) - begin
-        step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-        return np.repeat(which, count), faces.take(np.repeat(begin, count) + step).astype(np.int64)
 
     def feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, int]:
         """What feelers touch that are as long as `reach`, from places along unit directions, float32 columns in the world:
         distance (inf = nothing, NaN for who has to ask elsewhere) and unit normal towards the asker, float32[4,n]; and how many
-        have to. Compiled."""
+        have to."""
         found = np.empty((4, len(reach)), np.float32)
-        return found, _kernels().feelers(self.tables, _plain(*place, *direction, reach), found)
+        return found, grid_rays.feelers(self.tables, _plain(*place, *direction, reach), found)
 
     def felt(self, places: Arrays, asking: NDArray[np.bool_], ways: Arrays, found: Arrays, threads: int = 1) -> int:
         """As `feelers`, for those of n places (x y z and how far these have no face) who are `asking`, along `ways` of any
         length, the last of which is how far they reach; into `found` (whether, distance, normal x y z) of those who touch
-        something or have to ask elsewhere. Compiled."""
-        work = partial(_kernels().felt, self.tables, places, asking, ways, found)
-        return sum(compiled.in_parts(work, len(asking), threads))
+        something or have to ask elsewhere."""
+        work = partial(grid_rays.felt, self.tables, places, asking, ways, found)
+        return sum(parallel.in_parts(work, len(asking), threads))
 
     # ---- nearest faces
 
     def apart(self, place: Columns, threads: int = 1) -> tuple[Singles, int]:
         """How far (mm) places are out of the faces, below 0 behind the nearest, NaN for who has to ask elsewhere, and the unit
-        way out, float32[4,n]; and how many have to. Compiled."""
+        way out, float32[4,n]; and how many have to."""
         found = np.empty((4, len(place[0])), np.float32)
-        work = partial(_nearest_kernels().apart, self.tables, _plain(*place), found)
-        return found, sum(compiled.in_parts(work, len(place[0]), threads, _RAYS))
+        work = partial(nearest_faces.apart, self.tables, _plain(*place), found)
+        return found, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """The place nearest to each point [n,3], its square distance and its face; FURTHER where none is near enough to tell."""
-        if compiled.wanted(len(points)):
-            place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
-            _nearest_kernels().nearests(self.tables, points, place, square, face)
-            return place, square, face
-        with np.errstate(all="ignore"):
-            return self._nearest(points)
-
-    def _nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
-        low, width, size = self.tables[0][:3], self.tables[0][3], self.tables[1]
-        place, square, face = points.copy(), np.full(len(points), np.inf), np.full(len(points), FURTHER)
-        at = (points - low) * (1.0 / width)
-        rows = np.flatnonzero(((at >= -RINGS) & (at <= size + RINGS)).all(axis=1))
-        middle = np.minimum(np.floor(np.fmin(np.fmax(at, 0.0), size)), size - 1).astype(np.int64)
-        corners = self.tables[6]
-        for ring in range(RINGS + 1):
-            cell, which = _ring(middle[rows], ring, size)
-            row, other = self._listed(rows[which], cell)
-            there = nearest_on_triangle(points[row], corners.take(other, axis=0))
-            gap = there - points[row]
-            apart = dot(gap, gap)
-            order = np.lexsort((other, apart, row))
-            best = order[np.append(True, row[order[1:]] != row[order[:-1]])] if order.size else order
-            row, other, apart, there = row[best], other[best], apart[best], there[best]
-            nearer = (apart < square[row]) | ((apart == square[row]) & (other < face[row]))
-            row = row[nearer]
-            place[row], square[row], face[row] = there[nearer], apart[nearer], other[nearer]
-            known = _known(at[rows], middle[rows], ring, size) * width
-            rows = rows[~(square[rows] <= known * known)]
-        place[rows], square[rows], face[rows] = points[rows], np.inf, FURTHER
+        place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
+        nearest_faces.nearests(self.tables, points, place, square, face)
         return place, square, face
-
-
-@cache
-def _kernels() -> Any:
-    from antdsl.casting import triangle_grid_compiled
-
-    return triangle_grid_compiled
-
-
-@cache
-def _nearest_kernels() -> Any:
-    from antdsl.casting import nearest_faces_compiled
-
-    return nearest_faces_compiled
-
-
-def _ring(middle: Index, ring: int, size: Index) -> tuple[Index, Index]:
-    """The cubes of the grid that are so many away from others [n,3], and from which."""
-    steps = np.indices((2 * ring + 1,) * 3).reshape(3, -1).T - ring
-    steps = steps[np.abs(steps).max(axis=1) == ring]
-    cell = middle[:, None] + steps
-    which, step = np.nonzero(((cell >= 0) & (cell < size)).all(axis=2))
-    cell = cell[which, step]
-    return (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], which
-
-
-def _known(at: Floats, middle: Index, ring: int, size: Index) -> Floats:
-    """How far (cubes) from places all faces are in the cubes up to a ring; beyond the grid there are none."""
-    below, above = middle - ring, middle + (ring + 1)
-    low = np.where(below <= 0, np.inf, at - below)
-    high = np.where(above >= size, np.inf, above - at)
-    known: Floats = np.minimum(low, high).min(axis=1)
-    return known
-
-
-def _crossing(rows: Floats, origin: Floats, way: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """As `Faces.crossing`, for planes [k,3,4]: after what part of the way, and whether within the face."""
-    at = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
-    to = (rows[:, :, 0] * way[:, 0:1] + rows[:, :, 1] * way[:, 1:2]) + rows[:, :, 2] * way[:, 2:]
-    t = -at[:, 0] / to[:, 0]
-    one, two = at[:, 1] + t * to[:, 1], at[:, 2] + t * to[:, 2]
-    return t, np.minimum(np.minimum((1.0 - one) - two, one), two) >= -CLOSED
 
 
 def _plain(*columns: Singles) -> tuple[Singles, ...]:
     """The same in one piece."""
     return tuple([np.ascontiguousarray(each) for each in columns])
-
-
-def _pieces(count: int, most: int = 1 << 16) -> Iterator[slice]:
-    return (slice(k, k + most) for k in range(0, count, most))
 
 
 def _lists(corners: Floats, low: Floats, size: Index, width: float) -> stored_tables.Tables:

@@ -201,7 +201,7 @@ def _command() -> int:
         from antdsl.machine_code.machine import NoMachineCode
 
         if isinstance(problem, NoMachineCode):
-            print(f"error: feet need machine code: {problem}", file=sys.stderr)
+            print(f"error: simulation needs machine code: {problem}", file=sys.stderr)
             return Exit.INPUT_OUTPUT
         import traceback
 

@@ -101,11 +101,11 @@ def _openable(name: str) -> None:
 def _measured(name: str, count: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool) -> Result:
     from antdsl.bench import CASES, Job
     from antdsl.bench.tables import Result
-    from antdsl.numerics import compiled
+    from antdsl.machine_code import machine
     from antdsl.resources import benchmark_file
 
     case = CASES.get(name)
-    bound = case is not None and case.bound and benchmark_file("bound.py") is not None and compiled.available()
+    bound = case is not None and case.bound and benchmark_file("bound.py") is not None and machine.available()
     alone = [_done(Job(name, count, (each,), turns, steps, threads, bound, full_run)) for each in backends]
     together = _done(Job(name, count, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
     return Result(tuple(alone), together)

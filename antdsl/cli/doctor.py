@@ -120,7 +120,7 @@ def _machine_code(problems: list[str]) -> None:
 def _kernels() -> None:
     """Whether the installation has compiled kernels for this processor, this LLVM and these sources."""
     from antdsl.machine_code import machine, shipped
-    from antdsl.numerics.elementary_compiled import cosines
+    from antdsl.numerics.elementary_loops import cosines
 
     host = machine.host()
     if shipped.find(cosines.named(host), host) is None:

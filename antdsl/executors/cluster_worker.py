@@ -54,9 +54,6 @@ class Project(WorkerPlugin):  # type: ignore[misc]
                 self.name, {"refused": f"worker {worker.address} has not got the files, so it is given nothing: {words}"}
             )
             return
-        from antdsl.numerics.compiled import expect_long_runs
-
-        expect_long_runs()
         files = folder / "files"
         here = Path if self.seen is not None else functools.partial(inside, files)
         self.worker = Worker(worker.state.nthreads, here=here, scratch=folder / "made", name=worker.address)

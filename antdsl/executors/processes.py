@@ -90,10 +90,7 @@ _frames: MutableSequence[int] = []
 def _begin(threads: int, frames: MutableSequence[int]) -> None:
     """The first thing that a process does."""
     global _worker, _frames
-    from antdsl.numerics.compiled import expect_long_runs
-
     _worker, _frames = Worker(threads), frames
-    expect_long_runs()
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # of libraries, as in the process that the terminal has
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked for the tasks is told by Ctrl-C, and ends us

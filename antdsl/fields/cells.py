@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +14,10 @@ from antdsl import limits
 from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import Mesh
+from antdsl.fields.cell_lookup import located
 from antdsl.fields.numbered import NO_CELLS, NO_INDEX, Index, rank, summed
 from antdsl.ground.mesh.topology import facing
-from antdsl.numerics import compiled, stored_tables
+from antdsl.numerics import parallel, stored_tables
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
@@ -36,13 +36,6 @@ class FieldTooFine(ValueError):
     def __init__(self, needed: int, cap: int, in_a_row: bool = False) -> None:
         super().__init__(f"about {needed:,} cells are needed and {cap:,} are allowed; a larger `cell` needs fewer")
         self.needed, self.cap, self.in_a_row = needed, cap, in_a_row
-
-
-@cache
-def _kernels() -> Any:
-    from antdsl.fields import cells_compiled
-
-    return cells_compiled
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,14 +164,17 @@ class SurfaceCells:
         self, points: Floats, side: NDArray[np.int8], before: Known | None, out: Cells | None = None, threads: int = 1
     ) -> tuple[Cells, Known | None]:
         """As `lookup_sides`, given what was found for as many points before: only those in another voxel or on another side are
-        looked up. `out`: int32[n] to write into. Gives what to remember too; None where looking up costs no more than that."""
+        looked up. `out`: int32[n] to write into. Gives what to remember too; None where keys are in no order."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         cell = np.empty(len(points), np.int32) if out is None or len(out) != len(points) else out
         if not len(self):
             cell.fill(-1)
             return cell, None
-        find = self._located if compiled.wanted(len(points)) and self._numbered else self._located_plainly
-        missing, known = find(points, side, before, cell, threads)
+        known = None
+        if self._numbered:
+            missing, known = self._located(points, side, before, cell, threads)
+        else:
+            missing = self._searched(points, side, cell)
         if missing:
             missed = np.flatnonzero(cell < 0)
             missed = missed[np.isfinite(points[missed]).all(axis=1)]
@@ -189,7 +185,7 @@ class SurfaceCells:
 
     def _located(
         self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells, threads: int
-    ) -> tuple[int, Known | None]:
+    ) -> tuple[int, Known]:
         """Write the cell of each point's own voxel and side, -1 for none; gives how many have none, and what to remember."""
         known = before
         if known is None or known.of is not self or len(known.key) != len(points):
@@ -197,20 +193,18 @@ class SurfaceCells:
         index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
         keys = (self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
         along = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
-        work = partial(_kernels().located, along, side, *keys, known.key, known.cell, cell)
-        return sum(compiled.in_parts(work, len(points), threads, compiled.LIGHT)), known
+        work = partial(located, along, side, *keys, known.key, known.cell, cell)
+        return sum(parallel.in_parts(work, len(points), threads, parallel.LIGHT)), known
 
-    def _located_plainly(
-        self, points: Floats, side: NDArray[np.int8], before: Known | None, cell: Cells, threads: int
-    ) -> tuple[int, Known | None]:
-        """The same with NumPy."""
+    def _searched(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
+        """The same where cells have keys in no order; gives how many points have none."""
         key = np.empty(len(points), np.int64)
         within = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _CHUNK):
             some = slice(a, a + _CHUNK)
             self._keys_at(points[some], side[some], key[some], within[some])
-        cell[:], known = self._found(key, within, before)
-        return int(np.count_nonzero(cell < 0)), known
+        cell[:] = self._find(key, within)
+        return int(np.count_nonzero(cell < 0))
 
     @property
     def _numbered(self) -> bool:
@@ -232,19 +226,6 @@ class SurfaceCells:
                 key[:], within[:] = whole, inside
         key *= 6
         key += side
-
-    def _found(self, key: NDArray[np.int64], within: NDArray[np.bool_], before: Known | None) -> tuple[Cells, Known | None]:
-        """As `_find`, and what `follow` remembers."""
-        if self._direct is not None:
-            return self._find(key, within), None
-        key[~within] = -1
-        if before is None or before.of is not self or len(before.key) != len(key):
-            cell = self._find(key, within)
-        else:
-            cell = before.cell.copy()
-            other = np.flatnonzero((key != before.key) | (cell < 0))  # where there was none, one may have been added
-            cell[other] = self._find(key[other], within[other])
-        return cell, Known(self, key, cell)
 
     def _find(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
         """The cell of each key that lies within the box, -1 for none."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from antdsl.fields.cells import NEAREST, Cells, Links, SurfaceCells
 from antdsl.fields.growing import GrowingCells
-from antdsl.numerics import compiled
+from antdsl.fields.pheromone_step import flowed, stepped, strongest
+from antdsl.numerics import parallel
 from antdsl.numerics.row_hash import RowHash
 from antdsl.numerics.sorting import stable_order
 from antdsl.scene.stability import largest_stable_diffusion
@@ -23,13 +24,6 @@ FLUSH = 1e-12
 _SPARSE = 0.2  # share of cells that hold scent above which looking for who may smell any does not pay
 _NONE = np.empty(0)
 _SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-
-
-@cache
-def _kernels() -> Any:
-    from antdsl.fields import pheromone_step_compiled
-
-    return pheromone_step_compiled
 
 
 class PheromoneField:
@@ -140,25 +134,13 @@ class PheromoneField:
         most = largest_stable_diffusion(self.cells.cell, dt)
         if diffusion > most * (1 + 1e-9):
             raise ValueError(f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s")
-        if compiled.wanted(len(values)):
-            self._stepped(float(np.float32(keep)), diffusion * dt / self.cells.cell**2, threads)
-            return
-        if self.deposits_first:
-            self._land()
-        if diffusion > 0 and values.any():
-            values += (diffusion * dt / self.cells.cell**2) * (self._laplacian @ values)
-        if keep != 1:
-            values *= float(np.float32(keep))
-        if not self.deposits_first:
-            self._land()
-        values[values < FLUSH] = 0.0
+        self._stepped(float(np.float32(keep)), diffusion * dt / self.cells.cell**2, threads)
 
     def _stepped(self, keep: float, spread: float, threads: int) -> None:
         """The rest of a step by kernels."""
-        stepped = _kernels().stepped
 
         def step(*how: Any) -> None:
-            compiled.in_parts(partial(stepped, self._padded, *how), len(self._pending), threads, compiled.LIGHT)
+            parallel.in_parts(partial(stepped, self._padded, *how), len(self._pending), threads, parallel.LIGHT)
 
         lands = 0 if not self._touched else 1 if self.combine == "add" else 2
         self._touched = False
@@ -167,20 +149,6 @@ class PheromoneField:
         change = self._laplacian.of(self._padded, threads) if spread > 0 else _NONE
         last = (0.0, np.inf, 0) if self.deposits_first else (UNIT, self.limit, lands)
         step(change, self._pending, spread, keep, *last[:2], FLUSH, last[2])
-
-    def _land(self) -> None:
-        """Deposits become part of what the cells hold, up to the limit."""
-        values = self.values
-        if self._touched:
-            landed = self._pending * UNIT
-            if self.combine == "add":
-                values += landed
-            else:
-                np.maximum(values, landed, out=values)
-            self._pending[:] = 0
-            self._touched = False
-        if np.isfinite(self.limit):
-            np.minimum(values, self.limit, out=values)
 
     @cached_property
     def _laplacian(self) -> _Flow:
@@ -214,48 +182,11 @@ class PheromoneField:
 
         Of equal cells the first. Where none holds anything the value is 0 and the place is the own cell's; (0, 0, 0) for -1.
         """
-        find = self._strongest_compiled if compiled.wanted(np.size(cells)) else self._strongest
-        best, value = find(np.asarray(cells), self._block(k))
+        own = np.asarray(cells).astype(np.int32, copy=False)
+        best, value = np.empty(own.size, np.int64), np.empty(own.size)
+        strongest(own, self._block(k), self._padded, best, value)
         x, y, z = (self._seen[:, k].take(best) for k in range(3))
         return value.astype(np.float32), x, y, z
-
-    def _strongest(self, cells: NDArray[np.integer[Any]], block: Cells) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The strongest cell of each row of `block` that a cell stands for, and what it holds."""
-        own = np.where(cells < 0, len(self.cells), cells).astype(np.int64)
-        best, value = own.copy(), np.zeros(own.size)
-        asked = np.flatnonzero(self._scented(block).take(own))
-        if asked.size:
-            most, where = np.zeros(asked.size), own.take(asked)
-            for column in np.ascontiguousarray(block.take(where, axis=0).T).astype(np.int64):
-                held = self._padded.take(column)
-                more = held > most
-                where, most = np.where(more, column, where), np.where(more, held, most)
-            best[asked], value[asked] = where, most
-        return best, value
-
-    def _strongest_compiled(self, cells: NDArray[np.integer[Any]], block: Cells) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        from antdsl.fields.pheromone_compiled import strongest
-
-        best, value = np.empty(cells.size, np.int64), np.empty(cells.size)
-        strongest(cells.astype(np.int32, copy=False), block, self._padded, best, value)
-        return best, value
-
-    def _scented(self, block: Cells) -> NDArray[np.bool_]:
-        """Cells of whose row in `block` some hold anything, bool[cells + 1]; where most do, all but the last."""
-        found = np.zeros(len(self.cells) + 1, np.bool_)
-        holding = np.flatnonzero(self.values)
-        if holding.size > len(self.cells) * _SPARSE or (holding.size and isinstance(self.cells, GrowingCells)):
-            found[:-1] = True
-        elif holding.size:
-            found[self.asking(holding, block.shape[1])[0]] = True
-        return found
-
-    def asking(self, cells: NDArray[np.int64], k: int) -> tuple[Cells, NDArray[np.int64]]:
-        """The rows of `askers` of some cells, one behind the other, and how long each is."""
-        start, cell = self.askers(k)
-        first, count = start.take(cells), start.take(cells + 1) - start.take(cells)
-        each = np.arange(int(count.sum())) + np.repeat(first - (np.cumsum(count) - count), count)
-        return cell.take(each), count
 
     def askers(self, k: int) -> tuple[NDArray[np.int64], Cells]:
         """For each cell those among whose nearest `k` it is, of cells that do not grow, as rows of a table: cell a's are
@@ -326,17 +257,12 @@ class _Flow:
         self._links = inward.data, inward.indices.astype(np.int32, copy=False), inward.indptr.astype(np.int64, copy=False)
         self._change = np.empty(0)
 
-    def __matmul__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        flow: NDArray[np.float64] = self._inward @ values
-        flow -= self._out * values
-        return flow
-
     def of(self, held: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
-        """The same by a kernel, in an array that is written anew by the next call; `held` may have more behind the cells."""
+        """The flow into each cell, in an array that is written anew by the next call; `held` may have more behind the cells."""
         if not len(self._change):
             self._change = np.empty(len(self._out))
-        work = partial(_kernels().flowed, held, *self._links, self._out, self._change)
-        compiled.in_parts(work, len(self._out), threads)
+        work = partial(flowed, held, *self._links, self._out, self._change)
+        parallel.in_parts(work, len(self._out), threads)
         return self._change
 
 

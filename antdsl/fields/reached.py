@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, U8, Array1, independent, kernel, scratch
+from antdsl.numerics import parallel
 
 _LISTED = 1 << 22  # numbers in the table of blocks of which another one is made that is as large
+_PART = 512  # cells that are compared before those that differ are written down
 
 
 class Reached:
@@ -37,28 +39,39 @@ class Reached:
         if not self._all:
             changed = self._differing(threads)
             if len(changed):
-                self._renew(changed)
+                renew(changed, *self._of[0].askers(self._k), self._holds, self._count)
         return self._count
 
     def _differing(self, threads: int) -> NDArray[np.int64]:
         """Cells that hold as much and did not before, or the other way round."""
         (field, _, least), holds = self._of, self._holds
-        if compiled.wanted(len(holds)):
-            from antdsl.fields.reached_compiled import differing
+        work = partial(differing, field.held, least, holds, self._changed)
+        return parallel.joined(parallel.in_parts(work, len(holds), threads, parallel.LIGHT), self._changed)[0]
 
-            work = partial(differing, field.held, least, holds, self._changed)
-            return compiled.joined(compiled.in_parts(work, len(holds), threads, compiled.LIGHT), self._changed)[0]
-        return np.flatnonzero((field.values.astype(np.float32) >= least) != holds)
 
-    def _renew(self, changed: NDArray[np.int64]) -> None:
-        """Count some cells, or no longer, for those around which they are."""
-        field = self._of[0]
-        if compiled.wanted(len(changed)):
-            from antdsl.fields.reached_compiled import renew
+@kernel
+def differing(held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64) -> tuple[int, int]:
+    """Write down the cells from `begin` to before `end` of which `holds` does not say whether what they hold, in float32, is as
+    much as `least`, in `changed` from `begin` on; gives `begin`, and how many there are."""
+    other, count = scratch(_PART, I32), 0
+    for low in range(begin, end, 512):
+        high = min(low + _PART, end)
+        for n in independent(low, high):
+            other[n - low] = 1 if (np.float32(held[n]) >= least) != holds[n] else 0
+        for n in range(low, high):
+            if other[n - low] != 0:
+                changed[begin + count] = n
+                count += 1
+    return begin, count
 
-            renew(changed, *field.askers(self._k), self._holds, self._count)
-            return
-        self._holds[changed] ^= True
-        around, many = field.asking(changed, self._k)
-        one = np.where(self._holds.take(changed), np.uint8(1), np.uint8(255))  # which is 1 less
-        np.add.at(self._count, around, np.repeat(one, many))
+
+@kernel
+def renew(changed: Array1[I64], start: Array1[I64], cell: Array1[I32], holds: Array1[BOOL], count: Array1[U8]) -> None:
+    """Turn round what `holds` says of the cells `changed`, and count each of them one more or less for those around which it is:
+    from its `start` on in `cell`."""
+    for n in range(changed.size):
+        a = changed[n]
+        more = -1 if holds[a] else 1
+        holds[a] = not holds[a]
+        for k in range(start[a], start[a + 1]):
+            count[cell[k]] += more

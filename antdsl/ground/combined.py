@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import facing
-from antdsl.ground.mesh.walk import turned
 from antdsl.ground.protocol import Floats, Footing, Meshes, Move
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid import move as walk_on
 from antdsl.ground.solid_queries import below, dropped, entered, normals
 from antdsl.numerics.vector_rows import columned, length, level, some, within
+from antdsl.numerics.vectors import turned
 
 Rows = NDArray[np.intp]
 

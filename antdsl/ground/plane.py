@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import facing
 from antdsl.ground.protocol import Floats, Footing, Move
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, inlined, kernel
+from antdsl.numerics.kernel_vectors import dot, minus, plus, times
 
 
 class Plane:
@@ -80,17 +81,39 @@ class Plane:
     ) -> Move:
         """Walk straight on."""
         n, none = len(displacement), np.zeros(len(displacement), np.bool_)
-        if compiled.wanted(n):
-            from antdsl.ground.plane_compiled import straight_on
+        point, ahead, direction, travelled = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+        straight_on(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
+        above = np.broadcast_to(self._up, up.shape)
+        return Move(Footing.on_plane(point), point, above, ahead, direction, travelled, none, none)
 
-            point, ahead, direction, travelled = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
-            straight_on(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
-            above = np.broadcast_to(self._up, up.shape)
-            return Move(Footing.on_plane(point), point, above, ahead, direction, travelled, none, none)
-        step = self._flat(displacement)
-        travelled = np.sqrt((step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) + step[:, 2] * step[:, 2])
-        heading = self._flat(heading)
-        going = travelled > 0
-        direction = np.where(going[:, None], step / np.where(going, travelled, 1.0)[:, None], heading)
-        footing = Footing.on_plane(footing.point + step)
-        return Move(footing, footing.point, np.broadcast_to(self._up, up.shape), heading, direction, travelled, none, none)
+
+@inlined
+def straight(up, point, way, ahead):  # type: ignore[no-untyped-def]
+    """Straight on, for one: place, heading, direction and the way gone."""
+    step, look = minus(way, times(up, dot(way, up))), minus(ahead, times(up, dot(ahead, up)))
+    far = np.sqrt(dot(step, step))
+    direction = look
+    if far > 0:
+        direction = (step[0] / far, step[1] / far, step[2] / far)
+    return plus(point, step), look, direction, far
+
+
+@kernel
+def straight_on(
+    up: Array1[F64],
+    point: Strided2[F64],
+    way: Strided2[F64],
+    ahead: Strided2[F64],
+    to: Array2[F64],
+    heading: Array2[F64],
+    direction: Array2[F64],
+    travelled: Array1[F64],
+) -> None:
+    """From points by ways across `up`, with headings: all (n, 3), as are the results, the last four."""
+    normal = (up[0], up[1], up[2])
+    for i in range(travelled.size):
+        step, look = (way[i, 0], way[i, 1], way[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])
+        there, look, go, far = straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
+        for k in range(3):
+            to[i, k], heading[i, k], direction[i, k] = there[k], look[k], go[k]
+        travelled[i] = far

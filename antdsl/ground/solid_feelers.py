@@ -16,7 +16,7 @@ from antdsl.casting.nearby import Ask, FeelerHits, everybody
 from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class SolidFeelers:
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which places have no surface; 0 when near."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
-        found = compiled.in_parts(lambda begin, end: self._clearance(place[begin:end]), len(place), threads)
+        found = parallel.in_parts(lambda begin, end: self._clearance(place[begin:end]), len(place), threads)
         return found[0] if len(found) == 1 else np.concatenate(found)
 
     def _clearance(self, place: Floats) -> NDArray[np.float32]:

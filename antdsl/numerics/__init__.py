@@ -4,5 +4,5 @@ NumPy, libm and BLAS choose instructions when they run, and their last bits chan
 is made here of float64 sums, products, quotients, roots and roundings in one fixed order: `elementary` (sin, cos, exp, log, pow,
 atan2), `exact_sums` (sums that do not depend on the order of their terms), `randomness` (a random number is a function of seed,
 frame, species, site and id), `vectors` (three arrays) and `vector_rows` (arrays (n, 3)). `elementwise` is the table of the plan's
-elementwise operations, which both backends call. Files that end in `_compiled` do the same in loops that are compiled
-(`machine_code/kernels`): `compiled` says whether to use them."""
+elementwise operations, which both backends call. `kernel_vectors` and `elementary_loops` are for kernels; `parallel` runs these
+in parallel chunks."""

@@ -24,7 +24,6 @@ from antdsl.machine_code.kernels.direct_text import RESULTS, WHOLE
 from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
-from antdsl.numerics import compiled
 
 LEAST = 1_024  # bytes; of fewer the call takes as long as it saves
 _BLOCK = 16  # bytes of a factor
@@ -40,7 +39,7 @@ _FEATURE, _WIDE = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")  # as LLVM names th
 def crc32(data: bytes | memoryview, before: int = 0) -> int:
     """The CRC-32 of `data`; with `before`, that of what comes before them, of both together. `data`: bytes in one piece."""
     data = memoryview(data).cast("B")
-    if len(data) < LEAST or not compiled.running():
+    if len(data) < LEAST:
         return zlib.crc32(data, before)
     fold = _fold()
     return zlib.crc32(data, before) if fold is None else fold(np.frombuffer(data, _BYTE), before)
@@ -49,7 +48,9 @@ def crc32(data: bytes | memoryview, before: int = 0) -> int:
 @cache
 def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
     """The CRC-32 of an array [n], one stride or more, after what has one; None where the processor has no products without
-    carry."""
+    carry, or nothing compiles."""
+    if not machine.available():
+        return None
     target = machine.host()
     if not has_products(target):
         return None

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.numerics import compiled
+from antdsl.numerics import elementary_loops, parallel
 from antdsl.numerics.coefficients import (
     ATAN,
     COS,
@@ -64,7 +64,7 @@ def sin(x: Value) -> Value:
     """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
     if np.ndim(x) == 0:
         return _alone(wide_sin, np.float64(x).tobytes())
-    found = _compiled("sines", x)
+    found = _by_kernel("sines", x)
     return _narrow(wide_sin(x)) if found is None else found
 
 
@@ -72,7 +72,7 @@ def cos(x: Value) -> Value:
     """Cosine; as `sin`."""
     if np.ndim(x) == 0:
         return _alone(wide_cos, np.float64(x).tobytes())
-    found = _compiled("cosines", x)
+    found = _by_kernel("cosines", x)
     return _narrow(wide_cos(x)) if found is None else found
 
 
@@ -115,13 +115,13 @@ def exp(x: Value) -> Value:
     """e to the x."""
     if np.ndim(x) == 0:
         return _alone(_exp_wide, np.float64(x).tobytes())
-    found = _compiled("exponentials", x)
+    found = _by_kernel("exponentials", x)
     return _narrow(_exp_wide(_widen(x))) if found is None else found
 
 
 def log(x: Value) -> Value:
     """Natural logarithm; -inf at 0, NaN below."""
-    found = _compiled("logarithms", x)
+    found = _by_kernel("logarithms", x)
     return _narrow(_log_wide(_widen(x))) if found is None else found
 
 
@@ -137,7 +137,7 @@ def power(a: Value, b: Value) -> Value:
 
 def atan2(y: Value, x: Value) -> Value:
     """Angle of (x, y) from the x axis, -pi .. pi; 0 for (0, 0)."""
-    found = _compiled("angles", y, x)
+    found = _by_kernel("angles", y, x)
     return _narrow(wide_atan2(y, x)) if found is None else found
 
 
@@ -169,14 +169,10 @@ def _alone(wide: Callable[[Value], Value], number: bytes) -> Value:
     return _narrow(wide(np.frombuffer(number)[0]))
 
 
-def _compiled(loop: str, *values: Value) -> Value | None:
-    """The same for arrays by a compiled loop; None where there is none for such values, or one is no usual number."""
+def _by_kernel(loop: str, *values: Value) -> Value | None:
+    """The same for arrays by a kernel; None where there is none for such values, or one is no usual number."""
     one = values[0]
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None
-    if not compiled.wanted(one.size):
-        return None
-    from antdsl.numerics import elementary_compiled
-
     found = np.empty(one.size, np.float32)
-    return found if getattr(elementary_compiled, loop)(*compiled.plain(*values), found) else None
+    return found if getattr(elementary_loops, loop)(*parallel.plain(*values), found) else None

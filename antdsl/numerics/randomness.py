@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import F32, I64, U64, Array1, independent, inlined, kernel
 from antdsl.numerics.philox import HALF, LOW, M0, M1, ROUNDS, SPREAD, UNIT, W0, W1
 
 Kernel = Callable[..., Any]
+Shared = tuple[U64, U64, U64, U64, U64]  # first, third and last word of the counters, and the two of the key
 Counters = tuple[tuple[int, int, int], tuple[int, int]]
 Words = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
 
@@ -78,23 +79,42 @@ def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
 
 def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
     """The draw number `index` of a site for each id: float32 in [0, 1). Four draws of a site share one run of the generator."""
-    if compiled.wanted(ids.size) and ids.ndim == 1:
-        from antdsl.numerics.randomness_compiled import uniforms
-
-        return _drawn(uniforms, np.empty(ids.size, np.float32), counters(seed, frame, species, site, index >> 2), index, ids)
-    return unit_floats(words(seed, frame, species, site, index >> 2, ids)[index & 3])
+    return _drawn(uniforms, np.float32, counters(seed, frame, species, site, index >> 2), index, ids)
 
 
 def word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.uint64]:
     """The word of `words` that `uniform` makes that draw from."""
-    if compiled.wanted(ids.size) and ids.ndim == 1:
-        from antdsl.numerics.randomness_compiled import words as loop
-
-        return _drawn(loop, np.empty(ids.size, np.uint64), counters(seed, frame, species, site, index >> 2), index, ids)
-    return words(seed, frame, species, site, index >> 2, ids)[index & 3]
+    return _drawn(draw_words, np.uint64, counters(seed, frame, species, site, index >> 2), index, ids)
 
 
-def _drawn(loop: Kernel, found: NDArray[Any], shared: Counters, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
-    """Draws by a compiled loop."""
-    loop(*compiled.plain(ids.astype(np.int64, copy=False)), (*shared[0], *shared[1]), index & 3, found)
-    return found
+def _drawn(loop: Kernel, kind: type[np.generic], shared: Counters, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
+    """Draws of one for each id."""
+    found: NDArray[Any] = np.empty(ids.size, kind)
+    loop(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared[0], *shared[1]), index & 3, found)
+    return found.reshape(ids.shape)
+
+
+@kernel
+def uniforms(ids: Array1[I64], shared: Shared, which: I64, found: Array1[F32]) -> None:
+    """Write a draw of each id, `which` of the four of its counter."""
+    for n in independent(0, ids.size):
+        found[n] = np.float32(_word(ids[n], shared, which) >> 8) * UNIT
+
+
+@kernel
+def draw_words(ids: Array1[I64], shared: Shared, which: I64, found: Array1[U64]) -> None:
+    """As `uniforms`, the whole word."""
+    for n in independent(0, ids.size):
+        found[n] = _word(ids[n], shared, which)
+
+
+@inlined
+def _word(number, shared, which):  # type: ignore[no-untyped-def]
+    wide = np.uint64(number)
+    c0, low, c3, first, second = shared
+    a, b, c, d = c0, wide & LOW, (((wide >> HALF) * SPREAD) & LOW) ^ low, c3
+    for _ in range(ROUNDS):
+        p0, p1 = a * M0, c * M1
+        a, b, c, d = (p1 >> HALF) ^ b ^ first, p1 & LOW, (p0 >> HALF) ^ d ^ second, p0 & LOW
+        first, second = (first + W0) & LOW, (second + W1) & LOW
+    return a if which == 0 else b if which == 1 else c if which == 2 else d

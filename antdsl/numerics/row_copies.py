@@ -15,7 +15,7 @@ from antdsl.machine_code.entries import entry
 from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.cores import EACH
 
 Pairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # to which array, and of which
@@ -34,29 +34,22 @@ class RowCopies:
     def copy(self, to: Sequence[NDArray[Any]], of: Sequence[NDArray[Any]], threads: int) -> None:
         """Copy arrays `of` [n, ..], each in one piece, to those of the same length and type that are not the same."""
         arrays = [*to, *of]
-        if not arrays or not compiled.wanted(len(arrays[0])):
-            for one, other in zip(to, of, strict=True):
-                if one is not other:
-                    one[:] = other
+        if not arrays:
             return
         if len(arrays) != len(self._arrays) or threads != self._threads or any(map(is_not, arrays, self._arrays)):
             self._arrays, self._threads = arrays, threads
             self._table = _table([pair for pair in zip(to, of, strict=True) if pair[0] is not pair[1]], None)
             self._parts = _parts(self._table, len(arrays[0]), threads)
-        compiled.listed(_function(), self._parts, threads)
+        parallel.listed(_function(), self._parts, threads)
 
 
 def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
     """Copy these rows of arrays [n, ..], each in one piece, to arrays [k, ..] of the same type."""
     if not pairs:
         return
-    if not compiled.wanted(len(rows)):
-        for to, of in pairs:
-            of.take(rows, axis=0, out=to, mode="clip")
-        return
     rows = np.ascontiguousarray(rows)  # which lasts as long as its address is in use
     table = _table(pairs, rows)
-    compiled.listed(_function(), _parts(table, len(rows), threads), threads)
+    parallel.listed(_function(), _parts(table, len(rows), threads), threads)
 
 
 def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
@@ -69,8 +62,8 @@ def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
 
 
 def _parts(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
-    """What `compiled.listed` is to do for so many rows."""
-    most = max(1, min(EACH * threads, count // compiled.PART))
+    """What `parallel.listed` is to do for so many rows."""
+    most = max(1, min(EACH * threads, count // parallel.PART))
     ends = [count * k // most for k in range(most + 1)]
     return np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
 

@@ -14,47 +14,32 @@ the keys and looks for one that is missed: this finds faults, not forgeries.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any
+from string import Template
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
+from antdsl.machine_code import machine
+from antdsl.machine_code.entries import entry
+from antdsl.machine_code.lanes import Module
+from antdsl.machine_code.library import library_text
+from antdsl.machine_code.memory import address
 
-if TYPE_CHECKING:
-    from antdsl.numerics.row_hash_compiled import Table
-
-BLOCK = 1 << 14  # rows at once: their lanes stay near the processor
 _HALF = 0xFFFFFFFF
 _WHOLE = 0xFFFFFFFFFFFFFFFF
-_INT64, _INT32, _INT16, _INT8 = (np.dtype(each) for each in (np.int64, np.int32, np.int16, np.int8))
 Longs = NDArray[np.int64]
-Words = list[tuple[int, tuple[NDArray[Any], ...]]]
 
 
 def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> bytes:
     """16 bytes for a table with these columns, [n] each, of 1, 2, 4 or 8 bytes a value. `ids` int64[n] are different from each
     other; None: the numbers of the rows, for a table whose rows have an order."""
     count = len(columns[0]) if ids is None else len(ids)
-    if compiled.wanted(count):
-        from antdsl.numerics.row_hash_compiled import Table
-
-        kept = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
-        return _told(Table(kept, keys, ids=ids is not None).sums(count))
-    words = _words(columns)
-    sums = [0, 0]
-    for begin in range(0, count, BLOCK):
-        size = min(BLOCK, count - begin)
-        first, second = np.zeros((2, size), np.int64)
-        block = np.arange(begin, begin + size, dtype=np.int64) if ids is None else np.ascontiguousarray(ids[begin : begin + size])
-        _fold([(0, (block,))], first, second, 0)
-        _fold(words, first, second, begin)
-        for lane, found in enumerate(_finish(first, second)):
-            sums[lane] += int(found)
-    return _told(sums)
+    kept = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
+    return _told(Table(kept, keys, ids=ids is not None).sums(count))
 
 
 def _told(sums: Sequence[int]) -> bytes:
@@ -73,22 +58,11 @@ class RowHash:
         piece."""
         arrays = list(columns) if ids is None else [ids, *columns]
         count = len(arrays[0])
-        if not compiled.wanted(count):
-            return row_hash(ids, [part for column in columns for part in _parts(column.T)])
         table = self._table
         if table is None or len(arrays) != len(self._arrays) or not table.lie(arrays, self._arrays):
-            from antdsl.numerics.row_hash_compiled import Table
-
             self._table = table = Table(arrays, keys, ids=ids is not None)
         self._arrays = arrays
         return _told(table.sums(count))
-
-
-def _parts(column: NDArray[Any]) -> Sequence[NDArray[Any]]:
-    """The arrays [n] of one whose last axis has the rows."""
-    if column.ndim < 3:
-        return [column] if column.ndim == 1 else list(column)
-    return list(column.reshape(-1, column.shape[-1]))
 
 
 def named(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
@@ -99,28 +73,6 @@ def named(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
 @lru_cache(64)
 def _named(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) -> bytes:
     return "".join(f"\0{name} {dtype.str}" for name, dtype in zip(names, types, strict=True)).encode()
-
-
-def _words(columns: Sequence[NDArray[Any]]) -> Words:
-    """The columns as 64-bit words: int64[n], or two halves of int32[n] each, numbered from 1 on as they become whole. An odd half
-    is its own second one."""
-    found: Words = []
-    held: NDArray[np.int32] | None = None
-    for column in columns:
-        column, dtype = np.ascontiguousarray(column), column.dtype
-        if dtype is _INT32:
-            half = column
-        elif dtype.itemsize == 8:
-            found.append((len(found) + 1, (column.view(_INT64),)))
-            continue
-        elif dtype.itemsize == 4:
-            half = column.view(_INT32)
-        else:
-            half = column.view((_INT8, _INT16)[dtype.itemsize - 1]).astype(_INT32)
-        if held is not None:
-            found.append((len(found) + 1, (held, half)))
-        held = half if held is None else None
-    return found if held is None else [*found, (len(found) + 1, (held, held))]
 
 
 @cache
@@ -137,25 +89,247 @@ def keys(number: int) -> Longs:
     return np.array(found, np.int64)
 
 
-def _fold(words: Words, first: Longs, second: Longs, begin: int) -> None:
-    """Add the products of words, from their row `begin` on, to both lanes."""
-    for number, word in words:
-        parts = [half[begin : begin + len(first)].view(np.uint32) for half in word]
-        if len(parts) == 1:
-            pairs = parts[0].reshape(-1, 2)
-            parts = [pairs[:, 0], pairs[:, 1]] if sys.byteorder == "little" else [pairs[:, 1], pairs[:, 0]]
-        own = keys(number).astype(np.uint32)
-        for lane, of_a, of_b in ((first, *own[:2]), (second, *own[2:])):
-            product = np.multiply(parts[0] + of_a, parts[1] + of_b, dtype=np.uint64)
-            lane += product.view(np.int64)
+_Part = tuple[int, int, int]  # which column, how many bytes from its begin on, and from one value to the next
+
+WHOLE, STRIDED, NUMBERS, HALVES = range(4)  # kinds of words
+_TIMES = (0xFF51AFD7ED558CCD - 2**64, 0xC4CEB9FE1A85EC53 - 2**64)
+_HEAD, _WORDS = 3, 9  # words of a table before those of the row's words, and of each of these
+_LANES, _UNROLLED, _AHEAD = 8, 4, 2  # rows in a register, registers of a lane, and how many times as many rows to fetch ahead
 
 
-def _finish(first: Longs, second: Longs) -> tuple[int, int]:
-    """The sums of all rows of both lanes, each row mixed, modulo 2^64."""
-    found = []
-    for lane in (first, second):
-        h = lane.view(np.uint64)
-        h = (h ^ h >> np.uint64(33)) * np.uint64(0xFF51AFD7ED558CCD)
-        h = (h ^ h >> np.uint64(33)) * np.uint64(0xC4CEB9FE1A85EC53)
-        found.append(int((h ^ h >> np.uint64(33)).sum(dtype=np.uint64)))
-    return found[0], found[1]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Form:
+    """What is the same of all arrays that may stand for a column: their type, their steps, their axes after the first, and
+    whether they lie in one piece."""
+
+    dtype: np.dtype[Any]
+    strides: tuple[int, ...]
+    more: tuple[int, ...]
+    piece: bool
+
+
+class Table:
+    """Where the columns of a table lie, for machine code. `columns` [n] or [n, k], of 1, 2, 4 or 8 bytes a value, not kept here.
+    `keys` gives the four of a word by its number. `ids`: whether the first column is those of the rows; otherwise the numbers of
+    the rows are."""
+
+    def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:
+        self._forms = [_Form(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
+        words: list[tuple[int, list[_Part]]] = [] if ids else [(NUMBERS, [])]
+        half: list[_Part] = []
+        for k, column in enumerate(columns):
+            size = column.itemsize
+            step = size if column.ndim == 1 and column.flags.c_contiguous else column.strides[0]
+            if size < 4 and step != size:
+                raise ValueError("a column of fewer than four bytes a value lies in one piece")
+            for offset in (0,) if column.ndim == 1 else [column.strides[1] * part for part in range(column.shape[1])]:
+                if size == 8:
+                    words.append((WHOLE if step == size else STRIDED, [(k, offset, step)]))
+                elif half:
+                    words.append((HALVES, [*half, (k, offset, step)]))
+                    half = []
+                else:
+                    half = [(k, offset, step)]
+        if half:
+            words.append((HALVES, half * 2))
+        table = [0, 0, len(words)]
+        self._slots: list[list[tuple[int, int]]] = [[] for _ in columns]  # of each column: words with its address, and how far on
+        for number, (kind, parts) in enumerate(words):
+            for place, (k, offset, _) in zip((1, 3), parts, strict=False):
+                self._slots[k].append((len(table) + place, offset))
+            steps = [word for _, _, step in parts for word in (0, step)]
+            table += [kind, *steps, *[0] * (4 - len(steps)), *keys(number).tolist()]
+        self._table = np.array(table, np.int64)
+        self.lie(columns, [None] * len(columns))
+
+    def lie(self, columns: Sequence[NDArray[Any]], before: Sequence[NDArray[Any] | None]) -> bool:
+        """Whether other arrays can stand for the columns; they do from now on. `before`: those that stood for them until now."""
+        for k, (column, other) in enumerate(zip(columns, before, strict=True)):
+            if column is other:
+                continue
+            form, piece = self._forms[k], column.flags.c_contiguous  # which one row always is
+            if column.dtype is not form.dtype or column.strides != form.strides or column.shape[1:] != form.more:
+                return False
+            if piece != form.piece:
+                return False
+            begin = address(column) if form.piece else column.ctypes.data
+            for slot, offset in self._slots[k]:
+                self._table[slot] = begin + offset
+        return True
+
+    def sums(self, count: int) -> tuple[int, int]:
+        """The sums of both lanes of so many rows, each mixed, modulo 2^64."""
+        self._table[:2] = 0
+        _function()(address(self._table), 0, count)
+        first, second = self._table[:2].tolist()
+        return first, second
+
+
+@cache
+def _function() -> Callable[[int, int, int], None]:
+    function: Callable[[int, int, int], None] = text.code().function("rows")
+    return function
+
+
+@library_text
+def text(target: machine.Target) -> str:
+    """What is compiled: a function of such a table, behind two sums and the number of words, that adds to the sums those of the
+    rows from the first to before the last."""
+    module = Module(target)
+    for lanes in (_LANES, 1):
+        module.declare(f"llvm.vector.reduce.add.v{lanes}i64", "i64", [f"<{lanes} x i64>"])
+    module.declare("llvm.prefetch.p0", "void", ["ptr", "i32", "i32", "i32"])
+    body = "  %words.at = getelementptr i64, ptr %t, i64 2\n  %words = load i64, ptr %words.at\n"
+    body += f"  %first = getelementptr i64, ptr %t, i64 {_HEAD}\n"
+    body += "\n".join([*_loop("many", _LANES, _UNROLLED, "%begin", "entry"), *_loop("one", 1, 1, "%many.i", "many.end")])
+    return f"{module.text()}\n{entry(module, 'rows', body)}\n"
+
+
+def _loop(name: str, lanes: int, unrolled: int, begin: str, before: str) -> list[str]:
+    """A loop over rows, so many registers of so many lanes at a time."""
+    kind, half, rows, each = f"<{lanes} x i64>", f"<{lanes} x i32>", lanes * unrolled, range(unrolled)
+    numbers = iter(range(10_000))
+    lines: list[str] = []
+
+    def do(line: str) -> None:
+        lines.append("  " + Template(line).substitute(n=name))
+
+    def at(label: str) -> None:
+        lines.append(f"{name}.{label}:")
+
+    def put(value: str) -> str:
+        found = f"%{name}.v{next(numbers)}"
+        do(f"{found} = {value}")
+        return found
+
+    def constant(value: int) -> str:
+        return "<" + ", ".join([f"i64 {value}"] * lanes) + ">"
+
+    def all_of(value: str) -> str:
+        """A number of 64 bits in all lanes."""
+        one = put(f"insertelement {kind} poison, i64 {value}, i64 0")
+        return put(f"shufflevector {kind} {one}, {kind} poison, <{lanes} x i32> zeroinitializer")
+
+    def fetched(place: str, size: int) -> None:
+        for byte in range(0, rows * size, 64) if lanes > 1 else ():
+            ahead = put(f"getelementptr i8, ptr {place}, i64 {_AHEAD * rows * size + byte}")
+            do(f"call void @llvm.prefetch.p0(ptr {ahead}, i32 0, i32 3, i32 1)")
+
+    def read(place: str, of: str, size: int) -> list[str]:
+        """The values of columns of this type, one a row, which lie side by side."""
+        start = put(f"getelementptr i{8 * size}, ptr {place}, i64 %$n.i")
+        fetched(start, size)
+        places = [put(f"getelementptr i8, ptr {start}, i64 {lanes * size * k}") for k in each]
+        return [put(f"load <{lanes} x {of}>, ptr {place}, align 1") for place in places]
+
+    def apart(place: str, of: str, step: str) -> list[str]:
+        """The same of columns whose values are so many bytes apart."""
+        start = put(f"getelementptr i8, ptr {place}, i64 {put(f'mul i64 %$n.i, {step}')}")
+        found = []
+        for k in each:
+            values = "poison"
+            for lane in range(lanes):
+                one = put(f"getelementptr i8, ptr {start}, i64 {put(f'mul i64 {step}, {lanes * k + lane}')}")
+                value = put(f"load {of}, ptr {one}, align 1")
+                values = put(f"insertelement <{lanes} x {of}> {values}, {of} {value}, i64 {lane}")
+            found.append(values)
+        return found
+
+    def met(kind: str, of: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
+        """What stands in values where several blocks meet."""
+        return [put(f"phi {kind} " + ", ".join(f"[ {some[k]}, %$n.{label} ]" for label, some in of)) for k in each]
+
+    do("br label %$n.rows")
+    at("rows")
+    do(f"%$n.i = phi i64 [ {begin}, %{before} ], [ %$n.next, %$n.mixed ]")
+    for lane in (0, 1):
+        do(f"%$n.sum{lane} = phi {kind} [ zeroinitializer, %{before} ], [ %$n.then{lane}, %$n.mixed ]")
+    do(f"%$n.next = add i64 %$n.i, {rows}")
+    do("%$n.more = icmp sle i64 %$n.next, %end")
+    do("br i1 %$n.more, label %$n.begun, label %$n.end")
+    at("begun")
+    do("br label %$n.words")
+    at("words")
+    do("%$n.w = phi i64 [ 0, %$n.begun ], [ %$n.w.next, %$n.times ]")
+    for lane in (0, 1):
+        for k in each:
+            do(f"%$n.lane{lane}.{k} = phi {kind} [ zeroinitializer, %$n.begun ], [ %$n.new{lane}.{k}, %$n.times ]")
+    do("%$n.some = icmp slt i64 %$n.w, %words")
+    do("br i1 %$n.some, label %$n.word, label %$n.mixed")
+    at("word")
+    word = put(f"getelementptr i64, ptr %first, i64 {put(f'mul i64 %$n.w, {_WORDS}')}")
+    places = [put(f"getelementptr i64, ptr {word}, i64 {k}") for k in range(_WORDS)]
+    what, *steps = (put(f"load i64, ptr {places[k]}") for k in (0, 2, 4))
+    columns = [put(f"load ptr, ptr {places[k]}") for k in (1, 3)]
+    keys = [all_of(put(f"load i64, ptr {place}")) for place in places[5:]]
+    do(
+        f"switch i64 {what}, label %$n.halves [ i64 {WHOLE}, label %$n.whole  i64 {STRIDED}, label %$n.strided"
+        f"  i64 {NUMBERS}, label %$n.numbers ]"
+    )
+    low: list[tuple[str, list[str]]] = []  # of each block that ends in `times`, what it leaves
+    high: list[tuple[str, list[str]]] = []
+
+    def halved(label: str, found: list[str]) -> None:
+        low.append((label, found))
+        high.append((label, [put(f"lshr {kind} {value}, {constant(32)}") for value in found]))
+        do("br label %$n.times")
+
+    at("whole")
+    halved("whole", read(columns[0], "i64", 8))
+    at("strided")
+    halved("strided", apart(columns[0], "i64", steps[0]))
+    at("numbers")
+    own = all_of("%$n.i")
+    halved(
+        "numbers",
+        [put(f"add {kind} {own}, <" + ", ".join(f"i64 {lanes * k + lane}" for lane in range(lanes)) + ">") for k in each],
+    )
+    at("halves")
+    pair: list[list[str]] = []
+    for step, then in zip(steps, ("second", "joined"), strict=True):
+        ways = []
+        do(
+            f"switch i64 {step}, label %$n.{then}.0 [ "
+            + "  ".join(f"i64 {size}, label %$n.{then}.{size}" for size in (1, 2, 4))
+            + " ]"
+        )
+        for size in (0, 1, 2, 4):
+            at(f"{then}.{size}")
+            column = columns[len(pair)]
+            found = read(column, f"i{8 * size}", size) if size else apart(column, "i32", step)
+            if 0 < size < 4:
+                found = [put(f"sext <{lanes} x i{8 * size}> {value} to {half}") for value in found]
+            ways.append((f"{then}.{size}", found))
+            do(f"br label %$n.{then}")
+        at(then)
+        pair.append(met(half, ways))
+    for words, found in zip((low, high), pair, strict=True):
+        words.append(("joined", [put(f"zext {half} {value} to {kind}") for value in found]))
+    do("br label %$n.times")
+    at("times")
+    halves = met(kind, low), met(kind, high)
+    for lane in (0, 1):
+        for k in each:
+            sums = [put(f"add {kind} {halves[part][k]}, {keys[2 * lane + part]}") for part in (0, 1)]
+            cut = [put(f"and {kind} {value}, {constant(_HALF)}") for value in sums]
+            do(f"%$n.new{lane}.{k} = add {kind} %$n.lane{lane}.{k}, {put(f'mul {kind} {cut[0]}, {cut[1]}')}")
+    do("%$n.w.next = add i64 %$n.w, 1")
+    do("br label %$n.words")
+    at("mixed")
+    for lane in (0, 1):
+        total = f"%$n.sum{lane}"
+        for k in each:
+            h = f"%$n.lane{lane}.{k}"
+            for factor in (*_TIMES, None):
+                h = put(f"xor {kind} {h}, {put(f'lshr {kind} {h}, {constant(33)}')}")
+                h = h if factor is None else put(f"mul {kind} {h}, {constant(factor)}")
+            total = put(f"add {kind} {total}, {h}")
+        do(f"%$n.then{lane} = add {kind} {total}, zeroinitializer")
+    do("br label %$n.rows")
+    at("end")
+    for lane in (0, 1):
+        place = put(f"getelementptr i64, ptr %t, i64 {lane}")
+        found_here = put(f"call i64 @llvm.vector.reduce.add.v{lanes}i64({kind} %$n.sum{lane})")
+        kept = put(f"load i64, ptr {place}")
+        do(f"store i64 {put(f'add i64 {found_here}, {kept}')}, ptr {place}")
+    return lines

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import I64, U64, Array1, Array2, independent, inlined, kernel
+from antdsl.numerics import parallel
 
 _BITS = 16  # NumPy sorts numbers of this width by counting
 
@@ -31,24 +32,47 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
 def interleaved(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
     """Numbers of cells [n,3] along the curve of G. Morton (1966), by their bits in turn; 21 bits of each axis count."""
     code = np.zeros(len(cells), np.uint64)
-    if compiled.wanted(len(cells)):
-        from antdsl.numerics.curves_compiled import interleaved as loop
-
-        compiled.in_parts(partial(loop, np.ascontiguousarray(cells), code), len(cells), threads, compiled.LIGHT)
-        return code
-    for axis in range(3):
-        code |= _spread(cells[:, axis]) << np.uint64(axis)
+    parallel.in_parts(partial(interleave, np.ascontiguousarray(cells), code), len(cells), threads, parallel.LIGHT)
     return code
 
 
-def _spread(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
+@inlined
+def _spread(bits):  # type: ignore[no-untyped-def]
     """21 bits, two free ones after each."""
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-    return bits
+    bits = (bits | (bits << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
+    bits = (bits | (bits << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
+    bits = (bits | (bits << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
+    bits = (bits | (bits << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
+    return (bits | (bits << np.uint64(2))) & np.uint64(0x1249249249249249)
+
+
+@kernel
+def interleave(cells: Array2[U64], code: Array1[U64], begin: I64, end: I64) -> None:
+    """The number `code` [n] of each of the cells [n,3] from `begin` to before `end`."""
+    for n in independent(begin, end):
+        x, y, z = _spread(cells[n, 0]), _spread(cells[n, 1]), _spread(cells[n, 2])
+        code[n] = x | (y << np.uint64(1)) | (z << np.uint64(2))
+
+
+@inlined
+def place_among(keys, key, first, last):  # type: ignore[no-untyped-def]
+    """How many of the keys are less than a key, which is known to stand between `first` and `last`: by halving."""
+    a, b = first, last
+    while a < b:
+        middle = (a + b) >> 1
+        if keys[middle] < key:
+            a = middle + 1
+        else:
+            b = middle
+    return a
+
+
+@inlined
+def listed(flags, count):  # type: ignore[no-untyped-def]
+    """How many of the first flags are 1, not 0, whose numbers come first now."""
+    found = 0
+    for k in range(count):
+        flag = flags[k]
+        flags[found] = k  # written whatever it is: no branch that is hard to foretell
+        found += flag
+    return found

@@ -71,6 +71,17 @@ def unit(a: Vector, otherwise: Vector, least: float = 1e-12) -> Vector:
     return choose(good, scale(a, 1 / np.where(good, size, 1)), otherwise)
 
 
+def turned(v: Array, before: Array, after: Array, direction: Array) -> Array:
+    """Vectors turned by the least turn that takes one unit normal into another; half a turn goes over `direction`."""
+    cosine = dot(before, after)
+    opposite = cosine < -1 + 1e-9
+    axis = stacked_cross(before, after)
+    part = dot(axis, v) / np.where(opposite, 1.0, 1 + cosine)
+    around = cosine * v + stacked_cross(axis, v) + part * axis
+    hinge = stacked_cross(before, direction)
+    return np.where(opposite, 2 * dot(hinge, v) * hinge - v, around)
+
+
 def across(up: Vector) -> Vector:
     """Some unit vector across a unit vector."""
     steep = np.abs(up[0]) > 0.9

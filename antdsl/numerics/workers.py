@@ -154,9 +154,9 @@ def parts(count: int, threads: int) -> int:
     return max(1, min(EACH * threads, PARTS, count // words.EVEN))
 
 
-def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: int, by_kernels: bool) -> list[T]:
-    """As `compiled.in_parts`, where so many threads pay."""
-    pool = _kept_for(threads, by_kernels)
+def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: int) -> list[T]:
+    """As `parallel.in_parts`, where so many threads pay."""
+    pool = _kept_for(threads)
 
     def together() -> list[T]:
         least = min(paying, threads, PARTS)
@@ -199,15 +199,15 @@ def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int,
     return [given[k] for k in range(parts)]
 
 
-def side_by_side(work: Callable[[int], object], threads: int, by_kernels: bool) -> None:
-    """As `compiled.side_by_side`."""
-    pool = _kept_for(threads, by_kernels)
+def side_by_side(work: Callable[[int], object], threads: int) -> None:
+    """As `parallel.side_by_side`."""
+    pool = _kept_for(threads)
     _asked(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
 
 
-def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int, by_kernels: bool) -> None:
-    """As `compiled.listed`."""
-    pool = _kept_for(threads, by_kernels)
+def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
+    """As `parallel.listed`."""
+    pool = _kept_for(threads)
 
     def alone() -> None:
         for part in parts.tolist():
@@ -222,19 +222,18 @@ def possible() -> bool:
     return machine.available() and direct.possible() and all(hasattr(ctypes.pythonapi, name) for name in _LOCKS)
 
 
-_kept: dict[tuple[int, bool], Workers | Executed] = {}
+_kept: dict[int, Workers | Executed] = {}
 _guard = Lock()
 
 
-def _kept_for(threads: int, by_kernels: bool) -> Workers | Executed:
-    """What is kept for so many threads, who asks among them; with kernels in use it may be of machine code."""
-    key = threads, by_kernels and possible()
-    found = _kept.get(key)
+def _kept_for(threads: int) -> Workers | Executed:
+    """What is kept for so many threads, who asks among them: of machine code where it can be."""
+    found = _kept.get(threads)
     if found is None:
         with _guard:
-            found = _kept.get(key)
+            found = _kept.get(threads)
             if found is None:
-                found = _kept[key] = Workers(threads - 1) if key[1] else Executed(threads - 1)
+                found = _kept[threads] = Workers(threads - 1) if possible() else Executed(threads - 1)
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
+from antdsl.outputs.cache.frame_loops import farthest
 from antdsl.runtime import Population, World
 
 
@@ -16,24 +16,18 @@ def surface_error(world: World) -> float:
     for population in world.populations.values():
         if len(population):
             ground = world.ground.position(population.footing)
-            fast = compiled.wanted(len(population)) and not world.solids and "clearance" in population.now
-            worst = max(worst, _compiled(population, ground) if fast else _plain(world, population, ground))
+            worst = max(worst, _worst(world, population, ground))
     return worst
 
 
-def _plain(world: World, population: Population, ground: NDArray[np.float64]) -> float:
+def _worst(world: World, population: Population, ground: NDArray[np.float64]) -> float:
+    clearance, size = population.now.get("clearance", np.zeros(len(population), np.float32)), population.now["size"]
+    if not world.solids:
+        return float(farthest(population.position, ground, clearance, size))
     x, y, z = (population.position.astype(np.float32) - ground).T
     distance = np.sqrt((x * x + y * y) + z * z)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
         rows = np.flatnonzero(population.footing.mesh == number)
         off = np.abs(volume.sample(population.position[rows].astype(np.float32).astype(np.float64)))
         distance[rows] = np.maximum(distance[rows], off)
-    if "clearance" in population.now:
-        distance = np.abs(distance - population.now["clearance"])
-    return float((distance / np.maximum(population.now["size"].astype(np.float64), 1e-9)).max())
-
-
-def _compiled(population: Population, ground: NDArray[np.float64]) -> float:
-    from antdsl.outputs.cache.frames_compiled import farthest
-
-    return float(farthest(population.position, ground, population.now["clearance"], population.now["size"]))
+    return float((np.abs(distance - clearance) / np.maximum(size.astype(np.float64), 1e-9)).max())

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, inlined, kernel
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.cell_grids import grid_for
-from antdsl.runtime.planes import Plane, known
+from antdsl.runtime.planes import Plane, Vectors32, Vectors64, known
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.clear_velocity import Others, clear_velocities
 from antdsl.senses.neighbours import Pairs
@@ -20,6 +21,8 @@ from antdsl.senses.widest_gap import widest_gaps
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
+# Of each place in the table: distance, species, id, and which pair of the species' it is; then how many places are taken
+Nearest = tuple[Array2[F32], Array2[I64], Array2[I64], Array2[I64], Array1[I64]]
 
 
 def clear_velocity(
@@ -60,38 +63,29 @@ def _others(
     reach = np.where(within > 0, within, -1).astype(np.float32)
     ids, radius = population.ids[rows], _radius(population, rows)
     far = float(reach.max(initial=0.0, where=np.isfinite(reach)))
-    if compiled.wanted(n):
-        return _by_loops(world, population, (ids, radius, place, reach, far), count, own, plane)
-    found: list[tuple[NDArray[Any], ...]] = []
+    shape = (n, widest)
+    x, y, vx, vy, room = (np.zeros(shape) for _ in range(5))
+    there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+    nearest = np.empty(shape, np.float32), *(np.empty(shape, np.int64) for _ in range(3)), np.zeros(n, np.int64)
+    up, ahead, left = (parallel.plain(*each) for each in (plane.up, plane.ahead, plane.left))
+    moving = ahead if own is None else parallel.plain(*own)
+    found = []
     for number, (name, other) in enumerate(world.populations.items()):
         if not len(other) or not widest:
             continue
         p = _near(world, other, ids if other is population else None, place, reach, far)
-        theirs = known(vec.take(vec.named(other.start, "up"), p.j))
-        kept = np.flatnonzero(vec.dot(vec.take(plane.up, p.i), theirs) > 0)
-        i, j = p.i.take(kept), p.j.take(kept)
-        way = tuple(each.take(kept).astype(np.float64) for each in (p.dx, p.dy, p.dz))
-        moves = [] if own is None else [vec.sub(vec.take(own, i), known(vec.take(vec.named(other.start, "velocity"), j)))]
-        first = ids[i] < other.ids[j] if other is population else np.full(len(i), population.name < name)
-        flat = [vec.dot(v, vec.take(axis, i)) for v in (way, *moves) for axis in (plane.ahead, plane.left)]  # type: ignore[arg-type]
-        flat += [np.zeros(len(i))] * (4 - len(flat))
-        room = radius[i] + _radius(other, j)
-        found.append((i, p.distance.take(kept), np.full(len(i), number), other.ids[j], *flat, room, first))
-    shape = (n, widest)
-    x, y, vx, vy, both = table = [np.zeros(shape) for _ in range(5)]
-    there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
-    if found:
-        columns = [np.concatenate(column) for column in zip(*found, strict=True)]
-        order = _order(*columns[:4])
-        columns = [column.take(order) for column in columns]
-        asking = columns[0]
-        place_of = np.arange(len(asking)) - np.searchsorted(asking, asking)
-        kept = np.flatnonzero(place_of < count.take(asking))
-        at = asking.take(kept), place_of.take(kept)
-        for whole, column in zip(table, columns[4:9], strict=True):
-            whole[at] = column.take(kept)
-        there[at], first[at] = True, columns[9].take(kept)
-    return Others(x, y, vx, vy, both, there, first)
+        theirs = parallel.plain(*vec.named(other.start, "up"))
+        _choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
+        found.append((number, name, other, p))
+    for number, name, other, p in found:
+        velocity = parallel.plain(*vec.named(other.start, "velocity"))
+        both = radius, _radius(other)
+        who = ids, other is population, population.name < name
+        _lay(
+            nearest, number, p.j, (p.dx, p.dy, p.dz), ahead, left, own is not None, moving, velocity, *both, *who, x, y, vx, vy,
+            room, there, first,
+        )  # fmt: skip
+    return Others(x, y, vx, vy, room, there, first)
 
 
 def _near(
@@ -103,50 +97,75 @@ def _near(
     return grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=ids, threads=world.options.threads)
 
 
-def _by_loops(
-    world: World, population: Population, asking: tuple[Any, ...], count: Rows, own: Vector | None, plane: Plane
-) -> Others:
-    """`_others` by kernels: the nearest are chosen as pairs are met, and only these are looked at further."""
-    from antdsl.runtime.about_compiled import choose, lay
-
-    ids, radius, place, reach, far = asking
-    n, widest = len(ids), int(count.max(initial=0))
-    shape = (n, widest)
-    x, y, vx, vy, room = (np.zeros(shape) for _ in range(5))
-    there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
-    nearest = np.empty(shape, np.float32), *(np.empty(shape, np.int64) for _ in range(3)), np.zeros(n, np.int64)
-    up, ahead, left = (compiled.plain(*each) for each in (plane.up, plane.ahead, plane.left))
-    moving = ahead if own is None else compiled.plain(*own)
-    found = []
-    for number, (name, other) in enumerate(world.populations.items()):
-        if not len(other) or not widest:
-            continue
-        p = _near(world, other, ids if other is population else None, place, reach, far)
-        theirs = compiled.plain(*vec.named(other.start, "up"))
-        choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
-        found.append((number, name, other, p))
-    for number, name, other, p in found:
-        velocity = compiled.plain(*vec.named(other.start, "velocity"))
-        both = radius, _radius(other)
-        who = ids, other is population, population.name < name
-        lay(
-            nearest, number, p.j, (p.dx, p.dy, p.dz), ahead, left, own is not None, moving, velocity, *both, *who, x, y, vx, vy,
-            room, there, first,
-        )  # fmt: skip
-    return Others(x, y, vx, vy, room, there, first)
-
-
-def _order(asking: Rows, distance: NDArray[np.float32], species: Rows, ids: NDArray[np.int64]) -> Rows:
-    """The order of pairs by who asks and how far away the other is, at a tie by species and id."""
-    near = np.asarray(distance, np.float32).view(np.int32)  # bits of numbers that are not negative have their order
-    key = (asking.astype(np.int64) << 32) | near
-    order = np.argsort(key)
-    following = key.take(order)
-    if (following[1:] == following[:-1]).any():
-        order = np.lexsort((ids, species, key))
-    return order
-
-
 def _radius(population: Population, rows: Rows | slice = slice(None)) -> Floats:
     radius = population.start["radius"][rows].astype(np.float64)
     return np.where(np.isfinite(radius) & (radius > 0), radius, 0.0)
+
+
+@inlined
+def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+    return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+
+
+@kernel
+def _choose(
+    i: Array1[I64], j: Array1[I64], distance: Array1[F32], up: Vectors64, theirs: Vectors32, ids: Array1[I64], number: I64,
+    most: Array1[I64], nearest: Nearest,
+) -> None:  # fmt: skip
+    """Put those of a species' pairs (agent i sees j) that stand on i's side of the ground into the tables of the nearest, at most
+    so many of each agent, by distance, then species, then id."""
+    far, species, names, pairs, taken = nearest
+    for k in range(i.size):
+        a, b = i[k], j[k]
+        if not _dot((up[0][a], up[1][a], up[2][a]), known(theirs[0][b], theirs[1][b], theirs[2][b])) > 0.0:
+            continue
+        d, name, at = distance[k], ids[b], taken[a]
+        while at > 0:
+            before = at - 1
+            if far[a, before] < d:
+                break
+            if far[a, before] == d:
+                if species[a, before] < number:
+                    break
+                if species[a, before] == number and names[a, before] < name:
+                    break
+            at = before
+        if at >= most[a]:
+            continue
+        last = min(taken[a], most[a] - 1)
+        taken[a] = last + 1
+        while last > at:
+            far[a, last], species[a, last] = far[a, last - 1], species[a, last - 1]
+            names[a, last], pairs[a, last] = names[a, last - 1], pairs[a, last - 1]
+            last -= 1
+        far[a, at], species[a, at], names[a, at], pairs[a, at] = d, number, name, k
+
+
+@kernel
+def _lay(
+    nearest: Nearest, number: I64, j: Array1[I64], way: Vectors32, ahead: Vectors64, left: Vectors64, moves: BOOL, own: Vectors64,
+    theirs: Vectors32, radius: Array1[F64], other: Array1[F64], ids: Array1[I64], same: BOOL, sooner: BOOL, x: Array2[F64],
+    y: Array2[F64], vx: Array2[F64], vy: Array2[F64], room: Array2[F64], there: Array2[BOOL], first: Array2[BOOL],
+) -> None:  # fmt: skip
+    """Fill the columns of `Others` with those in the tables who are of one species: `same` as the agents that ask, else `sooner`
+    by name or not."""
+    _, species, names, pairs, taken = nearest
+    for a in range(taken.size):
+        ax, ay, az = ahead[0][a], ahead[1][a], ahead[2][a]
+        lx, ly, lz = left[0][a], left[1][a], left[2][a]
+        for c in range(taken[a]):
+            if species[a, c] != number:
+                continue
+            k = pairs[a, c]
+            b = j[k]
+            wx, wy, wz = np.float64(way[0][k]), np.float64(way[1][k]), np.float64(way[2][k])
+            x[a, c] = _dot((wx, wy, wz), (ax, ay, az))
+            y[a, c] = _dot((wx, wy, wz), (lx, ly, lz))
+            if moves:
+                tx, ty, tz = known(theirs[0][b], theirs[1][b], theirs[2][b])
+                mx, my, mz = own[0][a] - tx, own[1][a] - ty, own[2][a] - tz
+                vx[a, c] = _dot((mx, my, mz), (ax, ay, az))
+                vy[a, c] = _dot((mx, my, mz), (lx, ly, lz))
+            room[a, c] = radius[a] + other[b]
+            there[a, c] = True
+            first[a, c] = ids[a] < names[a, c] if same else sooner

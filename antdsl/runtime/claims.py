@@ -7,25 +7,18 @@ register made. From a field whole multiples of `UNIT` are taken, as deposits are
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.pheromone import UNIT
-from antdsl.numerics import compiled, randomness
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, inlined, kernel
+from antdsl.numerics import randomness
 from antdsl.runtime.requests import ClaimEntry, GiveEntry
 from antdsl.runtime.world import Population, World
 
 Entries = list[tuple[Population, ClaimEntry]]
-
-
-@cache
-def _kernels() -> Any:
-    from antdsl.runtime import claims_compiled
-
-    return claims_compiled
 
 
 def settle(world: World) -> None:
@@ -91,7 +84,7 @@ def _settle_one(
     draw = _joined([_draws(world, p, e) for p, e in entries])
     ids = _joined([p.ids[e.rows] for p, e in entries])
     row = _joined([e.rows for _, e in entries])
-    if len(entries) == 1 and compiled.wanted(len(item)) and _settled(rest, (ids, draw, item), row, amount, *entries[0]):
+    if len(entries) == 1 and _settled(rest, (ids, draw, item), row, amount, *entries[0]):
         return
     valid = (item >= 0) & (item < len(rest)) & (amount >= 0)
     if len(entries) == 1:
@@ -121,11 +114,9 @@ def _settled(
     asked = entry.statement
     if asked.own is None or asked.amount is None:
         return False
-    from antdsl.runtime.claims_compiled import settled
-
     item, claimed, (change, got) = keys[-1].astype(np.int64, copy=False), np.empty(len(row), np.int64), np.empty((2, len(row)))
     now, order = population.now, np.lexsort(keys)
-    done: bool = settled(rest, order, item, row, amount, now[asked.own], now[asked.won], claimed, change, got)
+    done: bool = _settle_in_turn(rest, order, item, row, amount, now[asked.own], now[asked.won], claimed, change, got)
     return done
 
 
@@ -232,53 +223,45 @@ def _turn(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.
     return turn
 
 
-def _served(rest: NDArray[np.float64], item: NDArray[np.integer], asks: _Asks) -> NDArray[np.float64]:
-    """What each gets, -1 for who is not served; `item` is sorted. Takes what they get from the rest."""
+def _served(rest: NDArray[np.float64], places: NDArray[np.integer], asks: _Asks) -> NDArray[np.float64]:
+    """What each gets, -1 for who is not served; `places` are sorted. Takes what they get from the rest."""
+    item: NDArray[np.int64] = places.astype(np.int64, copy=False)
     got = np.full(len(item), -1.0)
-    if not len(item):
-        return got
-    if compiled.wanted(len(item)) and not asks.everything.any():
-        _kernels().in_turn(rest, item.astype(np.int64, copy=False), asks.change, got)
+    if not asks.everything.any():
+        _serve_in_turn(rest, item, asks.change, got)
         return got
     starts = np.flatnonzero(np.concatenate(([True], item[1:] != item[:-1])))
     ends = np.append(starts[1:], len(item))
-    alone = starts[ends - starts == 1]
-    left = rest[item[alone]]
-    every = asks.everything[alone]
-    part = np.where(every, asks.all_of(alone, left), asks.change[alone])
-    served = np.where(every, part > 0, part <= left)
-    winners = alone[served]
-    got[winners] = part[served]
-    rest[item[winners]] = left[served] - part[served]
-    several = ends - starts > 1
+    every = np.logical_or.reduceat(asks.everything, starts)
+    some = np.flatnonzero(np.repeat(~every, ends - starts))
+    part = np.full(len(some), -1.0)
+    _serve_in_turn(rest, item[some], asks.change[some], part)
+    got[some] = part
+    alone = starts[every & (ends - starts == 1)]
+    part = asks.all_of(alone, rest[item[alone]])
+    winners, part = alone[part > 0], part[part > 0]
+    got[winners] = part
+    rest[item[winners]] -= part
+    several = every & (ends - starts > 1)
     for begin, end in zip(starts[several].tolist(), ends[several].tolist(), strict=True):
-        _among(rest, int(item[begin]), begin, end, asks, got)
+        _among(rest, item[begin:end], begin, asks, got[begin:end])
     return got
 
 
-def _among(rest: NDArray[np.float64], k: int, begin: int, end: int, asks: _Asks, got: NDArray[np.float64]) -> None:
-    """Serve those from `begin` to before `end`, who ask for the same thing, in their order until the rest does not suffice."""
-    every = begin + np.flatnonzero(asks.everything[begin:end])
-    for stop in (*every.tolist(), end):
-        if stop > begin:
-            taken = np.add.accumulate(asks.change[begin:stop])
-            count = stop - begin
-            if not taken[-1] <= rest[k]:  # nobody adds less than nothing, so that else all are served
-                served = taken <= rest[k]
-                count = count if served.all() else int(np.argmin(served))
-            if count:
-                rest[k] -= taken[count - 1]
-            got[begin : begin + count] = asks.change[begin : begin + count]
-            if count < stop - begin:
-                return
-        if stop < end:
-            at = np.array([stop])
-            part = float(asks.all_of(at, rest[k : k + 1])[0])
-            if not part > 0:
-                return
-            got[stop] = part
-            rest[k] -= part
-        begin = stop + 1
+def _among(rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks: _Asks, got: NDArray[np.float64]) -> None:
+    """Serve those from `begin` on, who ask for the same thing, some for all of it, in their order until the rest does not
+    suffice."""
+    first, change = 0, asks.change[begin : begin + len(item)]
+    for stop in (*np.flatnonzero(asks.everything[begin : begin + len(item)]).tolist(), len(item)):
+        _serve_in_turn(rest, item[first:stop], change[first:stop], got[first:stop])
+        if stop == len(item) or (got[first:stop] < 0).any():
+            return
+        part = float(asks.all_of(np.array([begin + stop]), rest[item[:1]])[0])
+        if not part > 0:
+            return
+        got[stop] = part
+        rest[item[0]] -= part
+        first = stop + 1
 
 
 def give(world: World) -> None:
@@ -292,3 +275,62 @@ def give(world: World) -> None:
         item, amount = (np.concatenate([getattr(entry, name) for entry in entries]) for name in ("item", "amount"))
         order = np.lexsort((amount, item))
         np.add.at(world.items[items].amounts[attribute], item[order], amount[order])
+
+
+@kernel
+def _serve_in_turn(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64]) -> None:
+    """Write to `got` what each claim gets, its `change`, where there is enough for it and for those before it; `item`, ascending,
+    says of which number of `rest` each is. Takes from the rest what they get together."""
+    _serve_each(rest, item, change, got, item.size)
+
+
+@kernel
+def _settle_in_turn(
+    rest: Array1[F64],
+    order: Array1[I64],
+    item: Array1[I64],
+    row: Array1[I64],
+    amount: Array1[F32],
+    own: Array1[F32],
+    won: Array1[BOOL],
+    claimed: Array1[I64],
+    change: Array1[F64],
+    got: Array1[F64],
+) -> bool:
+    """Settle the claims of one statement, of different agents, in an order by `item`: who is served has its `amount` added to its
+    `own` register and has `won`. Not where one asks for all: then nothing is settled, and it gives False.
+
+    `item`, `row` and `amount` [n] of each claim, `claimed`, `change` and `got` [n]: room."""
+    for k in range(order.size):
+        if amount[k] == np.inf:
+            return False
+    count = 0
+    for k in range(order.size):
+        n = order[k]
+        if item[n] >= 0 and item[n] < rest.size and amount[n] >= np.float32(0.0):
+            had = own[row[n]]
+            order[count], claimed[count], got[count] = n, item[n], -1.0
+            change[count] = np.float64(had + amount[n]) - np.float64(had)
+            count += 1
+    _serve_each(rest, claimed, change, got, count)
+    for k in range(count):
+        n = order[k]
+        if got[k] >= 0.0:
+            own[row[n]] += amount[n]
+            won[row[n]] = True
+    return True
+
+
+@inlined
+def _serve_each(rest, item, change, got, count):  # type: ignore[no-untyped-def]
+    k = 0
+    while k < count:
+        which, begin, taken, enough = item[k], k, 0.0, True
+        while k < count and item[k] == which:
+            together = change[k] if k == begin else taken + change[k]
+            enough = enough and together <= rest[which]
+            if enough:
+                taken, got[k] = together, change[k]
+            k += 1
+        if got[begin] >= 0.0:
+            rest[which] -= taken

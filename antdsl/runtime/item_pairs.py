@@ -1,7 +1,7 @@
 """Items near agents: pairs of an asking row and an item, by both, each with the way there (mm, float32) and its length.
 
-Few items are measured from everybody at once, by a compiled loop where there is one; of many, those that are too far off along
-two axes are left out first. Every way gives the same bits."""
+Few items are all measured from all rows; of many, those that are too far off along two axes are left out first. Both give the
+same bits."""
 
 from __future__ import annotations
 
@@ -10,28 +10,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import F32, I64, Array1, kernel
+from antdsl.numerics.parallel import plain
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.world import AXES, Items
 
 Floats = NDArray[np.float32]
 Columns = tuple[NDArray[Any], ...]  # row, item, x, y, z, distance
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Found = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 _MEASURED = 1 << 16  # pairs of an agent and an item at once
 _MANY_ITEMS = 128  # above it those that are too far off along an axis are not measured
 _WIDER, _TINY = 1 + 1e-5, 1e-15  # of a radius, and mm: more than float32 rounds, and than squares of it lose
 
 
-def items_within(items: Items, own: tuple[Floats, ...], radius: Any, crowd: int) -> Columns:
-    """Items within a radius (mm, one or float[n]) of places (three float32[n]), of whom a crowd of so many asks."""
+def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> Columns:
+    """Items within a radius (mm, one or float[n]) of places (three float32[n])."""
     reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
     if len(items) > _MANY_ITEMS:
         return along(items, own, reach)
-    if compiled.wanted(crowd):
-        from antdsl.runtime.pairs_compiled import within
-
-        x, y, z = own
-        return within(*_seen_at(items), x, y, z, reach)
     return each(items, own, reach)
 
 
@@ -42,22 +40,13 @@ def _seen_at(items: Items) -> Vector:
 
 def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
     """All items measured from all rows."""
-    n, m = len(own[0]), len(items)
-    x, y, z = _seen_at(items)
-    rows = max(1, _MEASURED // max(m, 1))
-    parts: list[Columns] = []
-    for a in range(0, n, rows):
-        px, py, pz = (place[a : a + rows] for place in own)
-        dx, dy, dz = x[:, None] - px, y[:, None] - py, z[:, None] - pz
-        distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
-        near = np.flatnonzero(distance <= reach[a : a + rows])
-        first = near.searchsorted(np.arange(m + 1) * px.size)
-        j = np.repeat(np.arange(m), np.diff(first))
-        i = near - j * px.size
-        order = np.argsort(i, kind="stable")
-        near = near.take(order)
-        parts.append((i.take(order) + a, j.take(order), *(v.ravel().take(near) for v in (dx, dy, dz, distance))))
-    return _joined(parts)
+    there, places, (reach,) = plain(*_seen_at(items)), plain(*own), plain(reach)
+    pairs = tuple(np.empty(max(2 * reach.size, 64), kind) for kind in (np.int64, np.int64, *(np.float32,) * 4))
+    row, used = _fill(there, places, reach, pairs, 0, 0)
+    while row < reach.size:
+        pairs = tuple(np.concatenate([a, np.empty(a.size + len(items), a.dtype)]) for a in pairs)
+        row, used = _fill(there, places, reach, pairs, row, used)
+    return tuple(a[:used] for a in pairs)
 
 
 def along(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
@@ -98,3 +87,23 @@ def _joined(parts: list[Columns]) -> Columns:
     if not parts:
         return np.empty(0, np.intp), np.empty(0, np.intp), *np.empty((4, 0), np.float32)
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+
+
+@kernel
+def _fill(items: Three, places: Three, reach: Array1[F32], pairs: Found, row: I64, used: I64) -> tuple[I64, I64]:
+    """Go on with a row, with so many pairs found before it, until the arrays are too short."""
+    ix, iy, iz = items
+    x, y, z = places
+    i, j, dx, dy, dz, distance = pairs
+    while row < x.size:
+        if used + ix.size > i.size:
+            return row, used
+        for k in range(ix.size):
+            ux, uy, uz = ix[k] - x[row], iy[k] - y[row], iz[k] - z[row]
+            length = np.sqrt((ux * ux + uy * uy) + uz * uz)
+            if length <= reach[row]:
+                i[used], j[used] = row, k
+                dx[used], dy[used], dz[used], distance[used] = ux, uy, uz, length
+                used += 1
+        row += 1
+    return row, used

@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.parallel import own
 from antdsl.runtime.binding.spacing import takes_room
 from antdsl.runtime.moving.capsules import depths
 from antdsl.runtime.moving.heads import heads_inside
@@ -47,7 +49,10 @@ _WANTED = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AX
 _COUNTED = (*_SEEN, *_WANTED, "max_speed", "size")
 _NOW, _START = itemgetter(*_COUNTED), itemgetter(*_SEEN)
 _MEANT = (np.float32(_WISH), np.float32(_STILL), np.float32(_MOVED))
+_PART = 512  # agents, of whom the numbers are worked out before they are counted
 _CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
+
+_Vector = tuple[Array1[F32], Array1[F32], Array1[F32]]
 
 
 @dataclass(slots=True, eq=False)
@@ -141,60 +146,33 @@ class Motion:
     def _step(self, world: World, population: Population) -> None:
         window = self._window(population)
         steps = max(1, round(_WINDOW / world.dt))
-        count = self._counted if compiled.wanted(len(population)) else self._counted_plainly
-        straight = count(population, window, np.float32(world.dt), steps, world.options.threads)
+        straight = self._counted(population, window, np.float32(world.dt), steps, world.options.threads)
         self.wishing += len(population)
         if len(straight):
             self.ways += len(straight)
             self.circling += int(np.count_nonzero(straight < _CIRCLING))
             self.straightness += fsum(straight)  # the same in any order of rows
 
-    def _counted_plainly(
-        self, population: Population, window: Window, dt: np.float32, steps: int, threads: int
-    ) -> NDArray[np.float64]:
-        """Adds a step to the counts and to the ways; gives how straight those are that have ended, 0 to 1."""
-        now, start = population.now, population.start
-        self.turns += _histogram(_turned(population, "heading"))
-        tilts = _turned(population, "up")
-        self.tilts += _histogram(tilts)
-        self.tilt_max = max(self.tilt_max, float(tilts.max()))
-        gone = vec.length(vec.sub(vec.named(now, "position"), vec.named(start, "position")))
-        longest = now["max_speed"] * dt
-        share = gone[longest > 0] / longest[longest > 0]
-        self.step_max = max(self.step_max, float(np.fmax.reduce(share, initial=0.0)))
-        speed = vec.length(vec.named(now, "velocity"))
-        wish = vec.length(vec.named(now, "push")) > _WISH
-        self.standing += int(np.count_nonzero(wish & (speed < now["max_speed"] * np.float32(_STILL))))
-        window.path += speed * dt
-        window.age += 1
-        done = np.flatnonzero(window.age >= steps)
-        net = np.sqrt(((population.position[done] - window.start[done]) ** 2).sum(axis=1))
-        path = window.path[done]
-        walked = path > _MOVED * now["size"][done]
-        window.start[done], window.path[done], window.age[done] = population.position[done], 0.0, 0
-        straight: NDArray[np.float64] = np.minimum(net[walked] / path[walked], 1.0)
-        return straight
-
     def _counted(self, population: Population, window: Window, dt: np.float32, steps: int, threads: int) -> NDArray[np.float64]:
-        """The same by a kernel."""
+        """Adds a step to the counts and to the ways; gives how straight those are that have ended, 0 to 1."""
         now, start = _NOW(population.now), _START(population.start)
         seen = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
         given = (*seen, now[9:12], now[12:15], *now[15:], population.position, window.start, window.path, window.age)
 
         n = len(population)
-        several = compiled.parts(n, threads, compiled.LIGHT)
+        several = parallel.parts(n, threads, parallel.LIGHT)
         if self.counted.shape[1] < several:
             self._add_counted()
             self.counted = np.zeros((2, several, _BINS + 1), np.int64)
-        work = partial(_kernels().counted, *given, *self.counted, several, n, *_bins(), window.straight, dt, *_MEANT, steps)
-        counts = compiled.in_parts(work, n, threads, compiled.LIGHT)
+        work = partial(_count_step, *given, *self.counted, several, n, *_bins(), window.straight, dt, *_MEANT, steps)
+        counts = parallel.in_parts(work, n, threads, parallel.LIGHT)
         for _, _, standing, half, share in counts:
             if half > self.half_max:
                 self.half_max = half
                 self.tilt_max = max(self.tilt_max, float(_angle(np.array([half], np.float32))[0]))
             self.step_max = max(self.step_max, share)
             self.standing += standing
-        return compiled.joined(counts, window.straight)[0]
+        return parallel.joined(counts, window.straight)[0]
 
     def _add_counted(self) -> None:
         """Add up what each part of a kernel has counted of turns and tilts in rows of its own."""
@@ -241,7 +219,7 @@ class Motion:
             with np.errstate(all="ignore"):  # which each thread has for itself
                 return [look() for look in looks[begin:end]]
 
-        found = chain.from_iterable(compiled.in_parts(some, len(looks), world.options.threads, 1))
+        found = chain.from_iterable(parallel.in_parts(some, len(looks), world.options.threads, 1))
         if deep:
             self.deep_max = max(self.deep_max, float((next(found) > _DEEP).mean()))
         for population in crowds:
@@ -268,13 +246,6 @@ class Motion:
         }
 
 
-def _turned(population: Population, name: str) -> NDArray[np.float32]:
-    """By how many degrees a unit vector of each agent has turned in the step."""
-    now, start = population.now, population.start
-    chord = vec.length(vec.sub(vec.named(now, name), vec.named(start, name)))
-    return _angle(np.minimum(chord * np.float32(0.5), 1))
-
-
 def _angle(half: NDArray[np.float32]) -> NDArray[np.float32]:
     """Degrees over a half chord of the unit circle."""
     angle: NDArray[np.float32] = np.degrees(2 * np.arcsin(half))
@@ -283,17 +254,6 @@ def _angle(half: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _bin_of(angle: NDArray[np.float32]) -> NDArray[np.int64]:
     return (angle * np.float32(_BINS / 180)).astype(np.int64)
-
-
-def _histogram(angle: NDArray[np.float32]) -> NDArray[np.int64]:
-    return np.bincount(_bin_of(angle), minlength=_BINS + 1)[: _BINS + 1]
-
-
-@cache
-def _kernels() -> Any:
-    from antdsl.runtime import motion_measures_compiled
-
-    return motion_measures_compiled
 
 
 @cache
@@ -314,3 +274,101 @@ def _percentile(counts: NDArray[Any]) -> float:
     """The 99th percentile of a histogram over 0 .. 1."""
     total = int(counts.sum())
     return float(np.searchsorted(np.cumsum(counts), 0.99 * total)) / _BINS if total else 0.0
+
+
+@inlined
+def _length(x, y, z):  # type: ignore[no-untyped-def]
+    return np.sqrt((x * x + y * y) + z * z)
+
+
+@inlined
+def _between(a, b, i):  # type: ignore[no-untyped-def]
+    return _length(a[0][i] - b[0][i], a[1][i] - b[1][i], a[2][i] - b[2][i])
+
+
+@inlined
+def _count(half, least, first, bins, part):  # type: ignore[no-untyped-def]
+    """The last bin whose least half chord is no more than this one's; `first`: where to begin to look, by its size."""
+    k = first[np.int64(half * np.float32(4096.0))]
+    k += 1 if half >= least[k + 1] else 0  # seldom more, so that what follows is foretold
+    while half >= least[k + 1]:
+        k += 1
+    bins[part, k] += 1
+
+
+@kernel
+def _count_step(
+    position: _Vector,
+    heading: _Vector,
+    up: _Vector,
+    position_before: _Vector,
+    heading_before: _Vector,
+    up_before: _Vector,
+    velocity: _Vector,
+    push: _Vector,
+    fastest: Array1[F32],
+    size: Array1[F32],
+    place: Strided2[F64],
+    began: Strided2[F64],
+    path: Array1[F64],
+    age: Array1[I64],
+    turns: Array2[I64],
+    tilts: Array2[I64],
+    several: I64,
+    count: I64,
+    least: Array1[F32],
+    first: Array1[I64],
+    straight: Array1[F64],
+    dt: F32,
+    wish: F32,
+    still: F32,
+    far: F32,
+    steps: I64,
+    begin: I64,
+    end: I64,
+) -> tuple[int, int, int, float, float]:
+    """Adds one step of agents from `begin` to before `end` of a `count` to the measures: to the bins of turns and tilts, of which
+    each of `several` parts has a row of its own, and to `path` and `age` of the ways that they `began`. Gives `begin`; how many
+    ways have ended, whose straightness is written to `straight` from there on; how many stand; the greatest half chord of a tilt,
+    and the greatest share of the longest step.
+
+    `fastest` (mm/s) and `size` (mm) of each; `least` half chord of each bin, and the `first` to look at. `dt` s; `wish`: the
+    least push that is meant; `still`: the share of speed that is standing; a way ends after `steps` and counts when it is `far`
+    body lengths long."""
+    ended, standing, part = 0, 0, own(begin, count, several)
+    tilted, longest = np.float32(0.0), np.float32(0.0)
+    turn, tilt, share, speed = scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32)
+    wanted = scratch(_PART, F32)
+    for low in range(begin, end, 512):
+        high = min(low + _PART, end)
+        for i in independent(low, high):
+            turn[i - low] = _between(heading, heading_before, i) * np.float32(0.5)
+        for i in independent(low, high):
+            tilt[i - low] = _between(up, up_before, i) * np.float32(0.5)
+        for i in independent(low, high):
+            share[i - low] = _between(position, position_before, i) / (fastest[i] * dt)
+        for i in independent(low, high):
+            speed[i - low] = _length(velocity[0][i], velocity[1][i], velocity[2][i])
+        for i in independent(low, high):
+            wanted[i - low] = _length(push[0][i], push[1][i], push[2][i])
+        for i in range(low, high):
+            at = i - low
+            _count(min(turn[at], np.float32(1.0)), least, first, turns, part)
+            half = min(tilt[at], np.float32(1.0))
+            _count(half, least, first, tilts, part)
+            tilted = max(tilted, half)
+            if fastest[i] * dt > np.float32(0.0) and share[at] > longest:
+                longest = share[at]
+            standing += 1 if wanted[at] > wish and speed[at] < fastest[i] * still else 0
+            path[i] += np.float64(speed[at] * dt)
+            age[i] += 1
+            if age[i] >= steps:
+                if path[i] > np.float64(far * size[i]):
+                    net = _length(place[i, 0] - began[i, 0], place[i, 1] - began[i, 1], place[i, 2] - began[i, 2])
+                    straight[begin + ended] = min(net / path[i], 1.0)
+                    ended += 1
+                for k in range(3):
+                    began[i, k] = place[i, k]
+                path[i] = 0.0
+                age[i] = 0
+    return begin, ended, standing, np.float64(tilted), np.float64(longest)

@@ -6,7 +6,7 @@ Pairs are sorted by the asking row. Every reduction gives the same bits whatever
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.numerics import compiled, exact_sums
+from antdsl.numerics import exact_sums
 from antdsl.plan import ir
 from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.runtime.cell_grids import grid_for
@@ -22,7 +22,7 @@ from antdsl.runtime.faults import Fault, LimitStop
 from antdsl.runtime.item_pairs import items_within
 from antdsl.runtime.nearest_pairs import nearest_of_all
 from antdsl.runtime.world import AXES, Items, Population, World
-from antdsl.senses.neighbours import TooManyWithin, View, seen
+from antdsl.senses.neighbours import TooManyWithin, View
 from antdsl.source import Span
 
 Floats = NDArray[np.float32]
@@ -60,61 +60,12 @@ class PairRows:
         return PairRows(self.of, len(rows), i.take(keep), *rest)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Nearby:
-    """All neighbours of some rows within a radius each: a set within a lesser one is a part of it."""
-
-    rows: Any
-    radius: Floats
-    pairs: PairRows
-
-    def part(self, rows: Any, radius: Floats) -> PairRows | None:
-        """The pairs of some of the rows (a slice or ascending) within lesser radii; None where that is not what is asked."""
-        number = _places(self.rows, rows)
-        if number is None or not np.all(radius <= self.radius[number]):
-            return None
-        every, count = self.pairs, len(radius)
-        reach = np.full(every.count, -1, np.float32)
-        reach[number] = radius
-        found = every.pick(np.flatnonzero(every.distance <= reach.take(every.i)))
-        if count == every.count:
-            return found
-        new = np.empty(every.count, np.intp)
-        new[number] = np.arange(count)
-        return PairRows(found.of, count, new.take(found.i), found.j, found.dx, found.dy, found.dz, found.distance)
-
-
-@dataclass(slots=True, eq=False)
-class NearbySets:
-    """What was found for a chunk of rows, by species, and in how many threads to look for more."""
-
-    threads: int
-    known: dict[str, Nearby] = field(default_factory=dict)
-
-
-def _places(known: Any, rows: Any) -> Any:
-    """Where ascending rows stand among known ones, or None where some are not among them; rows are slices or arrays."""
-    if rows is known:
-        return slice(None)
-    if isinstance(known, slice):
-        first, last = (rows.start, rows.stop) if isinstance(rows, slice) else (int(rows.min()), int(rows.max()) + 1)
-        if first < known.start or last > known.stop:
-            return None
-        return slice(first - known.start, last - known.start) if isinstance(rows, slice) else rows - known.start
-    if isinstance(rows, slice):
-        return None
-    at = np.minimum(np.searchsorted(known, rows), len(known) - 1)
-    return at if np.array_equal(known[at], rows) else None
-
-
-def find(world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], nearby: NearbySets) -> PairRows:
-    """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands.
-
-    `nearby` is what was found for the chunk before; this adds to it."""
+def find(world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], threads: int = 1) -> PairRows:
+    """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
         items = world.items[node.attrs[0]]
-        return PairRows(items, len(own[0]), *items_within(items, own, args[0], len(population)))
+        return PairRows(items, len(own[0]), *items_within(items, own, args[0]))
     other = world.populations[node.attrs[0]]
     ids = population.ids[rows] if other is population else None
     if node.op == "set.every":
@@ -123,7 +74,7 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     radius, cosine = args
     view = None if node.attrs[1] else _view(population, rows, cosine, len(own[0]))
     try:
-        return _neighbours(world, other, own, ids, rows, (radius, view), nearby)
+        return _near(world, other, own, ids, radius, view, threads)
     except TooManyWithin:
         pass
     species = world.plan.species[population.name]
@@ -131,7 +82,7 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     try:
         if count is None:
             raise TooManyWithin
-        return _neighbours(world, other, own, ids, rows, (_shorter(other, own, ids, radius, count), view), nearby)
+        return _near(world, other, own, ids, _shorter(other, own, ids, radius, count), view, threads)
     except TooManyWithin:
         span = _asked_at(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
@@ -196,28 +147,6 @@ def _asked_at(species: ir.SpeciesPlan, node: ir.Node) -> Span | None:
 
 def _own_text(span: Span | None) -> bool:
     return span is not None and not span.source.path.startswith("<")
-
-
-def _neighbours(
-    world: World,
-    other: Population,
-    own: tuple[Floats, ...],
-    ids: NDArray[np.int64] | None,
-    rows: Any,
-    asked: tuple[Any, View | None],
-    nearby: NearbySets,
-) -> PairRows:
-    """Others within radii, in a field of view; from what is known of the chunk where that holds them."""
-    radius, view = asked
-    if compiled.wanted(max(len(other), len(own[0]))):  # asking again costs less than sharing
-        return _near(world, other, own, ids, radius, view, nearby.threads)
-    reaches = np.full(len(own[0]), radius) if np.ndim(radius) == 0 else radius
-    known = nearby.known.get(other.name)
-    found = known.part(rows, reaches) if known is not None else None
-    if found is None:
-        found = _near(world, other, own, ids, radius, None, nearby.threads)
-        nearby.known[other.name] = Nearby(rows, reaches.copy(), found)
-    return found if view is None else found.pick(seen(found, view))
 
 
 def _view(population: Population, rows: Any, cosine: Any, count: int) -> View:

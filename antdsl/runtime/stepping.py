@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from time import perf_counter, process_time
 
-from antdsl.numerics import compiled
 from antdsl.numerics.float_environment import is_standard, standard
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.phases import PHASES
@@ -26,9 +25,6 @@ def step(world: World) -> None:
 
 def _step(world: World) -> None:
     started, worked = perf_counter(), process_time()
-    begun = worked
-    if not compiled.running():
-        compiled.begin_step(len(world))
     timings, spent = world.timings, world.worked
     for name, phase in PHASES:
         phase(world)
@@ -40,6 +36,5 @@ def _step(world: World) -> None:
         timings[name] = timings.get(name, 0.0) + passed
         spent[name] = spent.get(name, 0.0) + done - worked
         started, worked = ended, done
-    compiled.end_step(worked - begun)
     if world.faults.latest is not None and world.options.on_fault == "stop":
         raise FaultStop(world.faults.latest)

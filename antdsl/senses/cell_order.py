@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, independent, inlined, kernel
+from antdsl.numerics import parallel
 from antdsl.numerics.sorting import stable_order
 
 Floats = NDArray[np.float32]
+Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
 
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
 _LAYERS_PER_COLUMN = 2
 _NONE = np.empty(0, np.int64)
-
-
-@cache
-def _kernels() -> Any:
-    from antdsl.senses import cell_order_compiled
-
-    return cell_order_compiled
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,51 +100,23 @@ class Ordered:
 
 def ordered(x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float) -> Ordered:
     """Agents at places float32[n] (mm) with `ids` int64[n], by cells for queries of a usual radius `cell` (mm)."""
-    if compiled.wanted(len(ids)):
-        return _by_kernels(compiled.plain(x, y, z), ids, cell)
-    rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
-    if np.any(ids[1:] < ids[:-1]):
-        rows = rows[stable_order(ids[rows])]
-    places = [np.asarray(a, np.float64)[rows] for a in (x, y, z)]
-    low = [float(p.min(initial=np.inf)) if rows.size else 0.0 for p in places]
-    high = [float(p.max(initial=-np.inf)) if rows.size else 0.0 for p in places]
-    shape = Shape.of(low, high, cell)
-    cells = shape.numbers(places)
-    shape = _of_layers(shape, cells)
-    key = (cells[2] * shape.size[1] + cells[1]) * shape.size[0] + cells[0]
-    order = stable_order(key)
-    rows, keys, starts = rows.take(order), key[order], None
-    if shape.listed(rows.size):
-        starts = np.zeros(shape.cells + 1, np.int32)
-        np.cumsum(np.bincount(keys, minlength=shape.cells), out=starts[1:])
-    return Ordered(shape, rows, keys, [np.ascontiguousarray(a[rows], np.float32) for a in (x, y, z)], starts)
-
-
-def _of_layers(shape: Shape, cells: list[NDArray[np.int64]]) -> Shape:
-    """The shape, or that of a sheet where the numbers of cells say so, which then have one layer."""
-    if not (shape.extent[2] > 0 and shape.sheet_of(cells, cells[0].size)):
-        return shape
-    cells[2][:] = 0
-    return shape.as_sheet()
-
-
-def _by_kernels(places: tuple[NDArray[Any], ...], ids: NDArray[np.int64], cell: float) -> Ordered:
-    """The same by a loop that finds the box, one that numbers cells and one that counts how many are in each."""
-    kernels, ends = _kernels(), np.empty((2, 3))
-    count, ascending = kernels.box(*places, ids, ends)
+    places, ends = parallel.plain(x, y, z), np.empty((2, 3))
+    count, ascending = _box(*places, ids, ends)
     low, high = ends.tolist()
     shape = Shape.of(low, high, cell)
     along = tuple(places[axis] for axis in shape.axes)
     rows, cells = np.empty(count, np.int64), list(np.empty((3, count), np.int64))
-    kernels.numbered(along, _NONE if ascending else stable_order(ids), tuple(shape.low), tuple(shape.width), rows, *cells)
-    shape = _of_layers(shape, cells)
+    _number(along, _NONE if ascending else stable_order(ids), tuple(shape.low), tuple(shape.width), rows, *cells)
+    if shape.extent[2] > 0 and shape.sheet_of(cells, count):
+        shape = shape.as_sheet()
+        cells[2][:] = 0
     listed = shape.listed(count)
     starts, order = np.zeros(shape.cells + 1 if listed else 0, np.int32), _NONE
     if not listed:
         order = stable_order((cells[2] * shape.size[1] + cells[1]) * shape.size[0] + cells[0])
     sorted_rows, keys = np.empty((2, count), np.int64)
     found = np.empty((3, count), np.float32)
-    kernels.put(rows, *cells, *shape.size[:2], order, places, starts, sorted_rows, keys, found)
+    _put(rows, *cells, *shape.size[:2], order, places, starts, sorted_rows, keys, found)
     return Ordered(shape, sorted_rows, keys, list(found), starts if listed else None)
 
 
@@ -159,3 +125,95 @@ def _distinct(numbers: NDArray[np.int64], limit: int) -> int:
     seen = np.zeros(limit, np.bool_)
     seen[numbers] = True
     return int(np.count_nonzero(seen))
+
+
+@kernel
+def _box(x: Array1[F32], y: Array1[F32], z: Array1[F32], ids: Array1[I64], ends: Array2[F64]) -> tuple[I64, BOOL]:
+    """How many places are finite, whose least and greatest x, y and z are put into `ends` (2, 3), 0 where there are none; and
+    whether the ids of all ascend."""
+    count, ascending = 0, True
+    low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
+    high_x, high_y, high_z = np.float32(-np.inf), np.float32(-np.inf), np.float32(-np.inf)
+    for k in range(x.size):
+        if k > 0 and ids[k] < ids[k - 1]:
+            ascending = False
+        if np.isfinite(x[k]) and np.isfinite(y[k]) and np.isfinite(z[k]):
+            count += 1
+            low_x, low_y, low_z = min(low_x, x[k]), min(low_y, y[k]), min(low_z, z[k])
+            high_x, high_y, high_z = max(high_x, x[k]), max(high_y, y[k]), max(high_z, z[k])
+    ends[0, 0], ends[0, 1], ends[0, 2] = np.float64(low_x), np.float64(low_y), np.float64(low_z)
+    ends[1, 0], ends[1, 1], ends[1, 2] = np.float64(high_x), np.float64(high_y), np.float64(high_z)
+    if count == 0:
+        for k in range(3):
+            ends[0, k], ends[1, k] = 0.0, 0.0
+    return count, ascending
+
+
+@inlined
+def _along(place, low, width):  # type: ignore[no-untyped-def]
+    return np.int64(np.floor((np.float64(place) - low) / width))
+
+
+@kernel
+def _number(
+    along: Columns,
+    order: Array1[I64],
+    low: tuple[F64, F64, F64],
+    width: tuple[F64, F64, F64],
+    rows: Array1[I64],
+    fast: Array1[I64],
+    middle: Array1[I64],
+    slow: Array1[I64],
+) -> None:
+    """The `rows` of agents at finite places, in an `order` of all (empty: as they are), and the numbers of their cells along the
+    three axes."""
+    count = 0
+    for k in range(along[0].size):
+        row = order[k] if order.size > 0 else k
+        if np.isfinite(along[0][row]) and np.isfinite(along[1][row]) and np.isfinite(along[2][row]):
+            rows[count] = row
+            count += 1
+    for n in independent(0, count):
+        own = rows[n]
+        fast[n] = _along(along[0][own], low[0], width[0])
+        middle[n] = _along(along[1][own], low[1], width[1])
+        slow[n] = _along(along[2][own], low[2], width[2])
+
+
+@kernel
+def _put(
+    rows: Array1[I64],
+    fast: Array1[I64],
+    middle: Array1[I64],
+    slow: Array1[I64],
+    across: I64,
+    broad: I64,
+    order: Array1[I64],
+    places: Columns,
+    starts: Array1[I32],
+    ordered: Array1[I64],
+    keys: Array1[I64],
+    found: Array2[F32],
+) -> None:
+    """Put `rows` in the order of their cells, with the keys of these and their places (3, n): by counting how many are in each,
+    which fills `starts`, or where there is no room for that as `order` says."""
+    n = rows.size
+    if starts.size > 0:
+        for k in range(n):
+            key = (slow[k] * broad + middle[k]) * across + fast[k]
+            if key + 2 < starts.size:
+                starts[key + 2] += 1
+        for k in range(2, starts.size):
+            starts[k] += starts[k - 1]
+        for k in range(n):  # where a cell begins goes on to where it ends, which is where the next one begins
+            key = (slow[k] * broad + middle[k]) * across + fast[k]
+            place = starts[key + 1]
+            ordered[place], keys[place] = rows[k], key
+            starts[key + 1] += 1
+    else:
+        for k in range(n):
+            other = order[k]
+            ordered[k], keys[k] = rows[other], (slow[other] * broad + middle[other]) * across + fast[other]
+    for at in independent(0, n):
+        row = ordered[at]
+        found[0, at], found[1, at], found[2, at] = places[0][row], places[1][row], places[2][row]

@@ -4,23 +4,29 @@ Robotics Research, Springer Tracts in Advanced Robotics 70, 2011, p. 3-19).
 
 Each neighbour allows a half-plane of velocities, the change that is needed being shared by halves (section 4). The nearest
 point of all half-planes within the circle of the greatest speed is found by an incremental linear program, a constraint at a
-time; where they have none in common, the point that all forbid least (section 5.3). Constraints are added for all agents at
-once, the nearest neighbour's first; values are float64 and made of single sums, products, quotients and roots, so that an
+time; where they have none in common, the point that all forbid least (section 5.3). Constraints are added one by one, the
+nearest neighbour's first; values are float64 and made of single sums, products, quotients and roots, so that an
 agent's result is the same bits whoever else is asked for.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, called, inlined, kernel
+from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Rows = NDArray[np.intp]
+Column = Array1[F64]
+Lines = tuple[Column, Column, Column, Column, Array1[I64]]  # px, py, dx, dy of borders, and 1 where there is one
+# x, y, vx, vy and room of others, who are there, and who is the first of two on one spot
+Columns = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array2[BOOL], Array2[BOOL]]
 
 _PARALLEL = 1e-9  # sine between two borders, below which they do not cross
 _LEAST = 1e-30
@@ -41,164 +47,164 @@ class Others:
     first: Flags
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Borders:
-    """Half-planes of velocities, float64[n,m] each: those to the left of a line through (`px`, `py`) along the unit (`dx`, `dy`),
-    where `there`."""
-
-    px: Floats
-    py: Floats
-    dx: Floats
-    dy: Floats
-    there: Flags
-
-    def of(self, rows: Rows) -> Borders:
-        """Those of some agents."""
-        return Borders(*(getattr(self, name)[rows] for name in ("px", "py", "dx", "dy", "there")))
-
-    def up_to(self, count: int) -> Borders:
-        """The first ones of each agent."""
-        return Borders(*(getattr(self, name)[:, :count] for name in ("px", "py", "dx", "dy", "there")))
-
-    def beyond(self, k: int, x: Floats, y: Floats) -> Floats:
-        """How far velocities are on the forbidden side of the k-th border, below 0 on the other; -inf where there is none."""
-        away = self.dx[:, k] * (self.py[:, k] - y) - self.dy[:, k] * (self.px[:, k] - x)
-        return np.where(self.there[:, k], away, -np.inf)
-
-
 def clear_velocities(
     others: Others, velocity: tuple[Floats, Floats], wish: tuple[Floats, Floats], fastest: Floats, horizon: Floats, dt: float,
     threads: int = 1,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Velocities (mm/s, float64[n] along both axes of each agent's plane) nearest to a `wish`, no faster than `fastest`, by which
     nobody is met within `horizon` s if the others do their half; those who are in each other part within `dt` s."""
-    n = len(fastest)
-    if not n:
-        return np.empty(0), np.empty(0)
-    if compiled.wanted(n):
-        from antdsl.senses.clear_velocity_compiled import velocities
+    o = others
+    columns = parallel.plain(o.x, o.y, o.vx, o.vy, o.room, o.there, o.first)
+    own, wished, (most, until) = (parallel.plain(*each) for each in (velocity, wish, (fastest, horizon)))
+    found = parallel.in_parts(lambda *part: _some(columns, own, wished, most, until, dt, *part), len(fastest), threads)
+    if len(found) == 1:
+        return found[0]
+    return np.concatenate([each[0] for each in found]), np.concatenate([each[1] for each in found])
 
-        o = others
-        columns = compiled.plain(o.x, o.y, o.vx, o.vy, o.room, o.there, o.first)
-        own, wished, (most, until) = (compiled.plain(*each) for each in (velocity, wish, (fastest, horizon)))
-        found = compiled.in_parts(lambda *part: velocities(columns, own, wished, most, until, dt, *part), n, threads)
-        if len(found) == 1:
-            return found[0]
-        return np.concatenate([each[0] for each in found]), np.concatenate([each[1] for each in found])
-    with np.errstate(all="ignore"):
-        borders = _borders(others, velocity, horizon, dt)
-        x, y, failed = _nearest(borders, fastest, wish, along=False)
-        rows = np.flatnonzero(failed < others.x.shape[1])
-        if rows.size:
-            x[rows], y[rows] = _least_forbidden(borders.of(rows), fastest[rows], x[rows], y[rows], failed[rows])
+
+def _some(
+    others: tuple[NDArray[Any], ...], velocity: tuple[Floats, ...], wish: tuple[Floats, ...], fastest: Floats, horizon: Floats,
+    dt: float, begin: int, end: int,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """`clear_velocities` of agents from `begin` to `end`; `others` are `Columns`."""
+    most = others[0].shape[1]
+    borders, between = ((*np.empty((4, most)), np.empty(most, np.int64)) for _ in range(2))
+    x, y = np.empty((2, end - begin))
+    _clear(others, velocity, wish, fastest, horizon, dt, begin, end, borders, between, x, y)
     return x, y
 
 
-def _borders(o: Others, velocity: tuple[Floats, Floats], horizon: Floats, dt: float) -> Borders:
-    """The half-plane that each neighbour allows (section 4, equation 5)."""
-    square, room = o.x * o.x + o.y * o.y, o.room * o.room
+@kernel
+def _clear(
+    others: Columns, velocity: tuple[Column, Column], wish: tuple[Column, Column], fastest: Column, horizon: Column, dt: F64,
+    begin: I64, end: I64, borders: Lines, between: Lines, x: Column, y: Column,
+) -> None:  # fmt: skip
+    most = borders[0].size
+    for a in range(begin, end):
+        for c in range(most):
+            if others[5][a, c]:
+                _border(others, a, c, velocity[0][a], velocity[1][a], horizon[a], dt, borders)
+            else:
+                borders[4][c] = 0
+        wx, wy, limit = wish[0][a], wish[1][a], fastest[a]
+        size = math.sqrt(wx * wx + wy * wy)
+        part = 1.0
+        if size > limit:
+            part = limit / (size if size > 0.0 else 1.0)
+        vx, vy, failed = _nearest(borders, most, limit, wx, wy, wx * part, wy * part, False)
+        if failed < most:
+            vx, vy = _least_forbidden(borders, between, most, limit, vx, vy, failed)
+        x[a - begin], y[a - begin] = vx, vy
+
+
+@inlined
+def _border(
+    others: Any, a: int, c: int, own_x: float, own_y: float, horizon: float, dt: float, borders: Any
+) -> None:  # fmt: skip
+    """Set the half-plane that neighbour c of agent a allows."""
+    xs, ys, vxs, vys, rooms, there, first = others
+    px, py, dx, dy, sound = borders
+    x, y, vx, vy, r = xs[a, c], ys[a, c], vxs[a, c], vys[a, c], rooms[a, c]
+    square, room = x * x + y * y, r * r
     apart = square > room
-    seconds = np.where(apart, horizon[:, None], dt)
-    # From the middle of the circle at the end of the truncated cone of velocities that meet.
-    wx, wy = o.vx - o.x / seconds, o.vy - o.y / seconds
-    size = np.sqrt(wx * wx + wy * wy)
-    still = ~(size > _LEAST)  # as fast and on one spot: they part along the first axis, one each way
-    ux = np.where(still, np.where(o.first, 1.0, -1.0), wx / np.where(still, 1.0, size))
-    uy = np.where(still, 0.0, wy / np.where(still, 1.0, size))
-    along = wx * o.x + wy * o.y
-    round_end = ~apart | ((along < 0) & (along * along > room * (size * size)))
-    # Else from one of its legs, that on whose side the velocity is.
-    leg = np.sqrt(np.maximum(square - room, 0.0))
-    left = o.x * wy - o.y * wx > 0
-    over = np.where(square > _LEAST, square, 1.0)
-    side = np.where(left, 1.0, -1.0)
-    lx, ly = side * (o.x * leg - side * (o.y * o.room)) / over, side * (side * (o.x * o.room) + o.y * leg) / over
-    reach = o.vx * lx + o.vy * ly
-    change = o.room / seconds - size
-    dx, dy = np.where(round_end, uy, lx), np.where(round_end, -ux, ly)
-    cx = np.where(round_end, change * ux, reach * lx - o.vx)
-    cy = np.where(round_end, change * uy, reach * ly - o.vy)
-    px, py = velocity[0][:, None] + 0.5 * cx, velocity[1][:, None] + 0.5 * cy
-    sound = o.there & np.isfinite(px) & np.isfinite(py) & np.isfinite(dx) & np.isfinite(dy)
-    return Borders(px, py, dx, dy, sound)
-
-
-def _nearest(b: Borders, fastest: Floats, wish: tuple[Floats, Floats], *, along: bool) -> tuple[Floats, Floats, Rows]:
-    """The allowed point nearest to a wish in a circle, or with `along` the farthest along a wish, which is a unit vector then:
-    one border after the other. Gives also which border left none (the number of borders where none did); the point is then that
-    of before."""
-    n, most = b.px.shape
-    if along:
-        x, y = wish[0] * fastest, wish[1] * fastest
+    seconds = horizon if apart else dt
+    wx, wy = vx - x / seconds, vy - y / seconds
+    size = math.sqrt(wx * wx + wy * wy)
+    ux, uy = 1.0 if first[a, c] else -1.0, 0.0
+    if size > _LEAST:
+        ux, uy = wx / size, wy / size
+    along = wx * x + wy * y
+    if not apart or (along < 0.0 and along * along > room * (size * size)):
+        change = r / seconds - size
+        dx[c], dy[c] = uy, -ux
+        cx, cy = change * ux, change * uy
     else:
-        size = np.sqrt(wish[0] * wish[0] + wish[1] * wish[1])
-        part = np.where(size > fastest, fastest / np.where(size > 0, size, 1.0), 1.0)
-        x, y = wish[0] * part, wish[1] * part
-    failed = np.full(n, most, np.intp)
+        leg = math.sqrt(max(square - room, 0.0))
+        side = 1.0 if x * wy - y * wx > 0.0 else -1.0
+        over = square if square > _LEAST else 1.0
+        lx, ly = side * (x * leg - side * (y * r)) / over, side * (side * (x * r) + y * leg) / over
+        reach = vx * lx + vy * ly
+        dx[c], dy[c] = lx, ly
+        cx, cy = reach * lx - vx, reach * ly - vy
+    px[c], py[c] = own_x + 0.5 * cx, own_y + 0.5 * cy
+    good = there[a, c] and math.isfinite(px[c]) and math.isfinite(py[c]) and math.isfinite(dx[c]) and math.isfinite(dy[c])
+    sound[c] = 1 if good else 0
+
+
+@inlined
+def _beyond(borders: tuple[Floats, ...], k: int, x: float, y: float) -> float:
+    px, py, dx, dy, _ = borders
+    away: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
+    return away
+
+
+@called
+def _nearest(
+    borders: Any, most: int, fastest: float, wx: float, wy: float, x: float, y: float, along: bool
+) -> tuple[float, float, int]:  # fmt: skip
+    """The allowed point nearest to a wish from where that stands in the circle, or with `along` the farthest along it; and which
+    border left none."""
+    px, py, dx, dy, there = borders
+    bx, by = x, y
     for k in range(most):
-        rows = np.flatnonzero((failed == most) & (b.beyond(k, x, y) > 0))
-        if rows.size:
-            nx, ny, good = _on_border(b.of(rows), k, fastest[rows], (wish[0][rows], wish[1][rows]), along)
-            x[rows], y[rows] = np.where(good, nx, x[rows]), np.where(good, ny, y[rows])
-            failed[rows[~good]] = k
-    return x, y, failed
-
-
-def _on_border(b: Borders, k: int, fastest: Floats, wish: tuple[Floats, Floats], along: bool) -> tuple[Floats, Floats, Flags]:
-    """The same on the k-th border alone, within the circle and what the borders before it allow; False where that is nothing."""
-    px, py, dx, dy = b.px[:, k], b.py[:, k], b.dx[:, k], b.dy[:, k]
-    middle = px * dx + py * dy
-    room = middle * middle + fastest * fastest - (px * px + py * py)
-    half = np.sqrt(np.maximum(room, 0.0))
-    low, high = -middle - half, -middle + half
-    good = room >= 0
-    if k:
-        before = b.up_to(k)
-        cross = dx[:, None] * before.dy - dy[:, None] * before.dx
-        away = before.dx * (py[:, None] - before.py) - before.dy * (px[:, None] - before.px)
-        level = np.abs(cross) <= _PARALLEL
-        at = away / np.where(level, 1.0, cross)
-        there = before.there & ~level
-        high = np.minimum(high, np.where(there & (cross > 0), at, np.inf).min(axis=1))
-        low = np.maximum(low, np.where(there & (cross < 0), at, -np.inf).max(axis=1))
-        good &= ~(before.there & level & (away < 0)).any(axis=1) & (low <= high)
-    if along:
-        t = np.where(wish[0] * dx + wish[1] * dy > 0, high, low)
-    else:
-        t = np.minimum(np.maximum(dx * (wish[0] - px) + dy * (wish[1] - py), low), high)
-    return px + t * dx, py + t * dy, good
-
-
-def _least_forbidden(b: Borders, fastest: Floats, x: Floats, y: Floats, failed: Rows) -> tuple[Floats, Floats]:
-    """Where no point is allowed: that which is least far beyond any border, from the point that those before the `failed` one
-    allow (section 5.3: a linear program in three dimensions, by projection)."""
-    deepest = np.zeros(len(x))
-    for k in range(b.px.shape[1]):
-        rows = np.flatnonzero((failed <= k) & (b.beyond(k, x, y) > deepest))
-        if not rows.size:
+        if there[k] == 0 or not _beyond(borders, k, bx, by) > 0.0:
             continue
-        some = b.of(rows)
-        if k:
-            nx, ny, missed = _nearest(_between(some, k), fastest[rows], (-some.dy[:, k], some.dx[:, k]), along=True)
-            good = missed == k  # else by rounding alone: the point is on the border already
+        middle = px[k] * dx[k] + py[k] * dy[k]
+        room = middle * middle + fastest * fastest - (px[k] * px[k] + py[k] * py[k])
+        if not room >= 0.0:
+            return bx, by, k
+        half = math.sqrt(room)
+        low, high = -middle - half, -middle + half
+        for q in range(k):
+            if there[q] == 0:
+                continue
+            cross = dx[k] * dy[q] - dy[k] * dx[q]
+            away = dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])
+            if abs(cross) <= _PARALLEL:
+                if away < 0.0:
+                    return bx, by, k
+                continue
+            # Which of the two it bounds is as likely as not: both are worked out, and no branch has to be foretold.
+            at, above = away / cross, cross > 0.0
+            high = min(high, at if above else np.inf)
+            low = max(low, -np.inf if above else at)
+        if not low <= high:
+            return bx, by, k
+        t = high
+        if along:
+            if not wx * dx[k] + wy * dy[k] > 0.0:
+                t = low
         else:
-            nx, ny, good = -some.dy[:, k] * fastest[rows], some.dx[:, k] * fastest[rows], np.ones(len(rows), np.bool_)
-        x[rows], y[rows] = np.where(good, nx, x[rows]), np.where(good, ny, y[rows])
-        deepest[rows] = some.beyond(k, x[rows], y[rows])
-    return x, y
+            t = min(max(dx[k] * (wx - px[k]) + dy[k] * (wy - py[k]), low), high)
+        bx, by = px[k] + t * dx[k], py[k] + t * dy[k]
+    return bx, by, most
 
 
-def _between(b: Borders, k: int) -> Borders:
-    """Of each border before the k-th the half-plane of points that are no farther beyond it than beyond the k-th."""
-    before = b.up_to(k)
-    px, py, dx, dy = (getattr(b, name)[:, k : k + 1] for name in ("px", "py", "dx", "dy"))
-    cross = dx * before.dy - dy * before.dx
-    level = np.abs(cross) <= _PARALLEL
-    part = (before.dx * (py - before.py) - before.dy * (px - before.px)) / np.where(level, 1.0, cross)
-    qx = np.where(level, 0.5 * (px + before.px), px + part * dx)
-    qy = np.where(level, 0.5 * (py + before.py), py + part * dy)
-    wx, wy = before.dx - dx, before.dy - dy
-    size = np.sqrt(wx * wx + wy * wy)
-    there = before.there & (size > _LEAST) & ~(level & (dx * before.dx + dy * before.dy > 0))
-    over = np.where(size > _LEAST, size, 1.0)
-    return Borders(qx, qy, wx / over, wy / over, there)
+@called
+def _least_forbidden(
+    borders: Any, between: Any, most: int, fastest: float, x: float, y: float, failed: int
+) -> tuple[float, float]:  # fmt: skip
+    """The point that is least far beyond any border, from the one that those before `failed` allow."""
+    px, py, dx, dy, there = borders
+    qx, qy, ex, ey, some = between
+    bx, by, deepest = x, y, 0.0
+    for k in range(failed, most):
+        if there[k] == 0 or not _beyond(borders, k, bx, by) > deepest:
+            continue
+        for q in range(k):
+            cross = dx[k] * dy[q] - dy[k] * dx[q]
+            level = abs(cross) <= _PARALLEL
+            part = (dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])) / (1.0 if level else cross)
+            qx[q] = 0.5 * (px[k] + px[q]) if level else px[k] + part * dx[k]
+            qy[q] = 0.5 * (py[k] + py[q]) if level else py[k] + part * dy[k]
+            wx, wy = dx[q] - dx[k], dy[q] - dy[k]
+            size = math.sqrt(wx * wx + wy * wy)
+            over = size if size > _LEAST else 1.0
+            ex[q], ey[q] = wx / over, wy / over
+            opposed = not (level and dx[k] * dx[q] + dy[k] * dy[q] > 0.0)
+            some[q] = 1 if there[q] != 0 and size > _LEAST and opposed else 0
+        nx, ny, missed = _nearest(between, k, fastest, -dy[k], dx[k], -dy[k] * fastest, dx[k] * fastest, True)
+        if missed == k:
+            bx, by = nx, ny
+        deepest = _beyond(borders, k, bx, by)
+    return bx, by

@@ -3,6 +3,7 @@ The pairs are the same bits, in the same order, whatever the rows' order, the ch
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.limits import NEIGHBOURS
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, as_bits, as_float, called, inlined, kernel
+from antdsl.numerics import parallel
+from antdsl.numerics.sorting import place_among
 from antdsl.senses.cell_order import ordered
 
 Floats = NDArray[np.float32]
@@ -19,9 +22,20 @@ Rows = NDArray[np.intp]  # an index of another type is converted at every use
 
 View = tuple[Floats, Floats, Floats, Floats]
 
-_QUERIES_PER_CHUNK = 16_384
-_CANDIDATES_PER_CHUNK = 1 << 16  # arrays of this length stay in the cache
 _SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
+_INWARD = 1.0 - 1e-6
+_BEYOND = np.float32(1.0 + 1e-5)  # a squared distance over this many squared radii has a root over the radius
+_LARGEST = np.int64((1 << 63) - 1)
+_ZEROS = 29  # last bits of a float64 that are 0 if it is a float32
+
+Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
+# Places x, y, z, rows, ids and keys of the agents sorted by cell, the table of starts; then low, width and size of the cells
+Grid = tuple[
+    Columns, Array1[I64], Array1[I64], Array1[I64], Array1[I32], tuple[F64, F64, F64], tuple[F64, F64, F64], tuple[I64, I64, I64]
+]
+# Places x, y, z and along the fast, middle and slow axis, ids, radius, heading and the cosine of the field of view
+Query = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
+Found = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 
 class TooManyWithin(Exception):
@@ -120,180 +134,230 @@ class CellGrid:
         reach = np.asarray(radius, np.float32)
         if reach.shape != qx.shape:
             reach = np.broadcast_to(reach, qx.shape)
-        if compiled.wanted(max(qx.size, self.ids.size)):
-            pairs = self._compiled((qx, qy, qz), reach, qid, view, threads)
-            if pairs is not None:
-                return pairs
-        pairs = self._searched((qx, qy, qz), reach, qid, threads, limit)
-        return pairs if view is None else pairs.pick(seen(pairs, view))
+        return self._search((qx, qy, qz), reach, qid, view, threads, 1 << 62 if limit is None else limit)
 
-    def _compiled(
-        self, query: tuple[Floats, Floats, Floats], reach: Floats, qid: NDArray[np.int64] | None, view: View | None, threads: int
-    ) -> Pairs | None:
-        """`pairs` by a compiled kernel; None where somebody has more neighbours than the cap."""
-        from antdsl.senses.neighbours_compiled import find
-
+    def _search(
+        self,
+        query: tuple[Floats, Floats, Floats],
+        reach: Floats,
+        qid: NDArray[np.int64] | None,
+        view: View | None,
+        threads: int,
+        limit: int,
+    ) -> Pairs:
         none = np.empty(0, np.float32)
         starts = np.empty(0, np.int32) if self._starts is None else self._starts
         cells = tuple(self._low), tuple(self._width), tuple(self._size)
-        grid = (*self._sorted, self._rows, self._sorted_ids, self._keys, starts, self._axes, *cells)
+        grid = (tuple(self._sorted), self._rows, self._sorted_ids, self._keys, starts, *cells)
         who = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
 
         def part(begin: int, end: int) -> tuple[NDArray[Any], ...] | None:
-            found = find(grid, tuple(np.ascontiguousarray(value[begin:end]) for value in values), NEIGHBOURS)
+            found = _find(grid, self._axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
             if found is not None:
                 found[0][:] += begin
             return found
 
-        found = compiled.in_parts(part, query[0].size, threads)
+        found = parallel.in_parts(part, query[0].size, threads)
         good = [columns for columns in found if columns is not None]
         if len(good) < len(found):
-            return None
+            raise TooManyWithin
         return Pairs(*good[0]) if len(good) == 1 else Pairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
 
-    def _searched(
-        self, query: tuple[Floats, ...], reach: Floats, qid: NDArray[np.int64] | None, threads: int, limit: int | None
-    ) -> Pairs:
-        """`pairs` with NumPy, chunk by chunk."""
-        qx, qy, qz = query
-        jobs: list[tuple[Any, ...]] = []
-        for a in range(0, qx.size, _QUERIES_PER_CHUNK):
-            part = slice(a, a + _QUERIES_PER_CHUNK)
-            query = (qx[part], qy[part], qz[part])
-            first, count, each = self._ranges(query, reach[part])
-            # A crowd on one spot has n² candidates, so a chunk is cut again by what it would hold in memory.
-            ends = np.cumsum(each)
-            b = 0
-            while b < ends.size:
-                last = (ends[b - 1] if b else 0) + _CANDIDATES_PER_CHUNK
-                e = max(b + 1, int(np.searchsorted(ends, last, side="right")))
-                sub = tuple(q[b:e] for q in query)
-                who = None if qid is None else qid[part][b:e]
-                jobs.append((a + b, sub, reach[part][b:e], who, first[b:e], count[b:e], each[b:e], limit))
-                b = e
-        parted = compiled.in_parts(lambda a, b: [self._within(*job) for job in jobs[a:b]], len(jobs), threads, 1)
-        found = [columns for part in parted for columns in part]
-        if not found:
-            empty = np.empty(0, np.float32)
-            return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), empty, empty, empty, empty)
-        if len(found) == 1:
-            return Pairs(*found[0])
-        return Pairs(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
-    def _ranges(
-        self, query: tuple[Floats, Floats, Floats], radius: Floats
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
-        """First sorted agent and number of agents of each row of cells that a query may reach, as (m, rows), and its sum [m].
-
-        Here x, y, z stand for the grid's fast, middle and slow axis.
-        """
-        m = query[0].size
-        qx, qy, qz = (query[axis].astype(np.float64) for axis in self._axes)
-        usable = np.isfinite(qx) & np.isfinite(qy) & np.isfinite(qz) & (radius >= 0)
-        r = np.where(usable, radius, -1.0).astype(np.float64)
-        qx, qy, qz = (np.where(usable, q, low) for q, low in zip((qx, qy, qz), self._low, strict=True))
-        largest = max(float(np.abs(q).max(initial=0.0)) for q in (qx, qy, qz))
-        r = np.where(usable, r * _SLACK + 1e-14 * largest + 1e-18, -1.0)
-        y0, y1 = self._span(qy, r, 1)
-        sheet = self._size[2] == 1 and float(np.abs(qz - self._low[2]).max(initial=0.0)) <= self._width[2]
-        z0, z1 = (np.zeros(m, np.int64),) * 2 if sheet else self._span(qz, r, 2)
-        tall = int((y1 - y0).max(initial=-1)) + 1
-        deep = int((z1 - z0).max(initial=-1)) + 1
-        if self._rows.size == 0 or tall <= 0 or deep <= 0:
-            return np.zeros((m, 1), np.int32), np.zeros((m, 1), np.int32), np.zeros(m, np.int64)
-        firsts, counts = [], []
-        for dz in range(deep):
-            cz = z0 + dz
-            off_z = np.zeros(m) if sheet else self._off(qz, cz, 2)
-            for dy in range(tall):
-                cy = y0 + dy
-                off_y = self._off(qy, cy, 1)
-                left = r * r - off_y * off_y - off_z * off_z
-                open_row = (cz <= z1) & (cy <= y1) & (left >= 0) & usable
-                x0, x1 = self._span(qx, np.sqrt(np.maximum(left, 0.0)) * _SLACK + 1e-14 * largest, 0)
-                base = (cz * self._size[1] + cy) * self._size[0]
-                open_row &= x0 <= x1
-                firsts.append(self._lookup(np.where(open_row, base + x0, 0)))
-                counts.append(np.where(open_row, self._lookup(np.where(open_row, base + x1 + 1, 0)) - firsts[-1], 0))
-        each = np.zeros(m, np.int64)
-        for count in counts:
-            each += count
-        return np.stack(firsts, axis=1), np.stack(counts, axis=1).astype(np.int32), each
-
-    def _span(self, q: NDArray[Any], r: NDArray[Any], axis: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Lowest and highest cell along an axis that [q - r, q + r] meets; empty (low > high) when outside."""
-        low, width, size = self._low[axis], self._width[axis], self._size[axis]
-        first = np.floor(np.clip((q - r - low) / width, 0.0, float(size)))
-        last = np.floor(np.clip((q + r - low) / width, -1.0, size - 1.0))
-        return first.astype(np.int64), last.astype(np.int64)
-
-    def _off(self, q: NDArray[Any], cell: NDArray[Any], axis: int) -> NDArray[Any]:
-        """Least distance along an axis from q to a cell, rounded down."""
-        low = self._low[axis] + cell * self._width[axis]
-        gap: NDArray[Any] = np.maximum(np.maximum(low - q, q - (low + self._width[axis])), 0.0) * (1.0 - 1e-6)
-        return gap
-
-    def _lookup(self, key: NDArray[np.int64]) -> NDArray[np.int32]:
-        """How many sorted agents lie in cells before `key`."""
-        if self._starts is not None:
-            return self._starts[key]
-        return np.searchsorted(self._keys, key, side="left").astype(np.int32)
-
-    def _within(
-        self,
-        before: int,
-        query: tuple[Floats, ...],
-        radius: Floats,
-        who: NDArray[np.int64] | None,
-        first: NDArray[np.int32],
-        count: NDArray[np.int32],
-        each: NDArray[np.int64],
-        limit: int | None,
-    ) -> tuple[NDArray[Any], ...]:
-        """Measure the candidates of some queries, that come after `before` others, and keep those in reach."""
-        flat = count.ravel()
-        total = int(each.sum())
-        at = np.repeat(first.ravel() - (np.cumsum(flat) - flat), flat)
-        at += np.arange(total)
-        i = np.repeat(np.arange(each.size), each)
-        with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is beyond any radius but an infinite one
-            dx, dy, dz = (s.take(at) - q.repeat(each) for s, q in zip(self._sorted, query, strict=True))
-            distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
-        inside = distance <= radius.repeat(each)
-        if who is not None:
-            here = np.flatnonzero(distance == 0)  # oneself is one of these
-            inside[here[self.ids.take(self._rows.take(at.take(here))) == who.take(i.take(here))]] = False
-        keep = np.flatnonzero(inside)
-        i, j = i.take(keep), self._rows.take(at.take(keep))
-        chosen = self._nearest(i, j, distance.take(keep), limit) if int(each.max(initial=0)) > NEIGHBOURS else None
-        if chosen is not None:
-            keep, i, j = keep[chosen], i[chosen], j[chosen]
-        i += before
-        return i, j, dx.take(keep), dy.take(keep), dz.take(keep), distance.take(keep)
-
-    def _nearest(self, i: Rows, j: Rows, distance: Floats, limit: int | None) -> NDArray[np.int64] | None:
-        """Which pairs stay when a query has more than the cap: its nearest by (distance, id); None when all stay."""
-        most = int(np.bincount(i).max(initial=0))
-        if limit is not None and most > limit:
-            raise TooManyWithin
-        if most <= NEIGHBOURS:
+def _find(grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]], limit: int) -> tuple[NDArray[Any], ...] | None:
+    """Pairs of all queries [m] as `Pairs` has them; None where one has more than `limit` others within its radius. `query`: x, y,
+    z, ids (empty where they are not the grid's own), radius; heading x, y, z and cosine, empty where all round is asked about."""
+    places, (who, radius, hx, hy, hz, cosine) = query[:3], query[3:]
+    asking = (tuple(places), tuple(places[axis] for axis in axes), who, radius, (hx, hy, hz), cosine)
+    m = radius.size
+    spans, near = np.empty(64, np.int64), np.empty(1024, np.int64)
+    kinds = (np.int64, np.int64, np.float32, np.float32, np.float32, np.float32)
+    pairs = tuple(np.empty(max(16 * m, 1024), kind) for kind in kinds)  # what is not written takes no memory
+    k, used, along, wide = _fill(grid, asking, limit, spans, near, pairs, 0, 0)
+    while k < m:
+        if wide < 0:
             return None
-        order = np.lexsort((self.ids[j], distance, i))
-        return np.sort(order[_rank(i[order]) < NEIGHBOURS])
+        if along > spans.size or wide > near.size:
+            spans, near = np.empty(2 * along, np.int64), np.empty(2 * wide, np.int64)
+        else:
+            pairs = tuple(np.concatenate([a[:used], np.empty(a.size + near.size, a.dtype)]) for a in pairs)
+        k, used, along, wide = _fill(grid, asking, limit, spans, near, pairs, k, used)
+    return tuple(a[:used] for a in pairs)
 
 
-def seen(pairs: Any, view: View) -> Rows:
-    """Which pairs lie in the field of view of who asks: heading x, y, z and the cosine of half its angle, for each query."""
-    hx, hy, hz, cosine = (part.take(pairs.i) for part in view)
-    ahead = (pairs.dx * hx + pairs.dy * hy) + pairs.dz * hz
-    return np.flatnonzero(ahead >= cosine * pairs.distance)
+@inlined
+def _lower(q: float, low: float, width: float, size: int) -> int:
+    """Cell of the lower end of a span, at least 0 and at most `size`."""
+    return math.floor(min(max((q - low) / width, 0.0), float(size)))
 
 
-def _rank(i: Rows) -> NDArray[np.int64]:
-    """Place of every entry within its run of equal values; `i` is sorted."""
-    if i.size == 0:
-        return np.empty(0, np.int64)
-    number = np.arange(i.size)
-    starts = np.flatnonzero(np.concatenate(([True], i[1:] != i[:-1])))
-    return number - np.repeat(starts, np.diff(np.append(starts, i.size)))
+@inlined
+def _upper(q: float, low: float, width: float, size: int) -> int:
+    """Cell of the upper end of a span, at least -1 and below `size`."""
+    return math.floor(min(max((q - low) / width, -1.0), size - 1.0))
+
+
+@inlined
+def _off(q: float, cell: int, low: float, width: float) -> float:
+    """Least distance along an axis from q to a cell, rounded down."""
+    edge = low + cell * width
+    return max(max(edge - q, q - (edge + width)), 0.0) * _INWARD
+
+
+@called
+def _before(starts: NDArray[np.int32], keys: NDArray[np.int64], key: int) -> int:
+    """How many sorted agents lie in cells before `key`; by bisection where there is no table."""
+    if starts.size:
+        return int(starts[key])
+    return int(place_among(keys, key, 0, keys.size))
+
+
+@called
+def _spans(
+    a: float,
+    b: float,
+    c: float,
+    radius: float,
+    keys: NDArray[np.int64],
+    starts: NDArray[np.int32],
+    low: tuple[float, float, float],
+    width: tuple[float, float, float],
+    size: tuple[int, int, int],
+    spans: NDArray[np.int64],
+) -> tuple[int, int]:
+    """Sorted agents in reach of a place as spans (first, beyond the last); a, b, c along the grid's fast, middle and slow axis.
+
+    Gives the number of spans and of agents in them; or -1 and how long `spans` must be.
+    """
+    tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
+    r = radius * _SLACK + tiny
+    b0, b1 = _lower(b - r, low[1], width[1], size[1]), _upper(b + r, low[1], width[1], size[1])
+    sheet = size[2] == 1 and abs(c - low[2]) <= width[2]
+    c0, c1 = (0, 0) if sheet else (_lower(c - r, low[2], width[2], size[2]), _upper(c + r, low[2], width[2], size[2]))
+    number, total = 0, 0
+    if b0 > b1 or c0 > c1:
+        return 0, 0
+    if 2 * (b1 - b0 + 1) * (c1 - c0 + 1) > spans.size:
+        return -1, 2 * (b1 - b0 + 1) * (c1 - c0 + 1)
+    for cz in range(c0, c1 + 1):
+        off_z = 0.0 if sheet else _off(c, cz, low[2], width[2])
+        for cy in range(b0, b1 + 1):
+            off_y = _off(b, cy, low[1], width[1])
+            left = r * r - off_y * off_y - off_z * off_z
+            if not left >= 0:
+                continue
+            half = math.sqrt(left) * _SLACK + tiny
+            a0, a1 = _lower(a - half, low[0], width[0], size[0]), _upper(a + half, low[0], width[0], size[0])
+            if a0 > a1:
+                continue
+            line = (cz * size[1] + cy) * size[0]
+            first, last = _before(starts, keys, line + a0), _before(starts, keys, line + a1 + 1)
+            if last > first:
+                spans[2 * number], spans[2 * number + 1] = first, last
+                number, total = number + 1, total + last - first
+    return number, total
+
+
+@called
+def _bound(  # type: ignore[no-untyped-def]
+    sx, sy, sz, names, near, found, x, y, z, reach, name
+):
+    """The distance and id of the last of the nearest `NEIGHBOURS` of the first `found` agents of `near` to a place, without the
+    agent `name`: by bisection of the distance's bits, and of the ids at that distance."""
+    low, high = 0, as_bits(np.float64(reach)) >> _ZEROS
+    before, closer = 0, 0
+    while low < high:
+        middle = (low + high) >> 1
+        bound, before = as_float(middle << _ZEROS), 0
+        for p in range(found):
+            at = near[p]
+            ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
+            before += (np.float64(np.sqrt((ux * ux + uy * uy) + uz * uz)) <= bound) & (names[at] != name)
+        if before >= NEIGHBOURS:
+            high = middle
+        else:
+            low, closer = middle + 1, before
+    farthest = np.float32(as_float(low << _ZEROS))
+    first, last = _LARGEST, np.int64(-1)
+    for p in range(found):
+        first, last = min(first, names[near[p]]), max(last, names[near[p]])
+    while first < last:
+        middle = (first + last) >> 1
+        before = closer
+        for p in range(found):
+            at = near[p]
+            ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
+            same = np.sqrt((ux * ux + uy * uy) + uz * uz) == farthest
+            before += same & (names[at] <= middle) & (names[at] != name)
+        if before >= NEIGHBOURS:
+            last = middle
+        else:
+            first = middle + 1
+    return farthest, last
+
+
+@kernel
+def _fill(
+    grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: Found, k: I64, used: I64
+) -> tuple[I64, I64, I64, I64]:
+    """Go on with query k, with so many pairs found before it, until an array is too short.
+
+    Gives the query come to, the pairs found, and how long `spans` and `near` must be to go on (-1: a query has more than `limit`
+    others within its radius). Of more than `NEIGHBOURS` the nearest are taken, by distance and id..
+    """
+    (sx, sy, sz), rows, names, keys, starts, low, width, size = grid
+    (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
+    i, j, dx, dy, dz, distance = pairs
+    own, limited = who.size > 0, cosine.size > 0
+    while k < qx.size:
+        reach, x, y, z = radius[k], qx[k], qy[k], qz[k]
+        if not (reach >= 0 and math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+            k += 1
+            continue
+        name = who[k] if own else np.int64(-1)
+        if limited:
+            gx, gy, gz, least = hx[k], hy[k], hz[k], cosine[k]
+        number, total = _spans(
+            float(fast[k]), float(middle[k]), float(slow[k]), float(reach), keys, starts, low, width, size, spans
+        )
+        if number < 0:
+            return k, used, total, near.size
+        if total > near.size:
+            return k, used, spans.size, total
+        beyond = reach * reach * _BEYOND + np.float32(1e-30)
+        found = 0
+        for s in range(number):
+            # Written whatever it is, and written over where it was too far: no branch that is hard to foretell.
+            for at in range(spans[2 * s], spans[2 * s + 1]):
+                ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
+                near[found] = at
+                found += (ux * ux + uy * uy) + uz * uz <= beyond
+        farthest, last = np.float32(np.inf), _LARGEST
+        if found > NEIGHBOURS:
+            count = 0
+            for p in range(found):
+                at = near[p]
+                ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
+                count += (np.sqrt((ux * ux + uy * uy) + uz * uz) <= reach) & (not own or names[at] != name)
+            if count > limit:
+                return k, used, spans.size, -1
+            if count > NEIGHBOURS:
+                farthest, last = _bound(sx, sy, sz, names, near, found, x, y, z, reach, name)
+        if used + found > i.size:
+            return k, used, spans.size, near.size
+        for p in range(found):
+            at = near[p]
+            ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
+            length = np.sqrt((ux * ux + uy * uy) + uz * uz)
+            good = length <= reach
+            if own:
+                good &= names[at] != name
+            good &= (length < farthest) | ((length == farthest) & (names[at] <= last))
+            if limited:
+                good &= (ux * gx + uy * gy) + uz * gz >= least * length
+            i[used], j[used] = k, rows[at]
+            dx[used], dy[used], dz[used], distance[used] = ux, uy, uz, length
+            used += good
+        k += 1
+    return k, used, spans.size, near.size

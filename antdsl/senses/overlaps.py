@@ -1,13 +1,15 @@
-"""How far bodies stand inside each other. Many in one place cost no more than as many side by side."""
+"""How far bodies stand inside each other. Many in one place cost no more than as many side by side.
+
+Each agent in turn looks through those before it that stand in the cells around its own, and then joins its cell's list. Cells are
+found by a hash (M. Teschner et al., Optimized Spatial Hashing for Collision Detection of Deformable Objects, 2003): lists of two
+cells that fall together are one, which adds pairs that are too far apart and changes nothing."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl import limits
-from antdsl.numerics import compiled
-from antdsl.senses.neighbours import CellGrid
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, inlined, kernel
 
 Floats = NDArray[np.float32]
 
@@ -15,6 +17,7 @@ _CROWDED = 24  # pairs an agent on average, above which they are not all listed
 _LISTS = 27  # cells around an agent, with its own
 _ALONG = 2.0**40  # cells along an axis that whole numbers count
 _WIDER = 1 + 1e-6  # than bodies reach, for distances are rounded
+_BEYOND = np.float32(1.0 + 1e-5)  # a squared distance over this many squared rooms has a root over the room
 _NEAREST = 8  # neighbours that are asked for first; twice as many again where these do not settle it
 
 
@@ -24,38 +27,21 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
     That is the greatest of 1 - distance / (sum of both radii), exactly, whatever the crowd: where agents stand so dense that a
     list of all pairs would grow with their square, nearest neighbours are asked for until no one farther off can be worse.
     """
-    worst = np.zeros(len(x), np.float32)
+    found = np.zeros(len(x), np.float32)
     widest = float(radius.max(initial=0.0))
     if not np.isfinite(widest) or widest <= 0:
-        return worst
+        return found
     far = max(float(np.abs(axis).max(initial=0.0)) for axis in (x, y, z))
-    if compiled.wanted(len(x)) and far < widest * _ALONG:
-        from antdsl.senses.overlaps_compiled import worst as looked_through
-
+    if far < widest * _ALONG:
         # four to eight lists an agent: few cells fall together in one
         lists, others = np.full(4 << len(x).bit_length(), -1, np.int32), np.empty(len(x), np.int32)
-        if looked_through(x, y, z, radius, 4 * widest * _WIDER, _CROWDED * _LISTS * len(x), lists, others, worst):
-            return worst
-        worst.fill(0)
+        if worst(x, y, z, radius, 4 * widest * _WIDER, _CROWDED * _LISTS * len(x), lists, others, found):
+            return found
+        found.fill(0)
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & np.isfinite(radius))
     place = np.stack([x[rows], y[rows], z[rows]], axis=1)
-    if _pairs_at_most(place, 2 * widest) <= _CROWDED * len(rows):
-        found = CellGrid(x, y, z, np.arange(len(x)), 2 * widest).pairs(None, 2 * widest)
-        if np.bincount(found.i, minlength=1).max() < limits.NEIGHBOURS:
-            np.maximum.at(worst, found.i, _inside(found.distance, radius[found.i], radius[found.j]))
-            return worst
-    worst[rows] = _by_nearest(place, radius[rows])
-    return worst
-
-
-def _pairs_at_most(place: Floats, cell: float) -> float:
-    """About how many pairs of places [n,3] are within a cell's width: all those in one cell."""
-    if not len(place):
-        return 0.0
-    cells = np.floor((place - place.min(axis=0)) / np.float32(cell)).astype(np.int64)
-    key = (cells[:, 0] * 73_856_093) ^ (cells[:, 1] * 19_349_663) ^ (cells[:, 2] * 83_492_791)
-    count = np.unique(key, return_counts=True)[1].astype(np.float64)
-    return float((count * count).sum())
+    found[rows] = _by_nearest(place, radius[rows])
+    return found
 
 
 def _inside(distance: Floats, one: Floats, other: Floats) -> Floats:
@@ -96,3 +82,62 @@ def _by_nearest(place: Floats, radius: Floats) -> Floats:
             count *= 2
     worst[order] = found[which]
     return worst
+
+
+@inlined
+def _cell(place, width, back):  # type: ignore[no-untyped-def]
+    """The cell of a place that is so many cells farther back."""
+    return np.int64(np.floor(np.float64(place) / width - back))
+
+
+@inlined
+def _key(x, y, z):  # type: ignore[no-untyped-def]
+    return (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
+
+
+@kernel
+def worst(
+    x: Array1[F32],
+    y: Array1[F32],
+    z: Array1[F32],
+    radius: Array1[F32],
+    width: F64,
+    most: I64,
+    lists: Array1[I32],
+    others: Array1[I32],
+    found: Array1[F32],
+) -> bool:
+    """Write the worst overlap of each agent to `found`, which is zeros. `width`: of a cell (mm), no less than twice what any two
+    bodies reach, so that those in reach are in two cells along each axis. `lists`, as many as a power of 2: the last agent of
+    each, -1 for none; `others`: before each in its list. False where more than `most` pairs would have to be measured."""
+    mask, pairs = lists.size - 1, 0
+    for i in range(x.size):
+        if not (np.isfinite(x[i]) and np.isfinite(y[i]) and np.isfinite(z[i]) and np.isfinite(radius[i])):
+            continue
+        cx, cy, cz = _cell(x[i], width, 0.5), _cell(y[i], width, 0.5), _cell(z[i], width, 0.5)
+        here = found[i]
+        for dx in range(2):
+            for dy in range(2):
+                for dz in range(2):
+                    key = _key(cx + dx, cy + dy, cz + dz) & mask
+                    j = lists[key]
+                    while j >= 0:
+                        pairs += 1
+                        one, two, three = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+                        square = (one * one + two * two) + three * three
+                        room = max(radius[i] + radius[j], np.float32(1e-9))
+                        if not square > room * room * _BEYOND:
+                            distance = np.sqrt(square)
+                            if distance < room:
+                                part = np.float32(1.0) - distance / room
+                                here = max(here, part)
+                                if part > found[j]:
+                                    found[j] = part
+                        j = others[j]
+        found[i] = here
+        if pairs > most:
+            return False
+        key = _key(_cell(x[i], width, 0.0), _cell(y[i], width, 0.0), _cell(z[i], width, 0.0)) & mask
+        others[i] = lists[key]
+        lists[key] = i
+    return True

@@ -15,13 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
-from antdsl.numerics.sorting import stable_order
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, consecutive, fetch_ahead, independent, kernel
+from antdsl.numerics.parallel import plain
+from antdsl.numerics.sorting import listed, stable_order
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Bounds = list[tuple[float, float]]
 Cells = tuple[list[int], list[float], float, list[int]]
+Column = Array1[F64]
+Indices = Array1[I64]
+Counts = Array1[I32]
 
 _MOST = 48  # of one row of three cells, with whom an agent is paired: more than stand side by side in it
 _ALONG = 1 << 20  # cells along an axis at most
@@ -29,6 +33,9 @@ _SHEET = 8  # pairs of cell mates for each agent, up to which layers above each 
 _ONE_LAYER = 3  # cells along the shortest axis where all lie in one layer: one is free at either end
 _ANY = 1 << 62  # more than there are pairs of cell mates
 _SIZES = 1  # powers of two that agents of one grid differ by at most
+_TOGETHER = 64  # agents whose candidates are listed before these are measured
+_FETCHED = 40  # agents whose places among the sorted ones are brought near before they are written
+_WRITTEN = 4  # candidates of a span that are always written
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +113,7 @@ def _of_class(
     """The pairs among some rows of much the same size (None: all), and of those with all `smaller` ones. `bounds` of places and
     reaches are those of these rows."""
     cells = _cells(bounds[:3], 2 * bounds[3][1])
-    if smaller is None and compiled.wanted(len(reach) if rows is None else len(rows)):
+    if smaller is None:
         found = _by_loop(place, reach, order, rows, cells)
         if found is not None:
             return found
@@ -126,13 +133,11 @@ def _by_loop(
     place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, rows: Rows | None, cells: Cells
 ) -> Pairs | None:
     """The pairs among some rows, as `_of_class`; None where there are too many cells for a table."""
-    from antdsl.senses.touching_compiled import pairs
-
     if order is not None:
         rows = stable_order(order) if rows is None else rows[stable_order(order[rows])]
     x, y, z, wide = (v if rows is None else v[rows] for v in (*place, reach))
     sheet = _SHEET * len(wide) if cells[3][2] > _ONE_LAYER else _ANY
-    found = pairs((x, y, z), wide, cells, _limit(len(wide)), sheet, _MOST, order is not None)
+    found = _pairs((x, y, z), wide, cells, _limit(len(wide)), sheet, _MOST, order is not None)
     if isinstance(found, tuple):
         i, j, whole = found
         return Pairs(i, j, whole) if rows is None else Pairs(rows.take(i), rows.take(j), whole)
@@ -257,3 +262,130 @@ class _Grid:
             i.append(asking.take(who))
             j.append(self.rows.take(at))
         return np.concatenate(i), np.concatenate(j), whole
+
+
+def _pairs(
+    place: tuple[Floats, Floats, Floats], reach: Floats, cells: Cells, limit: int, sheet: int, most: int, heaps: bool
+) -> tuple[Rows, Rows, bool] | int:
+    """Pairs of agents no farther apart than their reaches add up to. `cells` as of `touching`: axes from the longest to the
+    shortest, and along them where they begin and how wide (mm) and how many they are. Layers above each other are not told apart
+    up to `sheet` pairs of cell mates. What comes last is whether these are all. Instead -1 where there are more than `limit`
+    cells, and where there are more than `most` agents in three cells in a row -2, unless `heaps` are to be met in part, as
+    `_Grid` does, of agents in the order in which they count."""
+    axes, low, cell, size = cells
+    count, rate, layer = len(reach), 1 / cell, size[0] * size[1]
+    columns = plain(*place, reach)
+    fast, middle, slow = (columns[axis] for axis in axes)
+    if layer > limit:
+        return -1
+    keys, counts = np.empty(count, np.int32), np.zeros(layer + 1, np.int32)
+    flat = _in_columns(fast, middle, low[0], low[1], rate, size[0], keys, counts) <= sheet
+    if not flat:
+        if layer * size[2] > limit:
+            return -1
+        counts = np.zeros(layer * size[2] + 1, np.int32)
+        _in_layers(slow, low[2], rate, layer, keys, counts)
+    ordered, rows, cell_of = np.empty(4 * count), *np.empty((2, count), np.int32)
+    _sorted(keys, counts, *columns, rows, cell_of, ordered)
+    spans = 2 if flat else 5
+    room = np.empty((3, _TOGETHER * spans * most + _WRITTEN), np.int32)
+    used, most_pairs = -3, 2 * count + 256
+    while used == -3:
+        i, j = np.empty((2, most_pairs), np.int64)
+        used, left_out = _filled(ordered, rows, cell_of, counts, size[0], layer, spans, most, heaps, *room, i, j)
+        most_pairs *= 4
+    return used if used < 0 else (i[:used], j[:used], not left_out)
+
+
+@kernel
+def _in_columns(
+    fast: Column, middle: Column, first: F64, second: F64, rate: F64, across: I64, keys: Counts, counts: Counts
+) -> I64:
+    """The cell of each agent in a layer, and how many are in each; gives how many pairs of cell mates there are, either way."""
+    mates = 0
+    for k in range(fast.size):
+        a, b = np.int64((fast[k] - first) * rate) + 1, np.int64((middle[k] - second) * rate) + 1
+        at = b * across + a
+        keys[k] = at
+        mates += 2 * counts[at] + 1
+        counts[at] += 1
+    return mates
+
+
+@kernel
+def _in_layers(slow: Column, low: F64, rate: F64, layer: I64, keys: Counts, counts: Counts) -> None:
+    """The cell of each agent, from that in its layer, and how many are in each."""
+    for k in range(slow.size):
+        at = keys[k] + (np.int64((slow[k] - low) * rate) + 1) * layer
+        keys[k] = at
+        counts[at] += 1
+
+
+@kernel
+def _sorted(
+    keys: Counts, counts: Counts, x: Column, y: Column, z: Column, reach: Column, rows: Counts, cell_of: Counts,
+    ordered: Column,
+) -> None:  # fmt: skip
+    """Rows by their cells, and in this order the cells, places and reaches; `counts` become where the agents of each cell begin,
+    which is where those of the one before end."""
+    total = 0
+    for k in range(counts.size):
+        count = counts[k]
+        counts[k] = total
+        total += count
+    for k in range(keys.size):
+        fetch_ahead(ordered, 4 * counts[keys[min(k + _FETCHED, keys.size - 1)]])
+        key = keys[k]
+        at = counts[key]
+        rows[at], cell_of[at] = k, key
+        ordered[4 * at], ordered[4 * at + 1], ordered[4 * at + 2], ordered[4 * at + 3] = x[k], y[k], z[k], reach[k]
+        counts[key] = at + 1
+    for k in range(counts.size - 1, 0, -1):
+        counts[k] = counts[k - 1]
+    counts[0] = 0
+
+
+@kernel
+def _filled(
+    ordered: Column, rows: Counts, cell_of: Counts, starts: Counts, across: I64, layer: I64, spans: I64, most: I64, heaps: BOOL,
+    one: Counts, other: Counts, near: Counts, i: Indices, j: Indices,
+) -> tuple[I64, I64]:  # fmt: skip
+    """Fill `i` and `j` with pairs and give how many there are (-3 where these are too short, -2 as `_pairs`) and in how many
+    spans some are left out. `one` and `other` are room for work: candidates of some agents, listed without a branch that is hard
+    to foretell, and who is `near`."""
+    used, cells, count, left_out = 0, starts.size - 1, rows.size, 0
+    for begin in range(0, count, _TOGETHER):
+        candidates = 0
+        for at in range(begin, min(begin + _TOGETHER, count)):
+            key = cell_of[at]
+            for span in range(spans):
+                first, last = at + 1, starts[min(key + 2, cells)]
+                if span > 0:
+                    shift = across if span == 1 else layer + (span - 3) * across
+                    first, last = starts[min(key + shift - 1, cells)], starts[min(key + shift + 2, cells)]
+                if last - first > most:
+                    if not heaps:
+                        return -2, 0
+                    left_out += 1
+                    turned = (at * most) % (last - first)
+                    for k in range(most):
+                        one[candidates + k], other[candidates + k] = at, first + (k + turned) % (last - first)
+                    candidates += most
+                    continue
+                for k in range(4):  # written whatever it is, and written over where these were fewer
+                    one[candidates + k], other[candidates + k] = at, first + k
+                for k in range(4, last - first):
+                    one[candidates + k], other[candidates + k] = at, first + k
+                candidates += last - first
+        for n in independent(0, candidates):
+            p, q = one[n], other[n]
+            (x, y, z, wide), (u, v, w, far) = consecutive(ordered, 4 * p, 4), consecutive(ordered, 4 * q, 4)
+            x, y, z, room = u - x, v - y, w - z, wide + far
+            near[n] = 1 if (x * x + y * y) + z * z <= room * room else 0
+        found = listed(near, candidates)
+        if used + found > i.size:
+            return -3, 0
+        for n in range(found):
+            i[used + n], j[used + n] = rows[one[near[n]]], rows[other[near[n]]]
+        used += found
+    return used, left_out

@@ -21,7 +21,6 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "runtime"),
 
 from test_contacts import CrowdData, heap, world  # noqa: E402
 
-from antdsl.numerics import compiled  # noqa: E402
 from antdsl.runtime import World, step  # noqa: E402
 from antdsl.runtime.moving import contacts  # noqa: E402
 from antdsl.runtime.moving.capsules import Near, depths  # noqa: E402
@@ -84,7 +83,6 @@ def main() -> None:
     parser.add_argument("--radius", type=float, default=20.0)
     parser.add_argument("--most", type=int, default=240)
     asked = parser.parse_args()
-    compiled.wanted = lambda count: False  # their shares are constants of the loops
     kept: tuple[Callable[..., Any], float, float] = contacts._apart, contacts._OUTWARD, contacts._PRESSED
     print("| method | free after | deep after 1 s | after 2 s | ms a step |\n|---|---|---|---|---|")
     for name, solve, outward in (

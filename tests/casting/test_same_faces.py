@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 
-from antdsl.casting.faces import Faces, nearest_on_triangle
+from antdsl.casting.faces import Faces, _heaviest, nearest_on, nearest_on_triangle
 from antdsl.casting.rays import RayScene
-from antdsl.numerics import compiled
 from tests.meshes import ball, box, terrain
 
 R = 300.0
@@ -72,12 +70,12 @@ def rays_at_edges() -> tuple[np.ndarray, np.ndarray]:
     return origin[~along], way[~along]
 
 
-@pytest.fixture(params=["numpy", "compiled"])
-def kernels(request: Any, monkeypatch: pytest.MonkeyPatch) -> str:
-    if request.param == "compiled":
-        need_kernels()
-    monkeypatch.setattr(compiled, "wanted", lambda count: request.param == "compiled")
-    return request.param
+def made(brief: bool) -> RayScene:
+    """A scene of the meshes, with tables of all faces and a grid or, `brief`, without."""
+    scene = RayScene.__new__(RayScene)
+    scene._brief = brief
+    scene._fill(meshes())
+    return scene
 
 
 def answers(scene: RayScene) -> dict[str, np.ndarray]:
@@ -100,11 +98,12 @@ def answers(scene: RayScene) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def test_rays_at_edges_and_corners_give_the_same_bits_whatever_open3d_rounds(kernels: str):
-    known = answers(RayScene.of(meshes()))
+@pytest.mark.parametrize("brief", [False, True])
+def test_rays_at_edges_and_corners_give_the_same_bits_whatever_open3d_rounds(brief: bool):
+    known = answers(made(brief))
     assert len(known["rows"]) > 3000 and np.isfinite(known["felt"]).sum() > 3000
     for seed in range(4):
-        again = answers(shaken(RayScene.of(meshes()), seed))
+        again = answers(shaken(made(brief), seed))
         for name, value in known.items():
             assert np.array_equal(value, again[name]), f"{name} {(value != again[name]).sum()} of {len(value)}"
 
@@ -140,7 +139,7 @@ def test_open3d_is_shown_triangles_that_miss_none_of_a_face():
         assert (weights.min(axis=1) * high > 0).all()
 
 
-def test_two_sheets_in_one_place_are_told_apart_by_their_number(kernels: str):
+def test_two_sheets_in_one_place_are_told_apart_by_their_number():
     sheet = terrain(R, 12)
     scene = RayScene.of([sheet, sheet, sheet])
     origin = np.random.default_rng(3).uniform(-100, 100, (500, 3)) + np.array([0, 200, 0])
@@ -150,22 +149,19 @@ def test_two_sheets_in_one_place_are_told_apart_by_their_number(kernels: str):
     assert (among.mesh == 0).all() and (scene.closest(origin)[0] == 0).all()
 
 
-def test_the_kernels_and_the_arrays_say_the_same(monkeypatch: pytest.MonkeyPatch):
-    need_kernels()
-    from antdsl.casting import faces_compiled
-
-    found = []
-    for one in (True, False):
-        monkeypatch.setattr(compiled, "wanted", lambda count, one=one: one)
-        found.append(answers(RayScene.of(meshes())))
+def test_a_brief_scene_says_the_same():
+    found = [answers(made(brief)) for brief in (True, False)]
     for name, value in found[0].items():
         assert np.array_equal(value, found[1][name]), name
+
+
+def test_the_nearest_place_of_a_face_is_the_same_for_one_and_for_many():
     rng = np.random.default_rng(8)
     corners, points = rng.normal(size=(3000, 3, 3)), rng.normal(size=(3000, 3))
     corners[::7, 2] = corners[::7, 0]
     place = nearest_on_triangle(points, corners)
     for k in range(0, 3000, 3):
-        assert faces_compiled.nearest_on(corners, k, tuple(points[k])) == tuple(place[k])
+        assert nearest_on(corners, k, tuple(points[k])) == tuple(place[k])
 
 
 @pytest.mark.parametrize(
@@ -173,7 +169,4 @@ def test_the_kernels_and_the_arrays_say_the_same(monkeypatch: pytest.MonkeyPatch
     [(1, 2, 3), (3, 2, 1), (2, 3, 1), (2, 2, 1), (1, 2, 2), (2, 1, 2), (np.nan, 1, 2), (1, np.nan, np.nan), (1, 2, np.nan)],
 )
 def test_the_heaviest_corner_is_the_same_one(weights: tuple[float, float, float]):
-    need_kernels()
-    from antdsl.casting import faces_compiled
-
-    assert faces_compiled._heaviest(*map(float, weights)) == int(np.argmax(weights))
+    assert _heaviest(*map(float, weights)) == int(np.argmax(weights))

@@ -16,14 +16,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from compilers import need_llvmlite
 
 from antdsl.casting import triangle_grid
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.rays import RayScene
-from antdsl.casting.tolerances import FURTHER, NOTHING
+from antdsl.casting.tolerances import FURTHER, LONGEST, NOTHING
 from antdsl.casting.triangle_grid import TriangleGrid
-from antdsl.numerics import compiled
 from antdsl.numerics.vector_rows import dot
 from tests.meshes import Mesh, ball, box, terrain
 
@@ -128,14 +126,6 @@ def same_places(scene: RayScene, grid: TriangleGrid, points: np.ndarray) -> int:
     return len(differing)
 
 
-@pytest.fixture(params=["numpy", "kernels"])
-def kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    if request.param == "kernels":
-        need_llvmlite()
-    monkeypatch.setattr(compiled, "wanted", lambda count: request.param == "kernels")
-    return str(request.param)
-
-
 def made(name: str) -> tuple[RayScene, TriangleGrid]:
     scene = RayScene.of(MESHES[name]())
     grid = TriangleGrid.of(scene._faces, scene.origin)
@@ -144,18 +134,16 @@ def made(name: str) -> tuple[RayScene, TriangleGrid]:
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_a_short_ray_meets_what_it_meets_by_open3d(name: str, kernels: str):
+def test_a_short_ray_meets_what_it_meets_by_open3d(name: str):
     scene, grid = made(name)
-    count = 4000 if kernels == "kernels" else 1000
+    count = 4000
     assert same_rays(scene, grid, *rays(scene, grid, count)) <= 1
     assert same_places(scene, grid, places(scene, grid, count // 4)) <= 1
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MESHES)
-def test_a_million_short_rays_meet_what_they_meet_by_open3d(name: str, monkeypatch: pytest.MonkeyPatch):
-    need_llvmlite()
-    monkeypatch.setattr(compiled, "wanted", lambda count: True)
+def test_a_million_short_rays_meet_what_they_meet_by_open3d(name: str):
     scene, grid = made(name)
     count = 125_000
     assert same_rays(scene, grid, *rays(scene, grid, count)) <= EXCEPTIONS * count
@@ -163,26 +151,35 @@ def test_a_million_short_rays_meet_what_they_meet_by_open3d(name: str, monkeypat
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_kernels_and_arrays_give_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch):
-    need_llvmlite()
+def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
     scene, grid = made(name)
-    origin, way = rays(scene, grid, 2000)
+    origin, way = rays(scene, grid, 150)
+    way[[5, 7]] = grid.tables[0][3]
     origin[5], way[6], origin[7], way[8] = np.nan, np.nan, np.inf, 0.0
-    points = places(scene, grid, 500)
+    points = places(scene, grid, 100)
     points[3], points[4] = np.nan, 1e30
-    found = []
-    for one in (True, False):
-        monkeypatch.setattr(compiled, "wanted", lambda count, one=one: one)
-        found.append((*grid.first(origin, way), *grid.nearest(points)))
-    for one, other in zip(*found, strict=True):
-        assert np.array_equal(one, other, equal_nan=True)
-    assert (found[0][1][[5, 6, 7, 8]] == NOTHING).all() and (found[0][4][[3, 4]] == FURTHER).all()
+    (t, face), (place, square, nearest) = grid.first(origin, way), grid.nearest(points)
+    assert (face[[5, 6, 7, 8]] == NOTHING).all() and np.isinf(t[[5, 6, 7, 8]]).all() and (nearest[[3, 4]] == FURTHER).all()
+    corners, (_, _, _, width, *_) = scene._faces.corners, grid.tables[0]
+    for k in np.setdiff1d(np.arange(150), [5, 6, 7, 8]):
+        parts, first = of_all(scene._faces, origin[k], way[k]), int(face[k])
+        assert t[k] == (np.inf if first < 0 else parts[first]) and (np.abs(way[k]).sum() > LONGEST * width) == (first == FURTHER)
+        assert first == FURTHER or parts.min() == t[k] or np.isnan(parts).all()
+        assert first < 0 or not (parts[:first] <= t[k]).any()
+    for k in np.setdiff1d(np.arange(100), [3, 4]):
+        there = nearest_on_triangle(np.tile(points[k], (len(corners), 1)), corners)
+        squares = dot(there - points[k], there - points[k])
+        if nearest[k] == FURTHER:
+            assert squares.min() > width * width
+        else:
+            assert nearest[k] == np.argmin(squares) and square[k] == squares.min()
+            assert np.array_equal(place[k], there[nearest[k]])
+    assert len(grid.first(origin[:0], way[:0])[0]) == 0 and len(grid.nearest(points[:0])[0]) == 0
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", MESHES)
-def test_normals_of_first_faces_are_the_same_with_and_without_kernels(name: str, threads: int, monkeypatch: pytest.MonkeyPatch):
-    need_llvmlite()
+def test_normals_of_first_faces_are_those_named(name: str, threads: int):
     scene, _ = made(name)
     grid = scene._triangles()
     assert grid is not None
@@ -191,19 +188,15 @@ def test_normals_of_first_faces_are_the_same_with_and_without_kernels(name: str,
     normals = np.random.default_rng(5).normal(size=(3, len(named)))
     short = np.flatnonzero(grid.first(origin - scene.origin, way)[1] != FURTHER)
     assert 0 < len(short) < len(origin)
-    for some in (slice(None), short):  # of some rays, and of none, the grid cannot tell
-        found = []
-        for one in (True, False):
-            monkeypatch.setattr(compiled, "wanted", lambda count, one=one: one)
-            found.append(scene.faced(origin[some], way[some], normals, named, threads))
-        assert len(found[0][0]) > 100
-        for one, other in zip(*found, strict=True):
-            assert np.array_equal(one, other)
+    for some in (slice(None), short, slice(0, 0)):  # of some rays, and of none, the grid cannot tell
+        which, part, normal = scene.faced(origin[some], way[some], normals, named, threads)
+        rows, at, face = scene._within(origin[some] - scene.origin, way[some], 1)
+        assert np.array_equal(which, rows) and np.array_equal(part, at) and (len(rows) > 100 or isinstance(some, slice))
+        assert np.array_equal(normal, normals[:, named[face]])
     assert grid.faced(origin[short], way[short], normals, named, threads)[1] == 0
 
 
-def test_feelers_and_gaps_are_the_same_with_and_without_a_grid(monkeypatch: pytest.MonkeyPatch):
-    need_llvmlite()
+def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
     scene, grid = made("a few of them")
     far = RayScene.of(MESHES["a few of them"]())
     far._sought = True
@@ -214,8 +207,7 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid(monkeypatch: pyte
     clear = scene.clearance(*place)
     asking = np.arange(3000) % 2 == 0
     answers = []
-    for which, one in ((scene, True), (scene, False), (far, True), (far, False)):
-        monkeypatch.setattr(compiled, "wanted", lambda count, one=one: one)
+    for which in (scene, far):
         felt = which.feelers(*place, *direction, reach)
         gap, out = which.apart(*place, reach)
         near = which.near(*place, reach)
@@ -223,9 +215,9 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid(monkeypatch: pyte
         left = which.felt((*place, clear), [(~asking & asking, (*direction, reach), found), (asking, (*direction, reach), found)])
         assert [number for number, rows in left if rows.size] == [1]
         asked = left[-1][1]
-        assert len(asked) < 100 if one and which is scene else len(asked) == 1500
+        assert len(asked) < 100 if which is scene else len(asked) == 1500
         answers.append((felt.t, felt.nx, felt.ny, felt.nz, gap, out, near.t, near.nx))
-        if one and which is scene:
+        if which is scene:
             assert not found[0][~asking].any() and np.isinf(found[1][~asking]).all()
             done = np.setdiff1d(np.flatnonzero(asking), asked)
             x, y, z = (each[done] for each in direction)

@@ -16,8 +16,8 @@ def run_without_llvmlite(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-P", "-c", HIDDEN, *words], capture_output=True, text=True, timeout=300)
 
 
-@pytest.mark.parametrize("scene", ["minimal/scene.yaml"])
-def test_a_run_with_feet_names_the_package(scene: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("scene", ["minimal/scene.yaml", "worth/scene.yaml"])
+def test_a_run_names_the_package(scene: str, tmp_path: Path) -> None:
     found = run_without_llvmlite("run", str(EXAMPLES / scene), "--frames", "1..2", "--out", str(tmp_path / "out"))
     assert found.returncode == 3 and "llvmlite is not installed: pip install" in found.stderr, found.stderr[-2000:]
     assert "Traceback" not in found.stderr

@@ -5,7 +5,6 @@ from __future__ import annotations
 import meshes
 import numpy as np
 import pytest
-from compilers import need_kernels
 from meaning import WAYS
 from plan_text import plan_of
 
@@ -13,7 +12,7 @@ from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.fields.reached import Reached
 from antdsl.machine_code import machine
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.passes import optimise
 from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, bind, state_hash, step
 from antdsl.runtime.backends.native.backend import NativeBackend
@@ -22,15 +21,10 @@ NATIVE = Options(backend="native", chunk=16, threads=2, wait_for_code=True)
 WORLD = "ant 1\nuse steering\nworld { surface ground }\nfield scent on ground { cell 4 mm; half_life 2 s }\n"
 
 
-@pytest.mark.parametrize("kernels", [False, True])
 @pytest.mark.parametrize("k", [1, 9, 16, 27])
-def test_it_is_reached_where_as_much_is_smelled(kernels: bool, k: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    if kernels:
-        need_kernels()
-    monkeypatch.setattr(compiled, "wanted", lambda count: kernels)
-    monkeypatch.setattr(compiled, "_running", kernels)
-    monkeypatch.setattr(compiled, "cores", lambda: 4)
-    monkeypatch.setattr(compiled, "LIGHT", 100)  # so that it goes in parts
+def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parallel, "cores", lambda: 4)
+    monkeypatch.setattr(parallel, "LIGHT", 100)  # so that it goes in parts
     field = PheromoneField(SurfaceCells([meshes.terrain(150, 30)], 4.0))
     rng, every, least = np.random.default_rng(k), np.arange(len(field.cells)), np.float32(0.1)
     reached = Reached(field, least, k)

@@ -1,15 +1,14 @@
-"""What straight ways meet first is what a look at every triangle finds, and the compiled twin says the same to the bit."""
+"""What straight ways meet first is what a look at every triangle finds."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 from meshes import ball, terrain
 from numpy.typing import NDArray
 from open_shapes import joined, soup
 
-from antdsl.ground.mesh.boxes import Boxes, first_met
+from antdsl.ground.mesh.boxes import Boxes, first_of, gather
 from antdsl.ground.mesh.surface import MeshGround
 
 Floats = NDArray[np.float64]
@@ -33,6 +32,16 @@ def ways(ground: MeshGround, rng: np.random.Generator) -> tuple[Floats, Floats]:
     return (aim - step * rng.choice([0.0, 0.3, 0.5, 1.0, 1.2], (N, 1))).T, step.T
 
 
+def first_met(ground: MeshGround, origin: Floats, step: Floats, face: int, piece: int) -> tuple[int, float, float, float]:
+    """The first face on a way that goes on by a millionth of a mm: the kernel's functions, as Python runs them."""
+    table, boxes = ground.triangles[3], (ground._boxes.order, ground._boxes.first, ground._boxes.bounds)
+    found = (np.empty(len(table.live), np.int64), 0)
+    one, way = tuple(origin.tolist()), tuple(step.tolist())
+    with np.errstate(all="ignore"):
+        count = gather(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, found)
+        return first_of(ground._walk().packed, boxes, found, count, one, way, 1e-6)
+
+
 @pytest.mark.parametrize("far", [0.0, 900.0])
 def test_the_first_triangle_of_a_way_is_that_of_a_look_at_all(far: float) -> None:
     ground, rng = scene(far), np.random.default_rng(2)
@@ -41,7 +50,8 @@ def test_the_first_triangle_of_a_way_is_that_of_a_look_at_all(far: float) -> Non
     face, piece = np.full(N, -1), np.full(N, -1, np.int32)
     face[::2] = rng.integers(0, table.live.size, N // 2)
     piece[::3] = table.piece[rng.integers(0, table.live.size, N // 3)]
-    found, part, b1, b2 = first_met(ground._boxes, table, origin, step, 1e-6, face, piece)
+    each = [first_met(ground, origin[:, k], step[:, k], face[k], piece[k]) for k in range(N)]
+    found, part, b1, b2 = (np.array(column) for column in zip(*each, strict=True))
     a, e1, e2 = table.corner.T, table.edge1.T, table.edge2.T
     met = 0
     for k in range(N):
@@ -88,28 +98,4 @@ def test_boxes_that_are_fitted_anew_are_those_that_are_made_anew() -> None:
 
 def test_ground_without_a_triangle_is_met_nowhere() -> None:
     ground = MeshGround({"none": (np.zeros((3, 3)), np.array([[0, 1, 2]]))})
-    none = np.full(2, -1, np.int32)
-    found = first_met(ground._boxes, ground.triangles[3], np.zeros((3, 2)), np.ones((3, 2)), 0.0, none.astype(np.int64), none)[0]
-    assert (found == -1).all()
-
-
-def test_the_compiled_twin_meets_the_same_to_the_bit() -> None:
-    need_kernels()
-    from antdsl.ground.mesh.boxes_compiled import first_of, gather
-    from antdsl.ground.mesh.face_table import packed
-
-    ground, rng = scene(), np.random.default_rng(4)
-    table = ground.triangles[3]
-    origin, step = ways(ground, rng)
-    face, piece = np.full(N, -1), np.full(N, -1, np.int32)
-    face[::2] = rng.integers(0, table.live.size, N // 2)
-    piece[::3] = table.piece[rng.integers(0, table.live.size, N // 3)]
-    expected = first_met(ground._boxes, table, origin, step, 1e-6, face, piece)
-    rows = packed(table, ground._mesh)
-    boxes = (ground._boxes.order, ground._boxes.first, ground._boxes.bounds)
-    found = np.empty(table.live.size, np.int64)
-    for k in range(N):
-        one, way = tuple(origin[:, k].tolist()), tuple(step[:, k].tolist())
-        end = tuple((origin[:, k] + step[:, k]).tolist())
-        count = gather(table.piece, boxes, one, end, 0.01, face[k], piece[k], (found, 0))
-        assert first_of(rows, boxes, (found, 0), count, one, way, 1e-6) == tuple(array[k] for array in expected)
+    assert first_met(ground, np.zeros(3), np.ones(3), -1, -1)[0] == -1

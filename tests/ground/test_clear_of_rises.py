@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rays import RayScene
-from antdsl.ground.mesh.creases import clear_of_rises
+from antdsl.ground.mesh.creases import RiseMap, clear_of_rises, inner_creases
 from antdsl.ground.mesh.topology import Topology, build
 
 Floats = NDArray[np.float64]
@@ -69,3 +69,42 @@ def test_many_pieces_are_asked_no_more_of_than_few(monkeypatch: pytest.MonkeyPat
         clear_of_rises(corners, table)
         assert built == len(corners)
         assert len(corners) / 2 < asked < 4 * len(corners), (count, asked)
+
+
+def test_all_are_named_for_whom_something_rises_and_few_besides() -> None:
+    """By distances in float64 to every crease and every face of another piece or a cut one."""
+    corners, table = field_of_stones(12)
+    rng, first = np.random.default_rng(3), np.array([0, 400, len(corners)])
+    face = rng.integers(0, len(corners), 300)
+    mesh = (face >= 400).astype(np.int32)
+    place = (corners[face] * rng.dirichlet((1, 1, 1), 300)[:, :, None]).sum(axis=1)
+    reach = rng.choice([0.5, 3.0, 7.3, 20.0, 100.0, 2e3], 300)
+    local, where, reach[:4] = (face - first[mesh]).astype(np.int32), mesh.copy(), [0.0, -1.0, np.nan, 5.0]
+    where[3:5], local[5], where[6] = -1, -1, 2
+    map_, width = RiseMap(corners, table, []), max(np.ptp(corners, axis=(0, 1))) / 192
+    found = map_.rising(where, local, first, place, reach, [], 2)
+    assert (np.diff(found) > 0).all() and not np.isin(range(7), found).any()
+    half = inner_creases(table, corners)
+    one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
+    sharp = np.stack([one, two, two], axis=1)
+    clear, size = clear_of_rises(corners, table), np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    for k in range(7, 300):
+        others = np.concatenate([sharp, corners[(table.piece != table.piece[face[k]]) | table.cuts.cut]])
+        at = np.broadcast_to(place[k], (len(others), 3))
+        away = np.sqrt(((nearest_on_triangle(at, others) - at) ** 2).sum(axis=1)).min()
+        near = clear[face[k]] <= reach[k]
+        if away <= reach[k]:
+            assert k in found
+        if not near or (size[face[k]] > reach[k] and away > 2 * max(reach[k], width) + 5 * width):
+            assert k not in found
+        if near and size[face[k]] <= reach[k]:
+            assert k in found
+        alone = map_.rising(where[k : k + 1], local[k : k + 1], first, place[k : k + 1], reach[k : k + 1], [])
+        assert len(alone) == (k in found)
+    assert 50 < len(found) < 250
+    moving = RiseMap(corners, table, [np.arange(len(corners)) < 400])
+    box = (np.array([-50.0, -50, -9]), np.array([50.0, 50, 40]))
+    inside = ((place >= box[0] - reach[:, None]) & (place <= box[1] + reach[:, None])).all(axis=1) & (np.arange(300) >= 7)
+    found = moving.rising(where, local, first, place, reach, [box])
+    assert np.isin(np.flatnonzero(inside), found).all() and len(found) < 293
+    assert not len(map_.rising(where[:0], local[:0], first, place[:0], reach[:0], []))

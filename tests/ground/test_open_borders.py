@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 from open_shapes import WORSE
+from walked import Reference
 
 from antdsl.bench.cases import case_of
 from antdsl.ground.mesh import open_borders as module
@@ -13,16 +13,13 @@ from antdsl.ground.mesh import walk_events
 from antdsl.ground.mesh.face_table import EDGES, LINK, OPEN, WIDTH, mark_open
 from antdsl.ground.mesh.open_borders import open_borders
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surroundings import Around
 from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.ground.mesh.walk import Walkers
 from antdsl.ground.moving import MovingGround
-from antdsl.numerics import compiled
 from antdsl.runtime import Options, World, bind, step
 from tests.meshes import Mesh, box, grid, terrain
 
 BODY = 4.0
-EACH = 40  # walkers on a border
+EACH = 8  # walkers on a border
 
 
 def shifted(mesh: Mesh, *by: float) -> Mesh:
@@ -67,15 +64,13 @@ def test_no_way_leads_on_from_an_open_border(name: str) -> None:
     n, face, k = len(half), half // 3, half % 3
     along = rng.choice([0.0, 1e-9, 1.0], n) if n else np.zeros(0)
     along = np.where(rng.random(n) < 0.8, rng.random(n), along)
-    weights = np.zeros((3, n))
-    weights[(k + 1) % 3, np.arange(n)], weights[(k + 2) % 3, np.arange(n)] = 1 - along, along
-    zero, one = np.zeros(n), np.ones(n)
-    side = rng.choice([-1.0, 1.0], n)
-    walkers = Walkers(face, weights[1], weights[2], side, one, zero, one, zero, one, zero, np.zeros(n, np.bool_), zero)
+    corners, reference = ground.triangles[0][ground.triangles[1]], Reference(ground)
+    one, two = corners[face, (k + 1) % 3], corners[face, (k + 2) % 3]
+    place, side = one + (two - one) * along[:, None], rng.choice([-1.0, 1.0], n)
     body = np.where(rng.random(n) < 0.5, BODY, BODY * rng.random(n))
-    around = Around(ground._table, ground._boxes, ground._clearances.within(BODY), ground._scale, body)
-    with np.errstate(all="ignore"):
-        assert not len(around.beyond(walkers, np.arange(n), half).who)
+    for row in range(n):
+        reference.look_around(place[row], 2 * BODY)
+        assert reference.beyond(int(face[row]), place[row], side[row], body[row], int(k[row])) is None
 
 
 @pytest.mark.parametrize(
@@ -117,7 +112,6 @@ def marked(walk: walk_events.Walk) -> int:
 
 
 def test_marks_are_for_the_widest_of_a_crowd_and_go_where_a_mesh_moves() -> None:
-    need_kernels()
     ground = MeshGround(GROUNDS["a sheet far below"])
     for widest, count in ((4.0, 8), (1.0, 8), (30.0, 0), (4.0, 0)):
         walk = ground.crowd_walk(1.0, widest)
@@ -137,30 +131,26 @@ def bound(size: int) -> World:
 
 
 def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
     waiting: list[int] = []
     monkeypatch.setattr(walk_events.CrowdWalk, "on", looked_at(walk_events.CrowdWalk.on, waiting))
     populations = []
-    for fast, marks in ((False, True), (True, True), (True, False)):
-        with monkeypatch.context() as context:
-            context.setattr(compiled, "wanted", lambda count, fast=fast: fast)
-            world = bound(300)
+    for marks in (True, False):
+        world = bound(300)
+        step(world)
+        walk = world.ground.meshes._walk()
+        if not marks:
+            mark_open(walk.packed, walk._open, NO_LINK)
+        waiting.clear()
+        for _ in range(60):
             step(world)
-            walk = world.ground.meshes._compiled()
-            if not marks:
-                mark_open(walk.packed, walk._open, NO_LINK)
-            waiting.clear()
-            for _ in range(60):
-                step(world)
-            mark_open(walk.packed, walk._open, OPEN)  # which is kept for another world
-        assert (sum(waiting) > 500) == (fast and not marks)  # many come to the border
+        mark_open(walk.packed, walk._open, OPEN)  # which is kept for another world
+        assert (sum(waiting) > 500) != marks  # many come to the border
         populations.append(world.populations["ant"])
-    first = populations[0]
-    for other in populations[1:]:
-        for name, register in first.now.items():
-            assert register.tobytes() == other.now[name].tobytes(), name
-        for name, column in first.footing.columns.items():
-            assert column.tobytes() == other.footing.columns[name].tobytes(), name
+    one, other = populations
+    for name, register in one.now.items():
+        assert register.tobytes() == other.now[name].tobytes(), name
+    for name, column in one.footing.columns.items():
+        assert column.tobytes() == other.footing.columns[name].tobytes(), name
 
 
 def looked_at(on, waiting: list[int]):

@@ -7,7 +7,6 @@ import os
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -17,36 +16,19 @@ from open_shapes import WORSE, Led, joined, led, ribbon, sheet, turned
 from sampling import sampled
 from torture_long import from_file
 from torture_walks import BODY, STEP, crowd, shapes
+from walked import Hop, Reference
 
-from antdsl.ground.mesh import walk
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.topology import Topology
-from antdsl.ground.mesh.walk import Landing, Walkers
 from antdsl.ground.moving import MovingGround
 from antdsl.ground.protocol import Footing, Move
-from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
 HAIR = 1e-6  # mm off the surface
 SMALL = 0.2  # mm: a step in which one walker steps over once at most, but for crumbs
 BENDS = (1e-6, 1e-5, 1e-3, 5e-3, 0.02, 0.05, 0.1, 0.2, 0.4)  # mm: how far outside a corner the way round it may lead
 ROUND = 1e-5  # mm beyond a border
 WINDOW = 100
 STILL = 0.05  # of a crowd, in corners too narrow for a step
-
-
-@dataclass(frozen=True)
-class Hop:
-    """Where a walker stepped over to: the face, and places (3) with the normals that they are on, from above or below the border
-    in the direction of travel to there."""
-
-    face: int
-    start: Floats
-    up: Floats
-    way: Floats
-    end: Floats
-    above: Floats
 
 
 @dataclass
@@ -82,21 +64,12 @@ class Watch:
 
     def hops(self, ground: MeshGround, before: Move, at: Move, who: int) -> list[Hop]:
         """The step once more, with all that it stepped over to."""
-        one, wish = before.take(np.array([who])), self.wish[who : who + 1]
-        met: list[Hop] = []
-
-        def recorded(table: Topology, w: Walkers, asked: Index, landing: Landing, hops: NDArray[np.int8]) -> None:
-            rows = asked[landing.who]
-            start, up, way = w.place(table, rows)[:, 0], w.up(table, rows)[:, 0], w.direction(table, rows)[:, 0]
-            land(table, w, asked, landing, hops)
-            end, above = w.place(table, rows)[:, 0], w.up(table, rows)[:, 0]
-            met.append(Hop(int(landing.face[0]), start + up * landing.rise[0], up, way, end, above))
-
-        land = walk._land
-        with mock.patch.object(walk, "_land", recorded), mock.patch.object(compiled, "wanted", lambda count: False):
-            again = ground.move(one.footing, wish, wish, one.up, BODY)
-        assert np.array_equal(again.position[0], at.position[who]) and again.footing.face[0] == at.footing.face[who]
-        return met
+        face, over = int(standing(ground, before)[0][who]), float(before.footing.over[who])
+        reference = Reference(ground)
+        place, wish = before.position[who] - over * reference.normal[face], self.wish[who]
+        again = reference.step(face, place, over, wish, wish, before.up[who], BODY)
+        assert np.allclose(again.position, at.position[who], atol=HAIR) and again.face == standing(ground, at)[0][who]
+        return again.hops
 
     def over_another(self, ground: MeshGround, before: Move, at: Move, who: int) -> bool:
         """Whether the way of a step led over another part."""

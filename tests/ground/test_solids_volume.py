@@ -7,11 +7,10 @@ from typing import Any
 import meshes
 import numpy as np
 import pytest
-from compilers import need_kernels
 
-from antdsl.ground.solid import Unusable, Volume
+from antdsl.ground.solid import Unusable, Volume, trilinear
+from antdsl.ground.solid.bricks import WHOLE, filling, mixed
 from antdsl.ground.solid_feelers import SolidFeelers
-from antdsl.numerics import compiled
 
 Dig = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -108,6 +107,34 @@ def test_the_gradient_is_that_of_the_samples() -> None:
     assert np.abs(differences - slope)[same_cell].max() < 2e-3
 
 
+@pytest.mark.parametrize("voxel", [1.0, 0.7])
+def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> None:
+    rng, solid = np.random.default_rng(1), ball(voxel=voxel)
+    solid.carve(rng.normal(size=(30, 3)) * 6, rng.uniform(1, 4, 30), np.arange(30))
+    dense, count = solid.bricks.dense().astype(np.float64), np.array(solid.bricks.nodes)
+    places = rng.uniform(solid.low - 3, solid.high + 3, (20_000, 3))
+    places[1000:3000] = solid.low + np.round((places[1000:3000] - solid.low) / voxel) * voxel  # at nodes
+    at = np.clip((places - solid.bricks.origin) / voxel, 0, count - 1)
+    node = np.minimum(at.astype(int), count - 2)
+    part, distance, gradient = at - node, np.zeros(len(at)), np.zeros((3, len(at)))
+    for corner in np.ndindex(2, 2, 2):
+        share = np.where(np.array(corner), part, 1 - part)
+        value = dense[tuple((node + corner).T)]
+        distance += share.prod(axis=1) * value
+        for axis in range(3):
+            gradient[axis] += (2 * corner[axis] - 1) * np.delete(share, axis, axis=1).prod(axis=1) * value / voxel
+    found, *slope = trilinear.field(solid.bricks, *places.T)
+    assert np.abs(found - distance).max() < 1e-12 and np.array_equal(found.astype(np.float32), solid.sample(places))
+    inner = ~(np.abs(at - np.round(at)) < 1e-9).any(axis=1)  # at nodes the slope is that of either side
+    assert np.abs(np.stack(slope) - gradient)[:, inner].max() < 1e-10 and inner.sum() > 10_000
+    assert np.abs(trilinear.distance(solid.bricks, *places.T) - distance).max() < 1e-12
+    far = np.array([[np.nan] * 3, [-np.inf] * 3, [1e300, 0, 0]])
+    rim = solid.bricks.origin + np.array([[0, 0, 0], [0, 0, 0], [count[0] - 1, *(-solid.bricks.origin[1:] / voxel)]]) * voxel
+    assert np.array_equal(trilinear.distance(solid.bricks, *far.T), trilinear.distance(solid.bricks, *rim.T))
+    none = np.empty((3, 0))
+    assert [len(each) for each in trilinear.field(solid.bricks, *none)] == [0] * 4
+
+
 def test_a_cavity_a_shell_turned_inside_out_and_overlapping_balls_have_the_right_inside() -> None:
     v1, f1 = meshes.ball(15.0)
     v2, f2 = meshes.ball(8.0)
@@ -176,11 +203,7 @@ def test_sums_are_exact_to_the_last_bit(voxel: float) -> None:
         assert (removed >= 0).all() and before - solid.volume() == total == solid.removed
 
 
-@pytest.mark.parametrize("fast", [False, True])
-def test_the_order_of_digging_does_not_matter(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if fast:
-        need_kernels()
-    monkeypatch.setattr(compiled, "wanted", lambda count: fast)
+def test_the_order_of_digging_does_not_matter() -> None:
     centres, radii, owners = digging()
     a, b = ball(), ball()
     first = a.carve(centres, radii, owners)
@@ -211,17 +234,31 @@ def test_what_two_dig_at_once_goes_to_the_deeper_and_at_a_tie_to_the_least_owner
     assert 0 < apart[0] < alone[0]
 
 
-def test_compiled_digging_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
-    solids = []
-    for fast in (False, True):
-        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
-        solid = ball()
-        removed = [solid.carve(*digging(200, seed)) for seed in range(3)]
-        solids.append((np.concatenate(removed), solid.state(), solid.digest()))
-    (first, state, digest), (second, other, same) = solids
-    assert (first == second).all() and digest == same
-    assert all((state[name] == other[name]).all() for name in state)
+@pytest.mark.parametrize("voxel", [1.0, 0.7])
+def test_digging_is_that_of_every_ball_at_every_node(voxel: float) -> None:
+    solid = ball(voxel=voxel)
+    for seed in range(3):
+        centres, radii, owners = digging(60, seed)
+        centres[5], radii[5] = [37.0 - seed, 3.0, 2.0], 28.0  # a great one, of another kind
+        before, mark, places = solid.bricks.dense().ravel(), solid.bricks.mark, nodes(solid)
+        removed = solid.carve(centres, radii, owners)
+        order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], owners))
+        values = np.empty((len(order), len(places)), np.float32)
+        for row, k in enumerate(order):
+            x, y, z = (places - centres[k]).T
+            brush = (radii[k] - np.sqrt((x * x + y * y) + z * z)).astype(np.float32)
+            values[row] = np.minimum(brush, np.float32(solid.bricks.most))
+        after, first = np.maximum(before, values.max(axis=0)), values.argmax(axis=0)
+        assert np.array_equal(solid.bricks.dense().ravel(), after)
+        lost = filling(before, voxel) - filling(after, voxel)
+        expected = np.zeros(len(order))
+        expected[order] = np.bincount(first, np.where(after > before, lost, 0), len(order)) * solid.bricks.step_volume
+        assert np.array_equal(removed, expected) and (removed > 0).sum() > 10
+        i, j, k = np.unravel_index(np.arange(len(places)), solid.bricks.nodes)
+        brick = ((i >> 4) * solid.bricks.shape[1] + (j >> 4)) * solid.bricks.shape[2] + (k >> 4)
+        number = (brick << 12) + ((i & 15) << 8) + ((j & 15) << 4) + (k & 15)
+        change = (mixed(number, after) - mixed(number, before)).sum(dtype=np.uint64)
+        assert solid.bricks.mark == (mark + int(change)) & WHOLE
 
 
 def test_balls_without_sense_and_far_away_dig_nothing_and_great_ones_everything() -> None:

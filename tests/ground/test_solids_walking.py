@@ -7,14 +7,12 @@ from collections.abc import Iterator
 import meshes
 import numpy as np
 import pytest
-from compilers import need_kernels
 
 from antdsl.ground.protocol import Move
 from antdsl.ground.solid import Volume, move
-from antdsl.numerics import compiled
 
 BODY = 5.0
-FAST = compiled.available()
+STEPS = 2000
 
 
 def made(mesh: meshes.Mesh, voxel: float = 1.0) -> Volume:
@@ -68,15 +66,8 @@ def wandering(
         head = head * np.cos(angle) + np.cross(up, head) * np.sin(angle)
 
 
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> int:
-    """The compiled walk where it can be had, which has the same bits; says how many steps there is time for."""
-    monkeypatch.setattr(compiled, "wanted", lambda count: FAST)
-    return 2000 if FAST else 200
-
-
 @pytest.mark.parametrize("shape", ["ball", "cube", "tunnel", "cheese"])
-def test_walkers_stay_on_the_surface_for_thousands_of_steps(shape: str, quick: int) -> None:
+def test_walkers_stay_on_the_surface_for_thousands_of_steps(shape: str) -> None:
     ways = unit(np.random.default_rng(1).normal(size=(60, 3)))
     if shape == "ball":
         solid = made(meshes.ball(20.0, rings=24))
@@ -91,7 +82,7 @@ def test_walkers_stay_on_the_surface_for_thousands_of_steps(shape: str, quick: i
         solid = cheese()
         start = standing(solid, ways * 18, ways[::-1])
     stopped = 0
-    for before, moved in wandering(solid, start, quick):
+    for before, moved in wandering(solid, start, STEPS):
         assert np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
         assert not moved.lost.any()
         assert np.abs((moved.heading * moved.up).sum(axis=1)).max() < 1e-9
@@ -99,10 +90,10 @@ def test_walkers_stay_on_the_surface_for_thousands_of_steps(shape: str, quick: i
         assert np.linalg.norm(moved.position - before, axis=1).max() < 1.35
         stopped += int(moved.blocked.sum())
         assert (moved.blocked | (np.abs(moved.travelled - 1) < 1e-6)).all()
-    assert stopped <= quick * 60 * (1e-3 if shape == "cheese" else 0)
+    assert stopped <= STEPS * 60 * (1e-3 if shape == "cheese" else 0)
 
 
-def test_who_walks_round_a_cube_comes_back_to_where_it_began(quick: int) -> None:
+def test_who_walks_round_a_cube_comes_back_to_where_it_began() -> None:
     solid = cube()
     start = standing(solid, np.array([[0.0, 22.0, 0.3]]), np.array([[0.0, 1.0, 0.0]]))
     place, up, _ = start
@@ -117,7 +108,7 @@ def test_who_walks_round_a_cube_comes_back_to_where_it_began(quick: int) -> None
     assert sides == {(0, True), (0, False), (1, True), (1, False)}
 
 
-def test_who_walks_into_a_hole_goes_through_the_tunnel_and_out(quick: int) -> None:
+def test_who_walks_into_a_hole_goes_through_the_tunnel_and_out() -> None:
     solid = tunnel()
     # On the left side above the mouth, heading down to it.
     place, up, head = standing(solid, np.array([[-20.5, 8.0, 0.0]]), np.array([[-1.0, 0, 0]]))
@@ -133,7 +124,7 @@ def test_who_walks_into_a_hole_goes_through_the_tunnel_and_out(quick: int) -> No
     assert max(p[0] for p in seen) > 19.99 and seen[-1][0] > 19.8 and seen[-1][1] > 8, "up the other side"
 
 
-def test_nobody_passes_a_wall_of_less_than_a_voxel(quick: int) -> None:
+def test_nobody_passes_a_wall_of_less_than_a_voxel() -> None:
     """Two caves beside each other with little between."""
     solid = cube()
     middle = -0.37  # where nodes are: between nodes such a wall is not seen at all
@@ -142,11 +133,11 @@ def test_nobody_passes_a_wall_of_less_than_a_voxel(quick: int) -> None:
     assert (solid.sample(wall) < 0).all() and (solid.sample(wall) > -0.5).all()
     ways = unit(np.random.default_rng(4).normal(size=(60, 3)))
     start = standing(solid, ways * 3 - [6.4, 0, 0], -ways)
-    for _, moved in wandering(solid, start, quick // 4, turn=0.3):
+    for _, moved in wandering(solid, start, STEPS // 4, turn=0.3):
         assert (moved.position[:, 0] < middle).all()
 
 
-def test_a_step_keeps_its_length_and_is_laid_into_the_surface(quick: int) -> None:
+def test_a_step_keeps_its_length_and_is_laid_into_the_surface() -> None:
     solid = made(meshes.ball(60.0, rings=60))
     place, up, head = standing(solid, np.array([[0.0, 60, 0]] * 5), np.array([[0.0, 1, 0]] * 5))
     wish = head * 2.0 + up * np.array([[0.0], [0.5], [-0.5], [2.0], [50.0]])
@@ -158,7 +149,7 @@ def test_a_step_keeps_its_length_and_is_laid_into_the_surface(quick: int) -> Non
     assert moved.travelled[3] == 0 and moved.travelled[4] < 4.1
 
 
-def test_who_loses_the_ground_goes_to_what_is_left(quick: int) -> None:
+def test_who_loses_the_ground_goes_to_what_is_left() -> None:
     solid = made(meshes.ball(20.0, rings=24))
     ways = unit(np.random.default_rng(1).normal(size=(40, 3)))
     place, up, head = standing(solid, ways * 20, ways)
@@ -172,28 +163,7 @@ def test_who_loses_the_ground_goes_to_what_is_left(quick: int) -> None:
     assert moved.lost.all() and (moved.position == place).all()
 
 
-def test_the_compiled_walk_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
-    rng = np.random.default_rng(5)
-    for solid in (cube(), cheese()):
-        ways = unit(rng.normal(size=(300, 3)))
-        place, up, head = standing(solid, ways * rng.uniform(5, 19, (300, 1)), ways[::-1])
-        for turn in range(3):
-            if turn == 2:
-                solid.carve(place[:30], np.full(30, 3.0), np.arange(30))
-            wish = head * rng.uniform(0, 3, (len(place), 1))
-            wish[::9] = 0
-            wish[4] = np.inf
-            results = []
-            for fast in (False, True):
-                monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
-                results.append(move(solid, place, wish, head, up, rng.permutation(1) + BODY))
-            for one, other in zip(results[0].columns(), results[1].columns(), strict=True):
-                assert np.array_equal(one, other)
-            place, up, head = results[0].position, results[0].up, results[0].heading
-
-
-def test_one_agent_moves_as_it_does_among_many(quick: int) -> None:
+def test_one_agent_moves_as_it_does_among_many() -> None:
     solid = cheese()
     ways = unit(np.random.default_rng(1).normal(size=(50, 3)))
     place, up, head = standing(solid, ways * 15, ways[::-1])

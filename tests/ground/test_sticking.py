@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 from meshes import box, grid, terrain
 from torture_long import SHAPES, long_walk
 from torture_walks import BODY, crowd, wander
 
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.sticking import REACH, RISE
-from antdsl.numerics import compiled
 from antdsl.pipeline import Choices, open_scene
 from antdsl.runtime import Options, bind, step
 
@@ -71,12 +69,10 @@ def test_it_steps_through_what_is_thin_where_walkers_do_not() -> None:
     assert rays.seen.jump > 2 * triangles.seen.jump and REACH * BODY > SHAPES.TIN
 
 
-def test_results_are_the_same_bits_compiled_or_not_and_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
+def test_results_are_the_same_bits_for_any_threads() -> None:
     mesh = terrain(120.0, 20)
     ends = []
-    for use, threads in ((True, 1), (False, 1), (True, 3)):
-        monkeypatch.setattr(compiled, "wanted", lambda n, use=use: use)
+    for threads in (1, 3):
         ground, rng = MeshGround({"hill": mesh}, by_rays=True), np.random.default_rng(3)
         *_, (_, at) = wander(ground, crowd(ground, [mesh], 200, rng), 20, rng, threads)
         ends.append(at)

@@ -32,7 +32,6 @@ LIBRARIES = frozenset(["scipy", "skimage", "trimesh"])
 
 # Where one of these is used all the same, and why no state differs by it.
 ALLOWED = {
-    "runtime/moving/advance.py": {"cos": "only tells who surely turns by less; the rest is done with our own"},
     "senses/overlaps.py": {"scipy": "a measure beside the state"},
     "runtime/binding/spacing.py": {"scipy": "a tree that says which places to measure"},
     "ground/mesh/creases.py": {"scipy": "a tree of places, compiled for all x86-64 processors alike"},

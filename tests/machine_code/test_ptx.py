@@ -7,12 +7,12 @@ import re
 import pytest
 from compilers import need_llvmlite
 
-from antdsl.fields.pheromone_step_compiled import stepped
+from antdsl.fields.pheromone_step import stepped
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.kernel import Kernel
-from antdsl.numerics.elementary_compiled import cosines
-from antdsl.runtime.moving.advance_compiled import arrive
-from antdsl.runtime.moving.strides_compiled import set_out
+from antdsl.numerics.elementary_loops import cosines
+from antdsl.runtime.moving.strides import set_out
+from antdsl.runtime.moving.velocities import arrive
 
 TARGET = machine.Target("nvptx64-nvidia-cuda", "sm_90", "")
 

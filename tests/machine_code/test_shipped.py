@@ -23,7 +23,7 @@ from antdsl.machine_code.build_objects import build
 from antdsl.machine_code.kernels import direct_text
 from antdsl.machine_code.machine import Target
 from antdsl.numerics import row_copies
-from antdsl.numerics.elementary_compiled import cosines
+from antdsl.numerics.elementary_loops import cosines
 
 ENTRIES: list[library.Entry] = [cosines, row_copies.text]  # type: ignore[list-item]
 KERNEL = """from antdsl.machine_code.kernels import F64, kernel
@@ -89,7 +89,7 @@ from antdsl.machine_code import shipped
 from antdsl.machine_code.build_objects import build
 from antdsl.machine_code.kernels import direct_text
 from antdsl.numerics import row_copies
-from antdsl.numerics.elementary_compiled import cosines
+from antdsl.numerics.elementary_loops import cosines
 print(build(Path(sys.argv[1]), [row_copies.text, cosines], reversed(list(shipped.TARGETS))))
 """
 

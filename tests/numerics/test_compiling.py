@@ -9,12 +9,10 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from compilers import need_kernels
 
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.kernels import sources
 from antdsl.machine_code.kernels.kernel import Kernel
-from antdsl.numerics import compiled
 
 OTHER = """from antdsl.machine_code.kernels import inlined
 from kernel_numbers import NUMBER
@@ -33,7 +31,6 @@ def value(x: F64) -> F64:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    need_kernels()
     for name, text in (("kernel_other", OTHER), ("kernel_value", KERNEL)):
         (tmp_path / f"{name}.py").write_text(text)
     (tmp_path / "kept").mkdir(mode=0o700)
@@ -111,40 +108,3 @@ def test_a_kernel_with_a_name_of_no_known_kind_is_known_by_its_text(folder: Path
     kernel = load(folder, monkeypatch)
     assert sources.key(kernel.part, []) is None
     assert not kernel.kept() and kernel(2) == 6 and load(folder, monkeypatch).kept()
-
-
-@pytest.fixture
-def unstarted(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in {"_running": False, "_spent": 0.0, "_long": False, "_kept": lambda: True}.items():
-        monkeypatch.setattr(compiled, name, value)
-
-
-@pytest.mark.usefixtures("unstarted")
-def test_a_small_crowd_begins_with_kernels_that_are_kept() -> None:
-    assert not compiled.wanted(30)
-    compiled.begin_step(30)
-    assert compiled.wanted(1) and not compiled.wanted(0)
-
-
-@pytest.mark.usefixtures("unstarted")
-def test_kernels_that_have_to_be_compiled_first_are_waited_for_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "_kept", lambda: False)
-    compiled.end_step(compiled._COMPILING * 0.9)
-    compiled.begin_step(30)
-    assert not compiled.wanted(30)
-    compiled.end_step(compiled._COMPILING * 0.2)
-    compiled.begin_step(30)
-    assert compiled.wanted(30)
-
-
-@pytest.mark.usefixtures("unstarted")
-def test_a_large_crowd_begins_with_kernels_and_its_set_up_does_not() -> None:
-    assert not compiled.wanted(compiled.LEAST)
-    compiled.begin_step(compiled.LEAST)
-    assert compiled.wanted(1)
-
-
-@pytest.mark.usefixtures("unstarted")
-def test_a_large_world_is_made_ready_with_kernels() -> None:
-    assert compiled.wanted(1_000_000)
-    assert compiled.wanted(1)

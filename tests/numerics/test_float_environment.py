@@ -17,7 +17,7 @@ from test_workers import squared
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.lanes import Module
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.float_environment import be_standard, is_standard, standard
 from antdsl.passes import optimise
 from antdsl.plan import ir
@@ -123,13 +123,12 @@ def test_machine_code_works_as_the_standard_says(bits: int) -> None:
 
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
 def test_parts_on_threads_work_as_the_standard_says(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "_running", True)
-    monkeypatch.setattr(compiled, "cores", lambda: 4)
+    monkeypatch.setattr(parallel, "cores", lambda: 4)
     values = np.linspace(2.0**-540, 2.0**-500, 4_000)
 
     def work() -> bytes:
         x, out, times = values.copy(), np.zeros(4_000), np.zeros(4_000, np.int64)
-        compiled.in_parts(partial(squared, x, out, times), 4_000, 3, 100)
+        parallel.in_parts(partial(squared, x, out, times), 4_000, 3, 100)
         return out.tobytes()
 
     assert hosted(bits, work) == work() == (values * values).tobytes()

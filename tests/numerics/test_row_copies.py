@@ -8,22 +8,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from antdsl.machine_code import machine
-from antdsl.numerics import compiled, row_copies
+from antdsl.numerics import parallel, row_copies
 from antdsl.numerics.row_copies import RowCopies, pick
 
-in_code = pytest.mark.skipif(not machine.available(), reason="no machine code here")
 COUNT = 9_001
 
 
-@pytest.fixture(params=[pytest.param((True, 1), marks=in_code), pytest.param((True, 3), marks=in_code), (False, 3)])
+@pytest.fixture(params=[1, 3])
 def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    """By kernels or by NumPy, in so many threads."""
-    kernels, count = request.param
-    monkeypatch.setattr(compiled, "wanted", lambda numbers: kernels and numbers > 0)
-    monkeypatch.setattr(compiled, "_running", kernels)
-    monkeypatch.setattr(compiled, "cores", lambda: 4)
-    return int(count)
+    """By so many threads."""
+    monkeypatch.setattr(parallel, "cores", lambda: 4)
+    return int(request.param)
 
 
 def arrays(count: int) -> list[NDArray[Any]]:
@@ -33,7 +28,7 @@ def arrays(count: int) -> list[NDArray[Any]]:
     return [reals.astype(np.float32), reals, reals > 0.5, wholes, rng.random((count, 3)).astype(np.float32)]
 
 
-@pytest.mark.parametrize("count", [1, COUNT])
+@pytest.mark.parametrize("count", [0, 1, COUNT])
 def test_rows_are_picked(threads: int, count: int) -> None:
     of = arrays(COUNT)
     rows = np.repeat(np.random.default_rng(1).permutation(COUNT), 2)[::2][:count]  # not in one piece
@@ -62,7 +57,6 @@ def test_rows_are_copied_time_after_time_and_to_other_arrays(threads: int) -> No
     assert few.tolist() == [4, 4, 4]
 
 
-@in_code
 def test_where_arrays_lie_is_looked_up_once(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     looked = []
     monkeypatch.setattr(row_copies, "_table", lambda *given, table=row_copies._table: looked.append(given) or table(*given))
@@ -70,4 +64,4 @@ def test_where_arrays_lie_is_looked_up_once(threads: int, monkeypatch: pytest.Mo
     to = [np.zeros_like(each) for each in of]
     for _ in range(3):
         copies.copy(list(to), list(of), threads)
-    assert len(looked) == compiled.wanted(1)
+    assert len(looked) == 1

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.sorting import interleaved, stable_order
 
 
@@ -17,14 +16,9 @@ def test_numbers_are_sorted_as_numpy_does(high: int) -> None:
     assert stable_order(keys[:0]).size == 0
 
 
-@pytest.mark.parametrize("kernels", [False, True])
-def test_cells_are_numbered_bit_by_bit(kernels: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if kernels:
-        need_kernels()
-    monkeypatch.setattr(compiled, "wanted", lambda count: kernels)
-    monkeypatch.setattr(compiled, "_running", kernels)
-    monkeypatch.setattr(compiled, "cores", lambda: 4)
-    monkeypatch.setattr(compiled, "LIGHT", 50)
+def test_cells_are_numbered_bit_by_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parallel, "cores", lambda: 4)
+    monkeypatch.setattr(parallel, "LIGHT", 50)
     cells = np.random.default_rng(3).integers(0, 1 << 21, (200, 3)).astype(np.uint64)
     plain = [sum(((int(cell[axis]) >> bit) & 1) << (3 * bit + axis) for bit in range(21) for axis in range(3)) for cell in cells]
     assert interleaved(cells).tolist() == plain and interleaved(np.asfortranarray(cells), 3).tolist() == plain

@@ -20,8 +20,8 @@ from children import child_environment
 from antdsl.machine_code import workers_text
 from antdsl.machine_code.kernels import F64, I64, Array1, independent, kernel
 from antdsl.machine_code.kernels.direct_text import PARTS
-from antdsl.numerics import compiled, workers
-from antdsl.numerics.parts_compiled import own
+from antdsl.numerics import parallel, workers
+from antdsl.numerics.parallel import own
 
 pytestmark = pytest.mark.skipif(not workers.possible(), reason="no threads that wait in machine code")
 THREADS = (1, 2, 3, 7)
@@ -52,9 +52,8 @@ def nothing(begin: I64, end: I64) -> None:
 
 @pytest.fixture(autouse=True)
 def many(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """As on a machine of eight cores, with kernels in use."""
-    monkeypatch.setattr(compiled, "_running", True)
-    monkeypatch.setattr(compiled, "cores", lambda: 8)
+    """As on a machine of eight cores."""
+    monkeypatch.setattr(parallel, "cores", lambda: 8)
     before = dict(workers._kept)
     yield
     for key in [key for key in workers._kept if key not in before]:
@@ -69,7 +68,7 @@ def arrays(count: int) -> tuple[Any, ...]:
 def test_parts_of_a_kernel_are_done_once_and_told_in_order(threads: int) -> None:
     for count in (0, 1, 2, 15, 16, 17, 100, 1_000, 4_097):
         x, out, times = arrays(count)
-        found = compiled.in_parts(partial(squared, x, out, times), count, threads, 1)
+        found = parallel.in_parts(partial(squared, x, out, times), count, threads, 1)
         assert np.array_equal(out, x * x) and (times == 1).all()
         assert sum(total for _, total, _ in found) == x.sum()
         assert [begin for _, _, begin in found] == [0, *np.cumsum([many for many, _, _ in found])[:-1]]
@@ -82,7 +81,7 @@ def test_thousands_of_small_jobs(threads: int) -> None:
     x, out, times = arrays(64)
     work = partial(squared, x, out, times)
     for each in range(5_000):
-        compiled.in_parts(work if each % 7 else nothing_at_all, 64, threads, 4)
+        parallel.in_parts(work if each % 7 else nothing_at_all, 64, threads, 4)
     assert (times == 5_000 - len(range(0, 5_000, 7))).all()
 
 
@@ -91,12 +90,12 @@ def nothing_at_all(begin: int, end: int) -> None:
 
 
 def test_a_kernel_that_gives_nothing_or_reads_what_only_python_reads() -> None:
-    assert compiled.in_parts(nothing, 40, 2, 4) == compiled.in_parts(partial(nothing), 40, 2, 4) == [None] * 2
+    assert parallel.in_parts(nothing, 40, 2, 4) == parallel.in_parts(partial(nothing), 40, 2, 4) == [None] * 2
     x, out, times = arrays(100)
-    assert compiled.in_parts(partial(squared, x, out, memoryless(times)), 100, 2, 4) == [(100, x.sum(), 0)]
+    assert parallel.in_parts(partial(squared, x, out, memoryless(times)), 100, 2, 4) == [(100, x.sum(), 0)]
     with pytest.raises(ValueError, match="float64"):
-        compiled.in_parts(partial(squared, x.astype(np.float32), out, times), 100, 2, 4)
-    assert len(compiled.in_parts(partial(squared, x, out, times), 100, 2, 4)) == 6
+        parallel.in_parts(partial(squared, x.astype(np.float32), out, times), 100, 2, 4)
+    assert len(parallel.in_parts(partial(squared, x, out, times), 100, 2, 4)) == 6
 
 
 def memoryless(array: Any) -> Any:
@@ -116,14 +115,14 @@ def test_many_of_python_ask_at_once_and_within_parts() -> None:
             x, out, times = arrays(50 + number)
             threads = 1 + (each + number) % 4
             if each % 3:
-                compiled.in_parts(partial(squared, x, out, times), len(x), threads, 5)
+                parallel.in_parts(partial(squared, x, out, times), len(x), threads, 5)
             else:
-                compiled.in_parts(lambda a, b: within(x, out, times, a, b), len(x), threads, 5)  # noqa: B023
+                parallel.in_parts(lambda a, b: within(x, out, times, a, b), len(x), threads, 5)  # noqa: B023
             if not (np.array_equal(out, x * x) and (times == 1).all()):
                 wrong.append(f"{number}, {each}")
 
     def within(x: Any, out: Any, times: Any, a: int, b: int) -> None:
-        compiled.in_parts(partial(squared, x[a:b], out[a:b], times[a:b]), b - a, 3, 2)
+        parallel.in_parts(partial(squared, x[a:b], out[a:b], times[a:b]), b - a, 3, 2)
 
     crowds = [threading.Thread(target=crowd, args=(number,), daemon=True) for number in range(6)]
     for one in crowds:
@@ -148,9 +147,9 @@ def test_the_first_part_that_fails_is_told_and_all_begun_have_ended(threads: int
 
     for _ in range(200):
         with pytest.raises(ValueError, match=r"^5$"):
-            compiled.in_parts(work, 5 * threads, threads, 5)
+            parallel.in_parts(work, 5 * threads, threads, 5)
         assert not at_work
-    assert compiled.in_parts(lambda a, b: b - a, 10, 2, 1) == [5, 5]
+    assert parallel.in_parts(lambda a, b: b - a, 10, 2, 1) == [5, 5]
 
 
 @pytest.mark.parametrize("begun", (False, True))
@@ -184,8 +183,8 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool
 def test_functions_of_machine_code_are_called_with_each_row() -> None:
     room = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
     for count in (1, 3, PARTS, 3 * PARTS + 5):
-        compiled.listed(workers_text.code().function("turns"), np.array([(room.ctypes.data, 3, 0)] * count, np.int64), 3)
-    pool = workers._kept[3, True]
+        parallel.listed(workers_text.code().function("turns"), np.array([(room.ctypes.data, 3, 0)] * count, np.int64), 3)
+    pool = workers._kept[3]
     assert isinstance(pool, workers.Workers)
     assert pool._words[workers_text.DONE] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT] % 2**32
 
@@ -194,12 +193,12 @@ def test_functions_of_machine_code_are_called_with_each_row() -> None:
 def test_a_forked_process_makes_threads_of_its_own() -> None:
     x, out, times = arrays(400)
     work = partial(squared, x, out, times)
-    compiled.in_parts(work, 400, 3, 10)
+    parallel.in_parts(work, 400, 3, 10)
     child = os.fork()
     if not child:
         signal.alarm(60)
         for _ in range(100):
-            compiled.in_parts(work, 400, 3, 10)
+            parallel.in_parts(work, 400, 3, 10)
         os._exit(0 if (times == 101).all() and len(threading.enumerate()) >= 3 else 1)
     assert os.waitpid(child, 0)[1] == 0
 
@@ -208,22 +207,22 @@ ENDS = """
 import os, sys, threading, time
 from functools import partial
 import numpy as np
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from test_workers import squared, arrays
-compiled._running, compiled.cores = True, lambda: 8
+parallel.cores = lambda: 8
 x, out, times = arrays(4000)
 def go():
     while True:
-        compiled.in_parts(partial(squared, x, out, times), 4000, 3, 10)
-        compiled.in_parts(lambda a, b: time.sleep(0), 10, 3, 1)
-compiled.in_parts(partial(squared, x, out, times), 4000, 3, 10)
+        parallel.in_parts(partial(squared, x, out, times), 4000, 3, 10)
+        parallel.in_parts(lambda a, b: time.sleep(0), 10, 3, 1)
+parallel.in_parts(partial(squared, x, out, times), 4000, 3, 10)
 if sys.argv[1] == "busy":
     threading.Thread(target=go, daemon=True).start()
     time.sleep(0.2)
 elif sys.argv[1] == "asleep":
     time.sleep(0.2)
 elif sys.argv[1] == "raises":
-    compiled.in_parts(lambda a, b: 1 // 0, 10, 3, 1)
+    parallel.in_parts(lambda a, b: 1 // 0, 10, 3, 1)
 print("over")
 """
 
@@ -243,13 +242,14 @@ def test_a_program_ends_whatever_its_threads_are_at(how: str, status: int) -> No
 
 def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "possible", lambda: False)
+    monkeypatch.setattr(workers, "_kept", {})
     x, out, times = arrays(1_000)
     for threads in THREADS:
-        found = compiled.in_parts(partial(squared, x, out, times), 1_000, threads, 10)
+        found = parallel.in_parts(partial(squared, x, out, times), 1_000, threads, 10)
         assert sum(total for _, total, _ in found) == x.sum()
         with pytest.raises(ZeroDivisionError):
-            compiled.in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
-    assert (times == len(THREADS)).all() and isinstance(workers._kept[2, False], workers.Executed)
+            parallel.in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
+    assert (times == len(THREADS)).all() and isinstance(workers._kept[2], workers.Executed)
 
 
 @pytest.mark.parametrize("pool", [workers.Workers, workers.Executed])
@@ -285,12 +285,10 @@ def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> 
 
 
 @pytest.mark.parametrize("threads", THREADS)
-@pytest.mark.parametrize("by_kernels", (True, False))
-def test_each_part_has_a_room_of_its_own(threads: int, by_kernels: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "_running", by_kernels)
+def test_each_part_has_a_room_of_its_own(threads: int) -> None:
     for count in (1, 15, 16, 17, 100, 129, 500, 5_001, 100_003):
         for least in (16, 64, 1_000):
-            rooms = np.zeros(compiled.parts(count, threads, least), np.int64)
-            found = compiled.in_parts(partial(in_rooms, rooms, count), count, threads, least)
+            rooms = np.zeros(parallel.parts(count, threads, least), np.int64)
+            found = parallel.in_parts(partial(in_rooms, rooms, count), count, threads, least)
             assert len(set(found)) == len(found) <= len(rooms) and rooms.sum() == count
-            assert len(found) == len(rooms) or not by_kernels
+            assert len(found) == len(rooms)

@@ -29,7 +29,6 @@ from antdsl.cli import _run as run_in_process
 from antdsl.cli import app
 from antdsl.cli.exits import Stop
 from antdsl.cli.new import ground
-from antdsl.outputs.cache.agent_arrays import orientation
 from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
 from antdsl.outputs.cache.cache_writer import ForeignFolder, prepare_folder
 from antdsl.outputs.cache.hashes import HASHES, read_lines
@@ -158,19 +157,6 @@ def test_hash_lines_that_were_cut_off_are_left_out(tmp_path: Path) -> None:
     path = tmp_path / "hashes.jsonl"
     path.write_text('{"frame": 1, "hash": "aa"}\n{"frame": 2, "hash": "bb"}\n{"frame": 3, "ha')
     assert read_hashes(path) == {1: "aa", 2: "bb"}
-
-
-def test_orientations_turn_the_axes_as_they_say() -> None:
-    draw = np.random.Generator(np.random.Philox(4))
-    heading = draw.normal(size=(500, 3))
-    up = np.cross(heading, draw.normal(size=(500, 3)))
-    heading[:4], up[:4] = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, 0, -1)), ((0, 1, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0))
-    heading /= np.linalg.norm(heading, axis=1, keepdims=True)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    x, y, z, w = orientation(heading.astype(np.float32), up.astype(np.float32)).astype(np.float64).T
-    along = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=1)
-    above = np.stack([2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)], axis=1)
-    assert np.abs(along - heading).max() < 1e-5 and np.abs(above - up).max() < 1e-5
 
 
 def test_feelers_of_a_program_are_found_and_turned_into_rays(tmp_path: Path) -> None:

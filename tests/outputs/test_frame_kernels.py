@@ -1,4 +1,4 @@
-"""Kernels that make frames and measure them give the bits of the NumPy code beside them, for extreme values too."""
+"""Kernels that make frames and measure them, against NumPy in a line or two, for extreme values too."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compilers import need_llvmlite
 from numpy.typing import NDArray
 from plans import bare, block, crowd
 
-from antdsl.numerics import compiled
+from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS
 from antdsl.outputs.cache.agent_arrays import write_colours, write_numbers, write_placed
 from antdsl.outputs.cache.clip_arrays import _REGISTERS, clips_playing
 from antdsl.outputs.cache.frames import _not_zero
 from antdsl.outputs.cache.shown_arrays import _put_on
-from antdsl.outputs.surface_error import surface_error
+from antdsl.outputs.surface_error import _worst, surface_error
 from antdsl.runtime import Options, Population, World, bind
 
 EXTREMES = np.array([0.0, -0.0, 1.0, -1.0, 1e-13, -1e-13, 1e-30, 1e30, np.inf, -np.inf, np.nan, 0.6, -0.8], np.float32)
@@ -37,17 +36,12 @@ def world() -> World:
     return made
 
 
-def both(monkeypatch: pytest.MonkeyPatch, write: Callable[[NDArray[Any]], None], shape: tuple[int, ...]) -> list[NDArray[Any]]:
-    """What is written without kernels and with them, into the middle rows of an array: those beside them stay."""
-    found = []
-    for on in (False, True):
-        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
-        whole = np.full((shape[0] + 5, *shape[1:]), 77, np.float32)
-        with np.errstate(all="ignore"):
-            write(whole[2:-3])
-        assert (whole[:2] == 77).all() and (whole[-3:] == 77).all()
-        found.append(whole[2:-3])
-    return found
+def written(write: Callable[[NDArray[Any]], None], shape: tuple[int, ...]) -> NDArray[Any]:
+    """What is written into the middle rows of an array: those beside them stay."""
+    whole = np.full((shape[0] + 5, *shape[1:]), 77, np.float32)
+    write(whole[2:-3])
+    assert (whole[:2] == 77).all() and (whole[-3:] == 77).all()
+    return whole[2:-3]
 
 
 def mixed(population: Population) -> None:
@@ -56,107 +50,133 @@ def mixed(population: Population) -> None:
     population.version += 1
 
 
-@pytest.mark.parametrize("attribute", ["P", "v", "orient"])
-def test_arrays_of_a_frame(world: World, attribute: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_llvmlite()
+@pytest.mark.parametrize("attribute", ["P", "v"])
+def test_places_and_velocities_of_a_frame(world: World, attribute: str) -> None:
     population = world.populations["ant"]
     mixed(population)
-    shape = (600, 4 if attribute == "orient" else 3)
-    wanted, found = both(monkeypatch, lambda out: write_placed(population, attribute, 0.1, out), shape)
-    unknown = np.isnan(wanted)  # of what is no number neither the sign nor the rest of the bits says anything
-    assert (found.view(np.int32) == wanted.view(np.int32))[~unknown].all() and np.isnan(found[unknown]).all()
-    assert np.count_nonzero(~unknown) > 0
+    population.position[:5] = -0.0
+    rows = np.argsort(population.ids)
+    found = written(lambda out: write_placed(population, attribute, 0.1, out), (600, 3))
+    if attribute == "P":
+        expected = ((population.position[rows] + 0.0) * 0.1).astype(np.float32)
+    else:
+        velocity = np.stack([population.now[f"velocity.{axis}"] for axis in "xyz"], axis=1)
+        with np.errstate(all="ignore"):
+            expected = velocity[rows] * np.float32(0.1)
+    unknown = np.isnan(expected)
+    assert (found.view(np.int32) == expected.view(np.int32))[~unknown].all() and np.isnan(found[unknown]).all()
 
 
-def test_numbers_of_agents(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_llvmlite()
+def test_orientations_of_a_frame_turn_the_axes_as_they_say(world: World) -> None:
+    """+x to the heading, +x where there is none, and +y as near to up as can be."""
+    population = world.populations["ant"]
+    mixed(population)
+    found = written(lambda out: write_placed(population, "orient", 0.1, out), (600, 4))[np.argsort(np.argsort(population.ids))]
+    heading, up = (
+        np.stack([population.now[f"{name}.{axis}"] for axis in "xyz"], axis=1).astype(np.float64) for name in ("heading", "up")
+    )
+    with np.errstate(all="ignore"):
+        size = np.sqrt((heading * heading).sum(axis=1))
+        heading = np.where(size[:, None] < 1e-12, [1.0, 0, 0], heading / np.where(size < 1e-12, 1, size)[:, None])
+        sound = np.isfinite(heading).all(axis=1) & np.isfinite(up).all(axis=1) & (np.abs(up).max(axis=1) < 1e20)
+    x, y, z, w = np.nan_to_num(found.astype(np.float64)).T
+    heading, up = np.where(sound[:, None], heading, 0.0), np.where(sound[:, None], up, 0.0)
+    along = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=1)
+    above = np.stack([2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)], axis=1)
+    assert sound.sum() > 330 and np.abs(along - heading)[sound].max() < 1e-5
+    assert np.abs(np.sqrt(x * x + y * y + z * z + w * w) - 1)[sound].max() < 1e-6
+    flat = up - (up * heading).sum(axis=1)[:, None] * heading
+    size = np.sqrt((flat * flat).sum(axis=1))
+    clear = sound & (size > 1e-6 * np.sqrt((up * up).sum(axis=1))) & (size > 1e-11)
+    assert clear.sum() > 320 and np.abs(above - flat / np.where(size > 0, size, 1)[:, None])[clear].max() < 1e-5
+    level = sound & (size < 1e-13)  # no up: the shortest turn to the heading, half a one about z straight back
+    assert level.sum() > 5 and np.abs(x[level]).max() < 1e-6
+    back = level & (heading[:, 0] < -1 + 1e-12)
+    assert back.any() and np.abs(z[back] - 1).max() < 1e-6
+
+
+def test_numbers_of_agents(world: World) -> None:
     population = world.populations["ant"]
     mixed(population)
     population.now["size"][:] = np.random.default_rng(9).choice(EXTREMES, 600)
-    wanted, found = both(monkeypatch, lambda out: write_numbers(population, "size", 0.1, out), (600,))
-    assert np.array_equal(wanted, found, equal_nan=True) and len(np.unique(wanted)) > 5
+    found = written(lambda out: write_numbers(population, "size", 0.1, out), (600,))
+    expected = population.now["size"][np.argsort(population.ids)] * np.float32(0.1)
+    assert np.array_equal(expected, found, equal_nan=True) and len(np.unique(expected)) > 5
 
 
 @pytest.mark.parametrize("three", [False, True])
-def test_what_agents_play(three: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_llvmlite()
+def test_what_agents_play(three: bool) -> None:
     rng, ids = np.random.default_rng(11), np.random.default_rng(12).permutation(300)
     now = {
         f"m.{register}": rng.integers(-1, 9, 300).astype(np.int32 if kind is np.int16 else kind)
         for register, kind in _REGISTERS.values()
     }
     now["m.clip_earlier_fade"] = (now["m.clip_fade"] > 0).astype(np.float32) * np.float32(three)
-    ranks = ids.astype(np.int32)
     plan = SimpleNamespace(machines=[SimpleNamespace(name="m")], registers={"m.clip": None})
 
     class Some(SimpleNamespace):
         def __len__(self) -> int:
             return 300
 
-    population = Some(name="ant", plan=plan, now=now, ranks=lambda: ranks, in_id_order=lambda: np.argsort(ids))
-    found = []
-    for on in (False, True):
-        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
-        found.append(clips_playing(population))  # type: ignore[arg-type]
-    wanted, got = found
-    assert list(wanted) == list(got) and len(got) == (11 if three else 7)
-    for name, array in wanted.items():
-        assert got[name].dtype == array.dtype and np.array_equal(got[name], array) and len(np.unique(array)) > 1
+    rows = np.argsort(ids)
+    population = Some(name="ant", plan=plan, now=now, ranks=lambda: ids.astype(np.int32), in_id_order=lambda: rows)
+    found = clips_playing(population)  # type: ignore[arg-type]
+    assert list(found) == [f"clips.ant.m.{field}" for field in FIELDS if three or field not in EARLIER]
+    for name, array in found.items():
+        register, kind = _REGISTERS[name.rsplit(".", 1)[1]]
+        assert array.dtype == kind and np.array_equal(array, now[f"m.{register}"][rows]) and len(np.unique(array)) > 1
     some = clips_playing(population, np.array([3, 1]))  # type: ignore[arg-type]
-    assert all(np.array_equal(array, got[name][ids[[3, 1]]]) for name, array in some.items())
+    assert all(np.array_equal(array, found[name][ids[[3, 1]]]) for name, array in some.items())
 
 
 @pytest.mark.parametrize("odd", [0.0, np.nan])
-def test_the_distance_from_the_ground(world: World, odd: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_llvmlite()
+def test_the_distance_from_the_ground(world: World, odd: float) -> None:
     population = world.populations["ant"]
     population.position += np.random.default_rng(3).normal(size=(600, 3))
     population.now["size"][:3] = 0.0
-    population.now["clearance"][7] = odd
-    found = []
-    for on in (False, True):
-        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
-        found.append(surface_error(world))
-    assert found[0] == found[1] and (found[0] > 0 or np.isnan(odd))
+    for rows in (slice(0, 3), slice(3, None)):
+        population.now["clearance"][7] = odd
+        population.now["clearance"][rows] += 0.25
+        away = population.position.astype(np.float32) - world.ground.position(population.footing)
+        distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
+        shares = np.abs(distance - population.now["clearance"]) / np.maximum(population.now["size"].astype(np.float64), 1e-9)
+        worst = _worst(world, population, world.ground.position(population.footing))
+        assert worst == shares.max() or (np.isnan(worst) and np.isnan(odd))
+        assert np.isnan(odd) or surface_error(world) == worst > 0
+        population.now["size"][:3] = 50.0
 
 
-@pytest.mark.parametrize("count", [1, 7, 4000])
-def test_cells_of_a_field(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    need_llvmlite()
+@pytest.mark.parametrize("count", [0, 1, 7, 4000])
+def test_cells_of_a_field(count: int) -> None:
     values = np.random.default_rng(count).choice([0.0, -0.0, 1e-300, -2.5, 1e300, np.inf, np.nan, 0.1], count)
-    found = []
-    for on in (False, True):
-        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
-        with np.errstate(over="ignore"):
-            found.append(_not_zero(values))
-    for wanted, got in zip(*found, strict=True):
-        assert got.dtype == wanted.dtype and np.array_equal(got, wanted, equal_nan=wanted.dtype.kind == "f")
+    cells, strength = _not_zero(values)
+    assert cells.dtype == np.int32 and np.array_equal(cells, np.flatnonzero(values != 0))
+    with np.errstate(over="ignore"):
+        assert np.array_equal(strength, values[values != 0].astype(np.float32), equal_nan=True)
 
 
-def test_who_wears_a_layer(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_llvmlite()
+def test_who_wears_a_layer() -> None:
     rng = np.random.default_rng(4)
     on, ids, before = rng.random(500) < 0.3, rng.permutation(500), rng.integers(0, 2**63, 500).astype(np.uint64)
-    population, found = SimpleNamespace(ranks=lambda: ids.astype(np.int32), in_id_order=lambda: np.argsort(ids)), []
-    for fast in (False, True):
-        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
-        found.append(before.copy())
-        for bit in (0, 5, 63):
-            _put_on(population, on, None, np.uint64(1 << bit), found[-1])  # type: ignore[arg-type]
-    assert np.array_equal(*found) and not np.array_equal(found[0], before)
+    population, found, rows = SimpleNamespace(ranks=lambda: ids.astype(np.int32)), before.copy(), np.argsort(ids)
+    for bit in (0, 5, 63):
+        _put_on(population, on, None, np.uint64(1 << bit), found)  # type: ignore[arg-type]
+    expected = np.where(on[rows], before | np.uint64(1 | 1 << 5 | 1 << 63), before)
+    assert np.array_equal(found, expected) and not np.array_equal(found, before)
+    some = before[:2].copy()
+    _put_on(population, on, np.flatnonzero(on)[:2], np.uint64(4), some)  # type: ignore[arg-type]
+    assert np.array_equal(some, before[:2] | np.uint64(4))
 
 
-def test_colours_of_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_llvmlite()
+def test_colours_of_states() -> None:
     states = np.random.default_rng(6).integers(0, 5, 300).astype(np.int32)
     ids = np.random.default_rng(8).permutation(300)
     plan = SimpleNamespace(machines=[SimpleNamespace(name="m")])
-    population = SimpleNamespace(
-        plan=plan, now={"m.state": states}, ranks=lambda: ids.astype(np.int32), in_id_order=lambda: np.argsort(ids)
-    )
+    population = SimpleNamespace(plan=plan, now={"m.state": states}, ranks=lambda: ids.astype(np.int32))
     colours = np.random.default_rng(7).random((5, 3)).astype(np.float32)
-    wanted, found = both(monkeypatch, lambda out: write_colours(population, colours, out), (300, 3))  # type: ignore[arg-type]
-    assert np.array_equal(wanted, found) and np.array_equal(found[ids], colours[states])
-    states[17] = 5
-    with pytest.raises(IndexError):
-        write_colours(population, colours, found)  # type: ignore[arg-type]
+    found = written(lambda out: write_colours(population, colours, out), (300, 3))  # type: ignore[arg-type]
+    assert np.array_equal(found[ids], colours[states])
+    for wrong in (5, -1):
+        states[17] = wrong
+        with pytest.raises(IndexError):
+            write_colours(population, colours, found)  # type: ignore[arg-type]

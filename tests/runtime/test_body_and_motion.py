@@ -7,14 +7,12 @@ from fractions import Fraction
 import meshes
 import numpy as np
 import pytest
-from compilers import need_kernels
 from meaning import WAYS, Seen, crowd, item, play
 from plan_text import WORLD, plan_of
 
 from antdsl.bench.cases import case_of
-from antdsl.numerics import compiled
 from antdsl.passes import optimise
-from antdsl.runtime import MeshData, Options, Setting, bind, state_hash, step
+from antdsl.runtime import MeshData, Options, Setting, bind, step
 from antdsl.runtime.moving.heads import heads_inside
 
 ALL = (*WAYS, Options(backend="native", wait_for_code=True))
@@ -180,21 +178,6 @@ def test_bodies_back_up_walls_without_a_jerk_and_with_their_heads_out() -> None:
     assert (population.position[:, 1] - world.ground.meshes.low[1] > 3).mean() > 0.3  # many went up
     velocity, heading = population.vector("velocity"), population.vector("heading")
     assert np.median((velocity * heading).sum(axis=1) / np.linalg.norm(velocity, axis=1)) < -0.9
-
-
-def test_loops_and_arrays_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
-    text = crab(BACK, "layers { face uphill when slope > 20 deg; state }", more="min_speed 8 mm/s; max_turn 150 deg/s")
-    plan = optimise(plan_of(text, WORLD))
-    setting = Setting(fps=Fraction(24), crowds=(crowd(24, radius=25),), surfaces={"ground": room(30, 60)}, seed=4, substeps=2)
-    found = []
-    for fast in (True, False):
-        monkeypatch.setattr(compiled, "wanted", lambda *_, fast=fast: fast)
-        world = bind(plan, setting, Options(backend="numpy"))
-        for _ in range(30):
-            step(world)
-        found.append(state_hash(world))
-    assert found[0] == found[1]
 
 
 def test_how_straight_ways_are_is_told_the_same_for_any_order_of_rows() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.bench.cases import case_of
 from antdsl.machine_code import machine
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.runtime import Options, bind
 from antdsl.runtime.backends.native import grids
 from antdsl.runtime.backends.native.backend import NativeBackend
@@ -23,7 +23,7 @@ COUNT = 9_003
 
 
 def test_parts_are_sorted_as_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "cores", lambda: 8)
+    monkeypatch.setattr(parallel, "cores", lambda: 8)
     monkeypatch.setattr(grids, "cores", lambda: 8)
     shot = case_of("boids").make(COUNT)
     world = bind(shot.plan, shot.setting, Options(backend="native", wait_for_code=True))

@@ -8,12 +8,13 @@ from pathlib import Path
 import digging_shots
 import numpy as np
 import pytest
-from compilers import need_kernels
 from test_cli import antdsl
 
 from antdsl.bodies.shapes import sphere
+from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.ground.combined import Terrain
+from antdsl.ground.mesh.topology import facing
 from antdsl.ground.protocol import Footing
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid_feelers import SolidFeelers
@@ -251,46 +252,30 @@ def test_a_surface_has_no_voxels(tmp_path):
     assert "only solids have voxels" in run("check", scene, code=1)
 
 
-def test_kernels_give_the_same_bits(shot, watched, monkeypatch):
-    need_kernels()
-    from antdsl.numerics import compiled
+@pytest.mark.parametrize("dense", [8_000_000, 0])
+def test_cells_are_found_alike_however_many_are_asked_for(dense, monkeypatch):
+    """Rows of the nearest and cells near a place, one by one and all at once, in a box that is listed and in one that is not."""
+    from antdsl.fields import cells as cell_tables
 
-    if not compiled.available():
-        pytest.skip("kernels cannot be compiled here")
-    monkeypatch.setattr(compiled, "wanted", lambda count: True)
-    world = bound(shot)
-    for frame in range(50):
-        step(world)
-        assert state_hash(world) == watched[1][frame + 1], frame
-
-
-@pytest.mark.parametrize("kernels", [False, True])
-def test_cells_are_found_alike_however_many_are_asked_for(kernels, monkeypatch):
-    """Rows of the nearest and cells near a place, one by one and all at once, with NumPy and compiled."""
-    if kernels:
-        need_kernels()
-    from antdsl.numerics import compiled
-
-    def grown(fast: bool) -> GrowingCells:
-        monkeypatch.setattr(compiled, "wanted", lambda count: fast)
-        cells, draw = GrowingCells([digging_shots.hill()], 3.0), np.random.default_rng(3)
-        cells.nearest(5)
-        for _ in range(6):
-            normal = draw.normal(size=(80, 3))
-            cells.grow(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
-        return cells
-
+    monkeypatch.setattr(cell_tables, "_DENSE", dense)
+    cells, draw = GrowingCells([digging_shots.hill()], 3.0), np.random.default_rng(3)
+    cells.nearest(5)
+    for _ in range(6):
+        normal = draw.normal(size=(80, 3))
+        cells.grow(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
     draw = np.random.default_rng(4)
     places, normals = draw.uniform(-24, 24, (900, 3)), draw.normal(size=(900, 3))
-    cells = grown(kernels)
     found = cells.lookup(places, normals)
     assert 0.05 < (found < 0).mean() < 0.9 and cells.used - cells.at_start > 200
-    other = grown(False)
-    assert np.array_equal(other.lookup(places, normals), found)
-    one_by_one = [other.lookup(places[n : n + 1], normals[n : n + 1])[0] for n in range(0, 900, 30)]
+    one_by_one = [cells.lookup(places[n : n + 1], normals[n : n + 1])[0] for n in range(0, 900, 30)]
     assert np.array_equal(one_by_one, found[::30])
+    voxel = np.floor(places / cells.cell + 0.5).astype(np.int64) - cells._low
+    assert np.array_equal(
+        SurfaceCells._nearby(cells, places, voxel, facing(normals).astype(np.int64)),
+        cells._nearby(places, voxel, facing(normals).astype(np.int64)),
+    )
     for count in (5, 16):
-        assert np.array_equal(other._nearest(np.arange(other.used), count), cells.nearest(count)[: cells.used])
+        assert np.array_equal(cells._nearest(np.arange(cells.used), count), cells.nearest(count)[: cells.used])
 
 
 def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
@@ -322,26 +307,6 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
     assert not feel.near(*(way * 50.0).T, ball.band[1]).hit.any(), "nothing is touched by who reaches just to the band's end"
     clear = feel.clearance(*(way * 50.0).T)
     assert (clear <= 30.0 + 1e-3).all() and (clear > 0).all()
-
-
-def test_the_field_between_nodes_is_the_same_compiled(monkeypatch):
-    need_kernels()
-    from antdsl.ground.solid import trilinear
-    from antdsl.numerics import compiled
-
-    draw = np.random.default_rng(1)
-    volume = Volume.from_mesh(*digging_shots.hill(), 0.7)
-    assert isinstance(volume, Volume)
-    volume.carve(draw.normal(size=(30, 3)) * 12, draw.uniform(1, 4, 30), np.arange(30))
-    places = draw.uniform(-35, 35, (20_000, 3))
-    places[:4] = [[np.nan] * 3, [np.inf] * 3, [-np.inf] * 3, [1e300, 0, 0]]
-    places[1000:3000] = volume.low + np.round((places[1000:3000] - volume.low) / 0.7) * 0.7  # at nodes
-    found = []
-    for fast in (False, True):
-        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
-        found.append([trilinear.distance(volume.bricks, *places.T), *trilinear.field(volume.bricks, *places.T)])
-    for plain, quick in zip(*found, strict=True):
-        assert np.array_equal(plain, quick, equal_nan=True)
 
 
 def test_who_hangs_from_a_ceiling_that_is_dug_away_falls_to_the_floor(shot):

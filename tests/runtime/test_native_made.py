@@ -19,7 +19,6 @@ from meaning import crowd, play
 
 from antdsl import user_folders
 from antdsl.machine_code import codes, machine, object_cache
-from antdsl.numerics import compiled as gate
 from antdsl.runtime import Options, World, bind, state_hash, step
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import ready
@@ -52,7 +51,6 @@ def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list
         monkeypatch.setattr(codes, "_known", OrderedDict())
         monkeypatch.setattr(ready, "_plans", WeakKeyDictionary())
         monkeypatch.setattr(machine, "object_code", noted)
-        monkeypatch.setattr(gate, "wanted", lambda count: False)  # kernels are made when they are first called
         return compiled
 
     return begin
@@ -141,7 +139,7 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
         return asked[-1]
 
     monkeypatch.setattr(native_backend, "beside", beside)
-    monkeypatch.setattr(native_backend.compiled, "pays", lambda agents, spent: True)
+    monkeypatch.setattr(native_backend, "_LOADING", 0.0)
     worlds = [bind(each.plan, each.setting, Options(backend="native")) for each in programs_saved(7)]
     go = Event()
     ready._worker().submit(go.wait)
@@ -158,7 +156,7 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
 
 def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     compiled, go = afresh(), Event()
-    monkeypatch.setattr(native_backend.compiled, "pays", lambda agents, spent: True)
+    monkeypatch.setattr(native_backend, "_LOADING", 0.0)
     (saved,) = programs_saved(1)
     world = bind(saved.plan, saved.setting, Options(backend="native"))
     ready._worker().submit(go.wait)

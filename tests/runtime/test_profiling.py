@@ -440,7 +440,7 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
         return coming[-1][0]
 
     monkeypatch.setattr(native_backend, "beside", later)
-    monkeypatch.setattr(native_backend.compiled, "pays", lambda agents, spent: True)
+    monkeypatch.setattr(native_backend, "_LOADING", 0.0)
     monkeypatch.setattr(native_backend, "known", lambda plan, facts: None)
     meter, found = Meter(None), []
     for frame in range(5):

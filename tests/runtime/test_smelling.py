@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import meshes
 import numpy as np
-import pytest
-from compilers import need_kernels
 from meaning import WAYS
 from plan_text import plan_of
 
@@ -170,19 +168,3 @@ def test_on_ground_that_has_moved_the_cells_go_along() -> None:
     got, world = smelled(setting(ground, 1, moves=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", after=2)
     assert got == [cell(world, (10, 0, 0), (0, 1, 0))]
     assert moving_geometry.moving(world) is not None and Facts.of(world.setting) == Facts(moving=True, detail=False)
-
-
-def test_a_crowd_smells_alike_by_the_compiled_walk_and_by_the_plain_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    need_kernels()
-    from antdsl.numerics import compiled
-
-    ground, count = meshes.grid(60.0, 9, lambda x, z: 4 * np.sin(x / 6) * np.cos(z / 5)), 300
-    rng = np.random.default_rng(3)
-    stands = np.column_stack([rng.uniform(-30, 30, count), np.zeros(count), rng.uniform(-30, 30, count)])
-    faces = rng.normal(0, 1, (count, 3)) * [1, 0, 1]
-    found = []
-    for wanted in (True, False):
-        monkeypatch.setattr(compiled, "wanted", lambda n, wanted=wanted: wanted)
-        got, _ = smelled(setting(ground, count), stands, faces, (0, 1, 0), "9 mm", "50 deg", ways=WAYS[:2])  # type: ignore[arg-type]
-        found.append(got)
-    assert found[0] == found[1] and len(set(found[0])) > 200

@@ -1,25 +1,14 @@
-"""Neighbours: the cell grid against SciPy's tree, whatever the order of rows, with crowds on one spot and odd input; all of it
-with NumPy and compiled."""
+"""Neighbours: the cell grid against SciPy's tree, whatever the order of rows, with crowds on one spot and odd input."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from compilers import need_kernels
 from scipy.spatial import cKDTree
 
 from antdsl import limits
-from antdsl.numerics import compiled
-from antdsl.senses import neighbours
+from antdsl.numerics import parallel
 from antdsl.senses.neighbours import CellGrid, Pairs
-
-
-@pytest.fixture(autouse=True, params=["numpy", "compiled"])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    if request.param == "compiled":
-        need_kernels()
-    monkeypatch.setattr(compiled, "wanted", lambda count: request.param == "compiled")
-    return request.param
 
 
 def crowd(n: int, extent: tuple[float, float, float], seed: int = 1) -> tuple[np.ndarray, ...]:
@@ -89,11 +78,11 @@ def test_the_order_of_rows_is_not_observable(monkeypatch):
     ids = np.arange(n, dtype=np.int64) * 3
     before = as_ids(CellGrid(x, y, z, ids, 15.0).pairs(None, 14.0), ids, ids)
     order = np.random.default_rng(5).permutation(n)
-    monkeypatch.setattr(neighbours, "_QUERIES_PER_CHUNK", 37)
-    monkeypatch.setattr(neighbours, "_CANDIDATES_PER_CHUNK", 50)
+    monkeypatch.setattr(parallel, "PART", 37)
     grid = CellGrid(x[order], y[order], z[order], ids[order], 15.0)
     back = np.argsort(order).astype(np.int32)
-    assert as_ids(grid.pairs(back, 14.0), ids[order], ids) == before
+    for threads in (1, 3):
+        assert as_ids(grid.pairs(back, 14.0, threads=threads), ids[order], ids) == before
 
 
 def test_an_agent_far_away_changes_nothing_for_others():

@@ -33,7 +33,7 @@ from antdsl.bodies.agents.affine import Floats, normalised, product
 from antdsl.bodies.agents.clip_table import REST, ClipTable
 from antdsl.bodies.agents.layer import TransformGroup
 from antdsl.bodies.agents.poses import Pose, Poses, rest_pose, sampled, transforms
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.float_environment import standard
 
 INTERPOLATE, ADDITIVE, OVER = 0, 1, 2
@@ -143,7 +143,7 @@ def posed(
 
         if count:
             with standard():
-                compiled.in_parts(work, count, threads)
+                parallel.in_parts(work, count, threads)
     return Poses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
 
 

@@ -1,7 +1,4 @@
-"""What short straight ways meet first, exactly, in float64: a tree of boxes over triangles names those that they may meet.
-
-`boxes_compiled` goes through the same tree one way at a time and gives the same bits.
-"""
+"""What short straight ways meet first, exactly, in float64: a tree of boxes over triangles names those that they may meet."""
 
 from __future__ import annotations
 
@@ -10,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.topology import Topology
+from antdsl.ground.mesh.face_table import CORNER, EDGE1, EDGE2, WIDTH
+from antdsl.machine_code.kernels import F64, I64, Array1, Array2, called, fetch_ahead, inlined, scratch
+from antdsl.numerics.kernel_vectors import at, cross, dot, minus
 from antdsl.numerics.sorting import interleaved
-from antdsl.numerics.vectors import dot, stacked_cross
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -21,8 +19,10 @@ WIDE = 4  # boxes in one box
 EDGE = 1e-9  # of a triangle's weights: how far beside it a way still meets it, so that none slips between two that share an edge
 FARTHEST = 1e6  # times its length that a way is made longer, at most
 LEVEL = 1e-12  # sine between a way and a plane, below which it lies along it and meets nothing
-_AT_ONCE = 16_384  # ways
 _FINE = 1 << 21  # places along an axis that the order tells apart
+_DEEP = 128  # boxes that wait to be opened: more than trees of 2**40 triangles ever need
+
+Tree = tuple[Array1[I64], Array1[I64], Array2[F64]]  # order, first and bounds of `Boxes`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,41 +77,79 @@ class Boxes:
         return asked, self.order.take(node)
 
 
-def first_met(
-    boxes: Boxes, table: Topology, origin: Floats, step: Floats, fine: float, face: Index, piece: NDArray[np.int32]
-) -> tuple[Index, Floats, Floats, Floats]:
-    """The first triangle that straight ways (3, n) meet (-1 for none), after what part of them, and its weights there.
+@called
+def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[no-untyped-def]
+    """Writes into `found`, an array and where in it to begin, the places in the order of all triangles, but `face` and those of
+    `piece`, whose boxes overlap a box: that around the points `one` and `two`, `size` mm larger. Returns how many. `boxes` are
+    the arrays of `Boxes`."""
+    order, first, bounds = boxes
+    places, behind = found
+    count, waiting = 0, 0
+    low_x, low_y, low_z = min(one[0], two[0]) - size, min(one[1], two[1]) - size, min(one[2], two[2]) - size
+    high_x, high_y, high_z = max(one[0], two[0]) + size, max(one[1], two[1]) + size, max(one[2], two[2]) + size
+    levels, nodes = scratch(_DEEP, I64), scratch(_DEEP, I64)
+    if order.size:
+        levels[0], nodes[0], waiting = first.size - 2, 0, 1
+    while waiting:
+        waiting -= 1
+        level, node = levels[waiting], nodes[waiting]
+        for child in range(node, min(node + WIDE, first[level + 1] - first[level])):
+            b = first[level] + child
+            if _apart(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
+                continue
+            if level > 0:
+                levels[waiting], nodes[waiting] = level - 1, WIDE * child
+                waiting += 1
+                for line in (0, 8, 16):
+                    fetch_ahead(bounds, 6 * (first[level - 1] + WIDE * child) + line)
+            elif order[child] != face and pieces[order[child]] != piece:
+                places[behind + count] = child
+                count += 1
+    return count
 
-    Ways go on by `fine` mm. They pass a `face`, and all of a `piece`; -1 passes none. Met are triangles whose boxes overlap that
-    of the way, from both sides, and by no way that lies in their plane; of two that are met at once the first by number (Möller,
-    Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24).
-    """
-    n = origin.shape[1]
-    found, part, b1, b2 = np.full(n, -1, np.int64), np.full(n, np.inf), np.zeros(n), np.zeros(n)
-    for start in range(0, n, _AT_ONCE):
-        some = slice(start, start + _AT_ONCE)
-        o, d = origin[:, some], step[:, some]
-        square = dot(d, d)
-        long = 1.0 + np.minimum(fine / np.maximum(np.sqrt(square), 1e-300), FARTHEST)
-        end = o + d * long
-        ray, there = boxes.near(np.minimum(o, end), np.maximum(o, end))
-        kept = (there != face[some].take(ray)) & (table.piece.take(there) != piece[some].take(ray))
-        ray, there = ray[kept], there[kept]
-        e1, e2 = table.edge1.take(there, axis=1), table.edge2.take(there, axis=1)
-        way, s = d.take(ray, axis=1), o.take(ray, axis=1) - table.corner.take(there, axis=1)
-        p = stacked_cross(way, e2)
+
+@called
+def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no-untyped-def]
+    """The first triangle met of the first `count` in `found` (-1 for none), after what part of a way that goes on by `fine` mm,
+    and its weights there. `table` is `packed`.
+
+    Met are triangles whose boxes overlap that of the way, from both sides, and by no way that lies in their plane; of two that
+    are met at once the first by number (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24)."""
+    order, _, bounds = boxes
+    places, behind = found
+    face, part, b1, b2 = -1, np.inf, 0.0, 0.0
+    if count == 0:
+        return face, part, b1, b2
+    square = dot(step, step)
+    long = 1.0 + min(fine / max(np.sqrt(square), 1e-300), FARTHEST)
+    end_x, end_y, end_z = origin[0] + step[0] * long, origin[1] + step[1] * long, origin[2] + step[2] * long
+    low_x, low_y, low_z = min(origin[0], end_x), min(origin[1], end_y), min(origin[2], end_z)
+    high_x, high_y, high_z = max(origin[0], end_x), max(origin[1], end_y), max(origin[2], end_z)
+    for k in range(count):
+        b = places[behind + k]
+        if _apart(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
+            continue
+        f = order[b]
+        row = WIDTH * f
+        e1, e2, s = at(table, row + EDGE1), at(table, row + EDGE2), minus(origin, at(table, row + CORNER))
+        p = cross(step, e2)
         det = dot(e1, p)
-        level = np.abs(det) <= LEVEL * np.sqrt(square.take(ray) * dot(e1, e1) * dot(e2, e2))
-        safe = np.where(level, 1.0, det)
-        q = stacked_cross(s, e1)
-        u, v, t = dot(s, p) / safe, dot(way, q) / safe, dot(e2, q) / safe
-        hit = ~level & (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1.0 + EDGE) & (t >= 0) & (t <= long.take(ray))
-        ray, there, u, v, t = (a[hit] for a in (ray, there, u, v, t))
-        order = np.lexsort((there, t, ray))
-        ray, nearest = np.unique(ray[order], return_index=True)
-        rows, order = ray + start, order[nearest]
-        found[rows], part[rows], b1[rows], b2[rows] = there[order], t[order], u[order], v[order]
-    return found, part, b1, b2
+        if abs(det) <= LEVEL * np.sqrt(square * dot(e1, e1) * dot(e2, e2)):
+            continue
+        q = cross(s, e1)
+        u, v, t = dot(s, p) / det, dot(step, q) / det, dot(e2, q) / det
+        hit = u >= -EDGE and v >= -EDGE and u + v <= 1.0 + EDGE and t >= 0 and t <= long
+        if hit and (t < part or (t == part and f < face)):
+            face, part, b1, b2 = f, t, u, v
+    return face, part, b1, b2
+
+
+@inlined
+def _apart(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):  # type: ignore[no-untyped-def]
+    """Whether a box does not overlap another one: asked along all axes at once, as one of the answers is as likely as another."""
+    x = (bounds[b, 0] > high_x) | (bounds[b, 3] < low_x)
+    y = (bounds[b, 1] > high_y) | (bounds[b, 4] < low_y)
+    return x | y | (bounds[b, 2] > high_z) | (bounds[b, 5] < low_z)
 
 
 def _morton(places: Floats) -> NDArray[np.uint64]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, partial, reduce
+from functools import partial, reduce
 from operator import or_
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,8 @@ from antdsl.casting.grid_filters import greatest_around, least_around
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.topology import NO_LINK, Topology
-from antdsl.numerics import compiled, stored_tables
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array3, Strided2, as_bits, inlined, kernel
+from antdsl.numerics import parallel, stored_tables
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -28,13 +28,7 @@ _ALONG = 192  # cells along the longest side of a ground
 _SMOOTH = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
 _NONE = np.iinfo(np.int32).max
 _ASKED = 512  # places for which a thread pays
-
-
-@cache
-def _kernels() -> Any:
-    from antdsl.ground.mesh import creases_compiled
-
-    return creases_compiled
+_EXPONENT = 1022  # more than the power of two below which a number of these bits is
 
 
 def inner_creases(table: Topology, corners: Floats) -> Index:
@@ -88,30 +82,16 @@ class Creases:
                 found[tuple(np.clip(cell, 0, self._shape - 1).T)] = True
         return found
 
-    def near(self, place: Floats, reach: Floats) -> NDArray[np.bool_]:
-        """Whether places (3, n) may have something of the kind within `reach` [n] mm: never false where there is, and the same
-        for a place and a reach whoever else asks."""
-        found = np.zeros(len(reach), np.bool_)
-        rung = np.frexp(np.clip(np.nan_to_num(reach), *self.reaches))[1]  # so many doublings of a mm
-        for each in np.unique(rung):
-            near = self._within(int(each))
-            rows = np.flatnonzero(rung == each)
-            if near.any():
-                at = [np.floor((p[rows] - low) / self._width) for p, low in zip(place, self._low, strict=True)]
-                i, j, k = (np.clip(a, 0, n - 1).astype(np.int64) for a, n in zip(at, self._shape, strict=True))
-                found[rows] = near[i, j, k]
-        return found
-
-    def keep(self, rows: Index, rungs: Index, asked: int, place: Floats, threads: int) -> Index:
-        """Of some rows at places (n, 3), those near: of rung -1, or by the grid of their rung over that of a cell; `asked` has a
-        bit for each such rung that there is."""
-        close = _kernels().close
+    def near(self, rows: Index, rungs: Index, asked: int, place: Floats, threads: int) -> NDArray[np.bool_]:
+        """Which rows of places (n, 3) may have something of the kind near: of rung -1, or by the grid of their rung over that of
+        a cell; `asked` has a bit for each such rung that there is. Never false where there is something, and the same for a place
+        and a reach whoever else asks."""
         for rung in range(asked.bit_length()):
             if asked >> rung & 1:
                 work = partial(close, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
-                compiled.in_parts(work, len(rows), threads, _ASKED)
-        kept: Index = rows[rungs == -1]
-        return kept
+                parallel.in_parts(work, len(rows), threads, _ASKED)
+        found: NDArray[np.bool_] = rungs == -1
+        return found
 
     def _within(self, rung: int) -> NDArray[np.bool_]:
         """Cells within 2**rung mm of something of the kind."""
@@ -230,21 +210,79 @@ class RiseMap:
         lowest and highest corner of each mesh that moves."""
         if self._least > 0 and not moving and not np.fmax.reduce(reach, initial=0.0) >= self._least:
             return np.empty(0, np.int64)  # nothing rises so near to any face
-        if compiled.wanted(len(reach)) and not moving:
-            rows, rungs = np.empty((2, len(reach)), np.int64)
-            on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
-            parts = compiled.in_parts(partial(_kernels().candidates, *on, rows, rungs), len(reach), threads)
-            rows, rungs = compiled.joined(parts, rows, rungs)
-            asked = reduce(or_, [each for _, _, each in parts])
-            return self._creases.keep(rows, rungs, asked, place, threads) if len(rows) else rows
-        known = (local >= 0) & (mesh >= 0) & (mesh < len(first) - 1) & (reach > 0)
-        face = np.where(known, first.take(np.where(known, mesh, 0)) + local, 0)
-        rows = np.flatnonzero(known & (self._clear.take(face) <= reach))
-        if not rows.size:
+        rows, rungs = np.empty((2, len(reach)), np.int64)
+        on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
+        parts = parallel.in_parts(partial(candidates, *on, rows, rungs), len(reach), threads)
+        rows, rungs = parallel.joined(parts, rows, rungs)
+        if not len(rows):
             return rows
-        at, found = place.take(rows, axis=0), np.ones(rows.size, np.bool_)
-        wide = np.flatnonzero(self._size.take(face.take(rows)) > reach[rows])  # of such a face only a part is near
-        found[wide] = self._creases.near(at[wide].T, reach[rows[wide]])
+        found = self._creases.near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)
         for low, high in moving:
-            found |= ((at >= low - reach[rows, None]) & (at <= high + reach[rows, None])).all(axis=1)
+            at, wide = place.take(rows, axis=0), reach[rows, None]
+            found |= ((at >= low - wide) & (at <= high + wide)).all(axis=1)
         return rows[found]
+
+
+@inlined
+def _rung(reach, width, whole):  # type: ignore[no-untyped-def]
+    """As the exponent of np.frexp."""
+    return ((as_bits(min(max(reach, width), whole)) >> 52) & 0x7FF) - _EXPONENT
+
+
+@kernel
+def candidates(
+    mesh: Array1[I32],
+    face: Array1[I32],
+    first: Array1[I64],
+    clear: Array1[F64],
+    wide: Array1[F64],
+    reach: Array1[F64],
+    width: F64,
+    whole: F64,
+    rows: Array1[I64],
+    rungs: Array1[I64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64, I64]:
+    """Gives `begin`, how many from there to before `end` stand on a face that is no further than `reach` from a rise, and which
+    rungs of `Creases` are asked, by bits from that of `width` on; from `begin` on their rows, and the rung of those whose face is
+    larger than their reach (-1 for others)."""
+    count, asked = begin, 0
+    lowest = _rung(width, width, whole)
+    for i in range(begin, end):
+        if mesh[i] < 0 or mesh[i] >= first.size - 1 or face[i] < 0 or not reach[i] > 0:
+            continue
+        f = first[mesh[i]] + face[i]
+        if not clear[f] <= reach[i]:
+            continue
+        rung = -1
+        if wide[f] > reach[i]:
+            rung = _rung(reach[i], width, whole) - lowest
+            asked = asked | (1 << rung)
+        rows[count], rungs[count] = i, rung
+        count += 1
+    return begin, count - begin, asked
+
+
+@kernel
+def close(
+    rows: Array1[I64],
+    rungs: Array1[I64],
+    rung: I64,
+    place: Strided2[F64],
+    low: Array1[F64],
+    width: F64,
+    near: Array3[BOOL],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Those of a rung, from `begin` to before `end`, who are in a cell that is `near` something become of rung -1, others of
+    -2."""
+    for k in range(begin, end):
+        if rungs[k] != rung:
+            continue
+        i = rows[k]
+        x = int(min(max(np.floor((place[i, 0] - low[0]) / width), 0.0), float(near.shape[0] - 1)))
+        y = int(min(max(np.floor((place[i, 1] - low[1]) / width), 0.0), float(near.shape[1] - 1)))
+        z = int(min(max(np.floor((place[i, 2] - low[2]) / width), 0.0), float(near.shape[2] - 1)))
+        rungs[k] = -1 if near[x, y, z] else -2

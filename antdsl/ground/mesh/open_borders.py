@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh.boxes import Boxes
 from antdsl.ground.mesh.surroundings import GAP, HIGH, LIFT, Scale
 from antdsl.ground.mesh.topology import NO_LINK, Topology
-from antdsl.ground.mesh.walk import in_space
 from antdsl.numerics.vectors import dot
 
 Index = NDArray[np.int64]
@@ -20,7 +19,7 @@ _LEVEL = 1e-4
 
 
 def open_borders(table: Topology, boxes: Boxes, scale: Scale, widest: float) -> Index:
-    """Half-edges without a link on either side, from anywhere on which `Around.beyond` leads bodies of up to `widest` mm nowhere.
+    """Half-edges without a link on either side, from anywhere on which `beyond` leads bodies of up to `widest` mm nowhere.
     Of a ground that is mostly borders, or fine beside its bodies, not all are found: looking for them would take long.
 
     Its ways run in the plane across the edge, above or below the face but for where they leave its level beyond the border. So
@@ -45,7 +44,7 @@ def _open(table: Topology, boxes: Boxes, scale: Scale, reach: float, half: Index
     one, other = _corners(table, face, (k + 1) % 3), _corners(table, face, (k + 2) % 3)
     asked, there = boxes.near(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
     asked, there = (each[there != face.take(asked)] for each in (asked, there))
-    out = in_space(table, face, table.edge_s.take(half), -table.edge_c.take(half)).take(asked, axis=1)
+    out = table.in_space(face, table.edge_s.take(half), -table.edge_c.take(half)).take(asked, axis=1)
     normal, begin = table.normal.take(face.take(asked), axis=1), one.take(asked, axis=1)
     free, least = np.ones(len(half), np.bool_), _LEVEL * scale.fine
     for corner in range(3):

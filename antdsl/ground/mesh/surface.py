@@ -4,35 +4,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import cache, partial
+from functools import partial
 from math import sqrt
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rays import Mesh, RayScene
+from antdsl.ground.mesh import footings
 from antdsl.ground.mesh.boxes import Boxes
 from antdsl.ground.mesh.creases import RiseMap
-from antdsl.ground.mesh.crossings import weights
-from antdsl.ground.mesh.surface_clearance import Clearances, Parts
-from antdsl.ground.mesh.surroundings import LIFT, Around, Scale
+from antdsl.ground.mesh.surface_clearance import Clearances
+from antdsl.ground.mesh.surroundings import LIFT, Scale
 from antdsl.ground.mesh.topology import Topology, build, facing
-from antdsl.ground.mesh.walk import Walkers, inside, laid_down, turned, walk
+from antdsl.ground.mesh.walk_events import CrowdWalk, Walk
 from antdsl.ground.protocol import Floats, Footing, Index, Move
 from antdsl.ground.sticking import move_by_rays
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.vectors import dot
-
-if TYPE_CHECKING:
-    from antdsl.ground.mesh.walk_events import CrowdWalk, Walk
-
-
-@cache
-def _kernels() -> Any:
-    from antdsl.ground.mesh import places_compiled
-
-    return places_compiled
 
 
 class MeshGround:
@@ -100,7 +89,7 @@ class MeshGround:
             mesh, near, nearest, _ = scene.closest(points[missed])
             face[missed] = self._face_of(mesh, near, live)
             place[missed] = nearest
-        return self._footing(face, *weights(self._table, np.maximum(face, 0), place.T)), found
+        return self._footing(face, *self._table.weights(np.maximum(face, 0), place.T)), found
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """Footings at the nearest point of the surfaces in `on`, all when None, to points [n,3], and the distance float64[n]."""
@@ -108,14 +97,14 @@ class MeshGround:
         scene, live = self._scene(on)
         mesh, local, place, distance = scene.closest(points)
         face = self._face_of(mesh, local, live)
-        return self._footing(face, *weights(self._table, np.maximum(face, 0), place.T)), distance
+        return self._footing(face, *self._table.weights(np.maximum(face, 0), place.T)), distance
 
     def met(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
         """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface, after what part of it, and the footing there."""
         part, face = self._cast(np.asarray(origin, np.float64).T, np.asarray(way, np.float64).T, threads)
         found = face >= 0
         place = origin.T + way.T * np.where(found, part, 0.0)
-        return found, np.where(found, part, 1.0), self._footing(face, *weights(self._table, np.maximum(face, 0), place))
+        return found, np.where(found, part, 1.0), self._footing(face, *self._table.weights(np.maximum(face, 0), place))
 
     def faced(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
         """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface: their numbers, ascending, after what part of it,
@@ -124,18 +113,11 @@ class MeshGround:
         return scene.faced(origin, way, self._table.normal, live, threads)
 
     def position(self, footing: Footing) -> Floats:
-        """Places in the world, float64[n,3]; zero for footings nowhere."""
-        if compiled.wanted(len(footing)):
-            found, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
-            if _kernels().places(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, found):
-                return found
-        face, known = self._faces_of(footing)
-        t = self._table
-        if not self._faces.size:
-            return np.zeros((len(footing), 3))
-        place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
-        place = place + footing.over * t.normal.take(face, axis=1)
-        return np.ascontiguousarray(np.where(known, place, 0.0).T)
+        """Places in the world, float64[n,3]; zero for footings nowhere. IndexError for a face that there is not."""
+        found, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
+        if not footings.places(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, found):
+            raise IndexError("a footing is on a face that the ground does not have")
+        return found
 
     def normal(self, footing: Footing) -> Floats:
         """Unit normals of the faces, float64[n,3], by how the faces are wound; zero for footings nowhere."""
@@ -146,15 +128,10 @@ class MeshGround:
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Which of six ways the faces' normals point most, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
-        if not self._faces.size:
-            return np.zeros(len(footing), np.int8)
-        if compiled.wanted(len(footing)):
-            found = np.empty(len(footing), np.int8)
-            on = (footing.mesh, footing.face, self._first, self._side)
-            compiled.in_parts(partial(_kernels().faced, *on, found), len(footing), threads, compiled.LIGHT)
-            return found
-        face, known = self._faces_of(footing)
-        return np.where(known, self._side.take(face), np.int8(0))
+        found = np.empty(len(footing), np.int8)
+        on = (footing.mesh, footing.face, self._first, self._side)
+        parallel.in_parts(partial(footings.faced, *on, found), len(footing), threads, parallel.LIGHT)
+        return found
 
     def upright(self, footing: Footing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere.
@@ -197,7 +174,7 @@ class MeshGround:
 
     def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Vectors (3, n) in the world, from their parts along the two axes of their faces."""
-        return self._table.axis1.take(face, axis=1) * c + self._table.axis2.take(face, axis=1) * s
+        return self._table.in_space(face, c, s)
 
     # ---- moving
 
@@ -231,100 +208,30 @@ class MeshGround:
             return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)
         with np.errstate(all="ignore"):
             parts = self._clearances.within(self._reach(wish, body))
-            if compiled.wanted(n):
-                return self._moved_fast(footing, wish, heading_t, up_t, body, parts, threads, straight)
-            return self._moved(footing, wish, heading_t, up_t, body, parts, threads, straight)
+        moved = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
+        place, above, ahead, along = np.empty((4, 3, n))
+        gone, blocked = np.empty(n), np.zeros(n, np.bool_)
+        at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
+        results = (*to, place, above, ahead, along, gone, blocked)
+        self._walk().over(parts, self._boxes, self._scale).step(body, at, (wish, heading_t, up_t), results, threads, straight)
+        return Move(moved, place.T, above.T, ahead.T, along.T, gone, blocked, moved.face < 0)
 
     def crowd_walk(self, longest: float, widest: float) -> CrowdWalk | None:
-        """The compiled walk over triangles, for kernels that go on from it, of agents with ways and bodies so long (mm) at most;
+        """The walk over triangles, for kernels that go on from it, of agents with ways and bodies so long (mm) at most;
         None where they are put where rays hit, or where there is nothing to walk on."""
         if self._by_rays or not self._faces.size:
             return None
-        return self._compiled().of_crowd(self._clearances, self._boxes, self._scale, longest, widest)
+        return self._walk().of_crowd(self._clearances, self._boxes, self._scale, longest, widest)
 
-    def _compiled(self) -> Walk:
+    def _walk(self) -> Walk:
         if self._fast is None:
-            from antdsl.ground.mesh.walk_events import Walk
-
             self._fast = Walk(self._table, self._mesh, self._first)
         return self._fast
 
     def _reach(self, wish: Floats, body: Floats) -> float:
         """How far (mm) anybody looks out for other surfaces on a way."""
-        if compiled.wanted(body.size):
-            most, widest = _kernels().farthest(wish, body)
-        else:
-            square = dot(wish, wish)
-            most, widest = float(square.max(initial=0.0, where=square < np.inf)), float(np.fmax.reduce(body))
+        most, widest = footings.farthest(wish, body)
         return float(sqrt(most) + LIFT * widest + 3 * self._scale.noise)
-
-    def _moved_fast(
-        self,
-        footing: Footing,
-        wish: Floats,
-        heading: Floats,
-        up: Floats,
-        body: Floats,
-        parts: Parts,
-        threads: int,
-        straight: bool,
-    ) -> Move:
-        """As `_moved`, to the same bits: most by the compiled walk, and those that it leaves by `_moved`."""
-        n = len(footing)
-        moved = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
-        place, above, ahead, direction = np.empty((4, 3, n))
-        gone, blocked = np.empty(n), np.zeros(n, np.bool_)
-        at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
-        results = (*to, place, above, ahead, direction, gone, blocked)
-        walk = self._compiled().over(parts, self._boxes, self._scale)
-        left = walk.step(body, at, (wish, heading, up), results, threads, straight)
-        result = Move(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
-        if left is not None:
-            wish, heading, up = (v.take(left, axis=1) for v in (wish, heading, up))
-            result.put(left, self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads, straight))
-        return result
-
-    def _moved(
-        self,
-        footing: Footing,
-        wish: Floats,
-        heading: Floats,
-        up: Floats,
-        body: Floats,
-        parts: Parts,
-        threads: int,
-        straight: bool,
-    ) -> Move:
-        """As `move`, vectors (3, n), one body for each agent."""
-        n = len(footing)
-        face, known = self._faces_of(footing)
-        if not np.isfinite(wish[0] + wish[1] + wish[2]).all():
-            wish = np.where(np.isfinite(wish).all(axis=0), wish, 0.0)
-        t = self._table
-        side = np.where(dot(up, t.normal.take(face, axis=1)) < 0, -1.0, 1.0)
-        b1, b2 = inside(np.where(known, footing.b1, 0.0) + 0.0, np.where(known, footing.b2, 0.0) + 0.0)  # no -0.0
-        axes = t.axis1.take(face, axis=1), t.axis2.take(face, axis=1)
-        c, s, way = laid_down(axes, wish, 1.0, 0.0)
-        way[~known] = 0.0
-        heading_c, heading_s, _ = laid_down(axes, heading, c, s)
-        over = np.where(known, footing.over, 0.0) * side
-        w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool), over, straight)
-        around = Around(t, self._boxes, parts, self._scale, body)
-        walk(t, w, around.near(w, slice(None), way), around)
-        smooth = self._smooth(w.face, w.b1, w.b2) * w.side
-        axis1, axis2 = t.axis1.take(w.face, axis=1), t.axis2.take(w.face, axis=1)
-        ahead = axis1 * w.heading_c + axis2 * w.heading_s
-        ahead = turned(ahead, w.up(t), smooth, ahead)
-        ahead -= dot(ahead, smooth) * smooth
-        ahead /= np.sqrt(dot(ahead, ahead))
-        rows = np.where(known, w.face, -1)
-        moved = self._footing(rows, w.b1, w.b2, w.over * w.side + 0.0)
-        result = [v.T for v in (w.place(t) + w.over * w.up(t), smooth, ahead, axis1 * w.c + axis2 * w.s)]
-        if not known.all():
-            for vectors, kept in zip(result, (np.zeros((n, 3)), up.T, heading.T, heading.T), strict=True):
-                vectors[~known] = kept[~known]
-        position, above, forward, direction = result
-        return Move(moved, position, above, forward, direction, w.gone, w.blocked, ~known)
 
     # ---- parts
 

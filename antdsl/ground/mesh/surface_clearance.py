@@ -31,19 +31,6 @@ class Parts:
     count: NDArray[np.int32]
     least: Floats
 
-    def of(self, face: Index, b1: Floats, b2: Floats) -> Floats:
-        """A distance within which agents have no other piece, `reach` being enough."""
-        if not self.least.size:
-            return np.full(face.size, self.reach)
-        count = self.count.take(face)
-        some = np.flatnonzero(count)
-        n = count.take(some).astype(np.int64)
-        one, two = (np.clip((b.take(some) * n).astype(np.int64), 0, n - 1) for b in (b1, b2))
-        clear: Floats = np.full(face.size, self.reach)
-        part: Index = self.first.take(face.take(some)) + one * n + two
-        clear[some] = self.least.take(part)
-        return clear
-
 
 class Clearances:
     """Lower bounds of the distance to the nearest other piece: a coarse grid of pieces says for which faces to measure it.

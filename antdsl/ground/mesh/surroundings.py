@@ -5,17 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from antdsl.ground.mesh.boxes import Boxes, first_met
-from antdsl.ground.mesh.crossings import Met, crossed
-from antdsl.ground.mesh.surface_clearance import Parts
-from antdsl.ground.mesh.topology import Topology
-from antdsl.ground.mesh.walk import Landing, Walkers, in_space, inside, nearest
-from antdsl.numerics.vectors import dot
-
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
+from antdsl.ground.mesh.boxes import first_of, gather
+from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, EDGES, NORMAL, WIDTH
+from antdsl.machine_code.kernels import called, inlined
+from antdsl.numerics.kernel_vectors import at, dot, inside, less, level, minus, more, nearest, plus, times, turned
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
 STEEPEST = 8.0  # of that height is the way left at least: who climbs comes up by it besides
@@ -44,175 +38,204 @@ class Scale:
         return Scale(NOISE * extent, LEAST * extent, FINE * extent, TOUCH * extent, 10 * FINE * extent)
 
 
-class Around:
-    """Looks of walkers with a `body` (mm) each: straight ways against all faces, which lie in `boxes`."""
+@called
+def other_ahead(table, sides, boxes, scale, found, body, f, b1, b2, side, c, s, left, length):  # type: ignore[no-untyped-def]
+    """Another piece of surface within the way, seen from just above the ground; where the own piece lies before it, from a grain
+    above, as feet go under that: the face met (-1 for none), weights, side to walk on, way gone. `found` has room for all
+    faces."""
+    pieces, _ = sides
+    least, fine, _ = scale
+    row = WIDTH * f
+    place, up, way = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side), _in_space(table, row, c, s)
+    high = more(less(LIFT * body, left / STEEPEST), least)
+    n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
+    if n == 0:
+        return -1, 0.0, 0.0, 1.0, length
+    ground = (place, up, way)
+    face, one, two, gone, towards, eye = _seen(table, boxes, scale, found, n, ground, length, high)
+    if face < 0:
+        return face, 0.0, 0.0, 1.0, length
+    if _hidden(table, pieces, boxes, scale, found, f, ground, length, eye, towards):
+        n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
+        face, one, two, gone, towards, eye = _seen(table, boxes, scale, found, n, ground, length, least)
+        if face < 0:
+            return face, 0.0, 0.0, 1.0, length
+    one, two = inside(one + 0.0, two + 0.0)
+    return face, one, two, _side(table, face, towards), min(np.sqrt(gone * gone + eye * eye), left)
 
-    def __init__(self, table: Topology, boxes: Boxes, parts: Parts, scale: Scale, body: Floats) -> None:
-        self._table, self._boxes, self._parts, self._scale, self._body = table, boxes, parts, scale, body
 
-    def near(self, walkers: Walkers, rows: Index | slice, length: Floats) -> NDArray[np.bool_]:
-        """Who of `rows` may meet another piece of surface within `length`."""
-        clear = self._parts.of(walkers.face[rows], walkers.b1[rows], walkers.b2[rows])
-        return clear <= length + np.fmax(LIFT * self._body[rows], self._scale.noise) + self._scale.noise
+@called
+def _seen(table, boxes, scale, found, n, ground, length, high):  # type: ignore[no-untyped-def]
+    """Another piece within the way, seen from so high, below a low ceiling from half its height; or at the way's end between that
+    eye and the ground. The face met, weights, way gone on the eye's level, the way that came to it, the eye's height."""
+    _, fine, under = scale
+    place, up, way = ground
+    roof, part, _, _ = first_of(table, boxes, found, n, place, times(up, high), fine)
+    # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
+    if roof >= 0 and (dot(at(table, WIDTH * roof + NORMAL), up) < 0 or high * part > under):
+        high = high * part / 2
+    eye, step = plus(place, times(up, high)), times(way, length)
+    face, part, one, two = first_of(table, boxes, found, n, eye, step, fine)
+    if face >= 0:
+        return face, one, two, min(part, 1.0) * length, way, high
+    # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
+    down = times(up, -high)
+    face, _, one, two = first_of(table, boxes, found, n, plus(eye, step), down, 0.0)
+    return face, one, two, length, down, high
 
-    def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
-        """What stands in the way: what cuts the own face, or another piece that is nearer."""
-        asked = np.flatnonzero(self.near(walkers, rows, length) & (length > 0))
-        if not asked.size:
-            return Landing.nowhere()
-        rows = rows.take(asked)
-        met = crossed(self._table, walkers, rows, length.take(asked), self._scale.touch)
-        if self._table.pieces > 1:
-            other = self._other(walkers, rows, met.gone)
-            nearer = np.flatnonzero(other.face >= 0)
-            met.put(nearer, other.take(nearer))
-        who = np.flatnonzero(met.face >= 0)
-        return self._landing(asked[who], met.take(who))
 
-    def _other(self, walkers: Walkers, rows: Index, length: Floats) -> Met:
-        """Another piece of surface within the way, seen from just above the ground; where the own piece lies before it, from a
-        grain above, as feet go under that."""
-        least = np.full(rows.size, self._scale.least)
-        high = np.fmax(np.fmin(LIFT * self._body.take(rows), walkers.left.take(rows) / STEEPEST), least)
-        met, hidden = self._seen(walkers, rows, length, high)
-        if hidden.size:
-            met.put(hidden, self._seen(walkers, rows[hidden], length[hidden], least[hidden])[0])
-        return met
+@called
+def _hidden(table, pieces, boxes, scale, found, f, ground, length, high, towards):  # type: ignore[no-untyped-def]
+    """Whether what is met from an eye so high is behind the own piece."""
+    _, fine, _ = scale
+    place, up, way = ground
+    step, piece = times(way, length), pieces[f]
+    eye = plus(place, times(up, high))
+    n = gather(pieces, boxes, place, plus(place, step), high + 2 * fine, f, -1, found)
+    first = first_of(table, boxes, found, n, plus(place, times(up, fine)), times(up, high - fine), 0.0)[0]
+    if first >= 0 and pieces[first] == piece:
+        return True
+    first = first_of(table, boxes, found, n, eye, step, fine)[0]
+    if first >= 0 and pieces[first] == piece:
+        return True
+    if towards[0] == way[0] and towards[1] == way[1] and towards[2] == way[2]:
+        return False
+    first = first_of(table, boxes, found, n, plus(eye, step), towards, 0.0)[0]
+    return first >= 0 and pieces[first] == piece
 
-    def _seen(self, walkers: Walkers, rows: Index, length: Floats, high: Floats) -> tuple[Met, Index]:
-        """Another piece within the way, seen from so high, below a low ceiling from half its height; or at the way's end between
-        that eye and the ground. And who of `rows` would come to it through the own piece."""
-        t, fine = self._table, self._scale.fine
-        place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
-        own = walkers.face.take(rows)
-        piece = t.piece.take(own)
-        roof, part, _, _ = self._first(place, up * high, fine, piece=piece)
-        # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
-        front = dot(t.normal.take(roof, axis=1), up) < 0
-        low = (roof >= 0) & (front | (high * part > self._scale.under))
-        high = np.where(low, high * np.where(low, part, 1.0) / 2, high)
-        met = Met.nothing(way, length)
-        eye, step = place + up * high, way * length
-        face, part, b1, b2 = self._first(eye, step, fine, piece=piece)
-        found = np.flatnonzero(face >= 0)
-        met.face[found], met.b1[found], met.b2[found] = face[found], b1[found], b2[found]
-        met.gone[found] = np.minimum(part[found], 1.0) * length[found]
-        climb = np.sqrt(met.gone * met.gone + high * high)
-        # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
-        still = np.flatnonzero(face < 0)
-        down = up * -high
-        face, _, b1, b2 = self._first((eye + step).take(still, axis=1), down.take(still, axis=1), 0.0, piece=piece.take(still))
-        under = np.flatnonzero(face >= 0)
-        between = still[under]
-        met.face[between], met.b1[between], met.b2[between] = face[under], b1[under], b2[under]
-        met.towards[:, between] = down[:, between]
-        met.gone[:] = np.where(met.face >= 0, np.minimum(climb, walkers.left.take(rows)), met.gone)
-        asked = np.flatnonzero(met.face >= 0)
-        grain, down[:, found] = place + up * fine, 0.0
-        hidden = np.zeros(asked.size, bool)
-        for start, leg, further in ((grain, up * (high - fine), 0.0), (eye, step, fine), (eye + step, down, 0.0)):
-            first = self._first(start.take(asked, axis=1), leg.take(asked, axis=1), further, face=own.take(asked))[0]
-            hidden |= (first >= 0) & (t.piece.take(first) == piece.take(asked))
-        return met, asked[hidden]
 
-    def beyond(self, walkers: Walkers, rows: Index, half: Index) -> Landing:
-        """Past the open border half-edges `half` where `rows` stand: what is met first on a way that leads up off the own face,
-        out over the border and down beyond it, and then back towards it from below, a little and deeper.
+@called
+def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # type: ignore[no-untyped-def]
+    """Past an open border where an agent stands: what is met first on a way that leads up off the own face, out over the border
+    and down beyond it, and then back towards it from below, a little and deeper. The face stepped over to (-1 for none),
+    weights, side, way gone on its level, and how high that is.
 
-        Each part of that way begins where the one before it ended and goes no further than the first surface in it: so nothing
-        behind a sheet is stepped onto. It is as wide as the gap that is stepped over, on both sides of the border.
-        """
-        t, own = self._table, walkers.face.take(rows)
-        place, up = walkers.place(t, rows), walkers.up(t, rows)
-        out = in_space(t, own, t.edge_s.take(half), -t.edge_c.take(half))
-        body = np.fmax(self._body.take(rows), self._scale.least / LIFT)
-        gap, high, fine = GAP * body, HIGH * body, self._scale.fine
-        hair = out * (2 * fine)  # besides a border that ends or begins exactly over or below the own one
-        roof, part, _, _ = self._first(place - hair + up * fine, up * (high - fine), 0.0, face=own)
-        high = np.where(roof >= 0, (fine + np.where(roof >= 0, part, 0.0) * (high - fine)) / 2, high)
-        shut = self._first(place + up * high, out * gap, 0.0, face=own)[0] >= 0
-        high = np.where(shut, np.minimum(high, LIFT * body), high)
-        face, part, b1, b2 = self._first(place + up * high, out * gap, 0.0, face=own)
-        met, rise, done = Met.nothing(out, gap * np.minimum(part, 1.0)), high.copy(), face >= 0
-        met.face[:], met.b1[:], met.b2[:] = face, b1, b2
-        over = place + out * gap
-        fall = -up * (high + HIGH * body)
-        face, part, b1, b2 = self._first(over + up * high, fall, 0.0, face=own)
-        level = np.where(face >= 0, high - np.where(face >= 0, part, 0.0) * (high + HIGH * body), -HIGH * body)
-        onto = np.flatnonzero(~done & self._leads(walkers, rows, face, fall))
-        met.face[onto], met.b1[onto], met.b2[onto], met.towards[:, onto] = face[onto], b1[onto], b2[onto], fall[:, onto]
-        rise[onto], done[onto] = level[onto], True
-        upon = onto
-        back = -2 * gap * out
+    Each part of that way begins where the one before it ended and goes no further than the first surface in it: so nothing
+    behind a sheet is stepped onto. It is as wide as the gap that is stepped over, on both sides of the border.
+    """
+    pieces, _ = sides
+    least, fine, _ = scale
+    row = WIDTH * f
+    place, up = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side)
+    along = row + EDGES + 4 * edge
+    out = _in_space(table, row, table[along + EDGE_S], -table[along + EDGE_C])
+    body = more(body, least / LIFT)
+    gap, high = GAP * body, HIGH * body
+    most, across = high, times(out, gap)
+    lift = times(up, high)
+    n = gather(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, found)
+    if n == 0:
+        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+    hair = times(out, 2 * fine)  # besides a border that ends or begins exactly over or below the own one
+    roof, part, _, _ = first_of(table, boxes, found, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
+    if roof >= 0:
+        high = (fine + part * (high - fine)) / 2
+    if first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)[0] >= 0:
+        high = min(high, LIFT * body)
+        face, part, one, two = first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)
+        if face >= 0:
+            gone = gap * min(part, 1.0)
+            if abs(high) <= gap:
+                return _leading(table, sides, f, side, up, face, one, two, out, np.sqrt(gone * gone + high * high), 0.0)
+            return _leading(table, sides, f, side, up, face, one, two, out, gone, high)
+    over, towards = plus(place, across), times(up, -(high + most))
+    face, part, one, two = first_of(table, boxes, found, n, plus(over, times(up, high)), towards, 0.0)
+    rise, gone = -most, gap
+    if face >= 0:
+        rise = high - part * (high + most)
+        if _leads(table, sides, f, side, up, face, towards):
+            # Onto the point of the face that is nearest to a place over the border no lower than its plane there.
+            there = WIDTH * face
+            normal, corner = at(table, there + NORMAL), at(table, there + CORNER)
+            plane = dot(minus(corner, place), normal) / dot(up, normal)
+            height = min(plane, high) if plane > rise else rise
+            if abs(height) <= gap:
+                height = 0.0
+            above, edge1, edge2 = plus(place, times(up, height)), at(table, there + EDGE1), at(table, there + EDGE2)
+            b1, b2, away = nearest(edge1, edge2, minus(above, corner))
+            onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
+            rise, gone = height, away
+            first, part, before1, before2 = first_of(table, boxes, found, n, above, onto, 0.0)
+            if part * away < away - fine:
+                face, b1, b2, gone, towards = first, before1, before2, part * away, onto
+            one, two = b1, b2
+        else:
+            face = -1
+    if face < 0:
+        lowest, towards = rise, times(out, -2 * gap)
         for deep in (GAP * body, DEEP * body):
-            asked = np.flatnonzero(~done & (level < -deep))
-            low = (over - up * deep).take(asked, axis=1)
-            face, part, b1, b2 = self._first(low, back.take(asked, axis=1), 0.0, face=own.take(asked))
-            done[asked[face >= 0]] = True
-            onto = np.flatnonzero(self._leads(walkers, rows.take(asked), face, back.take(asked, axis=1)))
-            who = asked[onto]
-            met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[onto], b1[onto], b2[onto], back[:, who]
-            rise[who], met.gone[who] = -deep[who], np.abs(gap[who] - part[onto] * (2 * gap[who]))
-        # Onto the nearest that there is of what lies below, from where that is not overhead.
-        self._nearest(met, rise, own, place, up, high, gap, upon)
-        # Down at the border itself, where what was met may be met sooner; straight across to what is near.
-        deeper = np.flatnonzero((met.face >= 0) & (rise < -gap))
-        fall = (up * (rise + fine)).take(deeper, axis=1)
-        edge = (place + hair - up * fine).take(deeper, axis=1)
-        face, part, b1, b2 = self._first(edge, fall, 0.0, face=own.take(deeper))
-        sooner = np.flatnonzero(face >= 0)
-        who = deeper[sooner]
-        met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[sooner], b1[sooner], b2[sooner], fall[:, sooner]
-        rise[who], met.gone[who] = part[sooner] * (rise[who] + fine) - fine, 0.0
-        flat = np.abs(rise) <= gap
-        met.gone[:] = np.where(flat, np.sqrt(met.gone * met.gone + rise * rise), met.gone)
-        rise = np.where(flat, 0.0, rise)
-        who = np.flatnonzero(self._leads(walkers, rows, met.face, met.towards))
-        return self._landing(who, met.take(who), rise[who])
-
-    def _nearest(
-        self, met: Met, rise: Floats, own: Index, place: Floats, up: Floats, high: Floats, gap: Floats, rows: Index
-    ) -> None:
-        """For `rows` that meet a face from above: the point of it that is nearest to a place over the border which is no lower
-        than its plane there, or of what lies between, and how high that place is; changes `met` and `rise`."""
-        t, face = self._table, met.face.take(rows)
-        place, up, level = place.take(rows, axis=1), up.take(rows, axis=1), rise.take(rows)
-        normal, corner = t.normal.take(face, axis=1), t.corner.take(face, axis=1)
-        plane = dot(corner - place, normal) / dot(up, normal)
-        level = np.where(plane > level, np.minimum(plane, high.take(rows)), level)
-        level = np.where(np.abs(level) <= gap.take(rows), 0.0, level)
-        above = place + up * level
-        edge1, edge2 = t.edge1.take(face, axis=1), t.edge2.take(face, axis=1)
-        b1, b2, away = nearest(edge1, edge2, above - corner)
-        onto = corner + edge1 * b1 + edge2 * b2 - above
-        first, part, one, two = self._first(above, onto, 0.0, face=own.take(rows))
-        before = part * away < away - self._scale.fine
-        met.face[rows], met.b1[rows], met.b2[rows] = (np.where(before, *v) for v in ((first, face), (one, b1), (two, b2)))
-        met.towards[:, rows] = np.where(before, onto, met.towards[:, rows])
-        met.gone[rows], rise[rows] = np.where(before, np.where(before, part, 0.0) * away, away), level
-
-    def _first(
-        self, origin: Floats, step: Floats, fine: float, face: Index | None = None, piece: NDArray[np.int32] | None = None
-    ) -> tuple[Index, Floats, Floats, Floats]:
-        """As `first_met`, for ways that go on by `fine` mm."""
-        n = origin.shape[1]
-        none = np.full(n, -1, np.int32)
-        passed, beside = none.astype(np.int64) if face is None else face, none if piece is None else piece
-        return first_met(self._boxes, self._table, origin, step, fine, passed, beside)
-
-    def _leads(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:
-        """Who of `rows` may step over a border to the faces that are met (-1 for none): nobody to the other side of what is
-        walked on, nor to what turns back below it as that side does."""
-        own, side = walkers.face.take(rows), _side(self._table, face, towards)
-        level = dot(self._table.normal.take(face, axis=1) * side, walkers.up(self._table, rows))
-        return (face >= 0) & (level > TURNED) & self._table.together(own, walkers.side.take(rows), face, side)
-
-    def _landing(self, who: Index, met: Met, rise: Floats | None = None) -> Landing:
-        b1, b2 = inside(met.b1 + 0.0, met.b2 + 0.0)  # no -0.0
-        rise = np.zeros(who.size) if rise is None else rise
-        return Landing(who, met.face, b1, b2, _side(self._table, met.face, met.towards), met.gone, rise, met.shut)
+            if lowest < -deep:
+                face, part, one, two = first_of(table, boxes, found, n, minus(over, times(up, deep)), towards, 0.0)
+                if face >= 0:
+                    rise, gone = -deep, abs(gap - part * (2 * gap))
+                    break
+    if face < 0 or not _leads(table, sides, f, side, up, face, towards):
+        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+    # Down at the border itself, where what was met may be met sooner; straight across to what is near.
+    if rise < -gap:
+        fall = times(up, rise + fine)
+        sooner, part, b1, b2 = first_of(table, boxes, found, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
+        if sooner >= 0:
+            face, one, two, towards = sooner, b1, b2, fall
+            rise, gone = part * (rise + fine) - fine, 0.0
+    if abs(rise) <= gap:
+        return _leading(table, sides, f, side, up, face, one, two, towards, np.sqrt(gone * gone + rise * rise), 0.0)
+    return _leading(table, sides, f, side, up, face, one, two, towards, gone, rise)
 
 
-def _side(table: Topology, face: Index, towards: Floats) -> Floats:
+@inlined
+def landed(table, f, side, c, s, heading_c, heading_s, to, to_side):  # type: ignore[no-untyped-def]
+    """Direction and heading in the frame of the face `to`, turned as the normal turns."""
+    row, there = WIDTH * f, WIDTH * to
+    before, after = times(at(table, row + NORMAL), side), times(at(table, there + NORMAL), to_side)
+    direction = _in_space(table, row, c, s)
+    way = turned(direction, before, after, direction)
+    heading = turned(_in_space(table, row, heading_c, heading_s), before, after, direction)
+    axis1, axis2 = at(table, there + AXIS1), at(table, there + AXIS2)
+    c, s = level(dot(axis1, way), dot(axis2, way))
+    heading_c, heading_s = level(dot(axis1, heading), dot(axis2, heading))
+    return c, s, heading_c, heading_s
+
+
+@inlined
+def standing(table, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
+    """Place on a face, the way up there, and the direction of travel."""
+    row = WIDTH * f
+    return stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side), _in_space(table, row, c, s)
+
+
+@inlined
+def stand(table, row, b1, b2, side):  # type: ignore[no-untyped-def]
+    """Place on a face."""
+    return plus(plus(at(table, row + CORNER), times(at(table, row + EDGE1), b1)), times(at(table, row + EDGE2), b2))
+
+
+@inlined
+def _in_space(table, row, c, s):  # type: ignore[no-untyped-def]
+    return plus(times(at(table, row + AXIS1), c), times(at(table, row + AXIS2), s))
+
+
+@inlined
+def _side(table, face, towards):  # type: ignore[no-untyped-def]
     """The side of a face that a way came from is the side to walk on."""
-    return np.where(dot(table.normal.take(face, axis=1), towards) > 0, -1.0, 1.0)
+    return -1.0 if dot(at(table, WIDTH * face + NORMAL), towards) > 0 else 1.0
+
+
+@called
+def _leads(table, sides, f, side, up, face, towards):  # type: ignore[no-untyped-def]
+    """Whether one may step over a border to a face: not to the other side of what is walked on, nor to what turns back below it
+    as that side does."""
+    pieces, ways = sides
+    there = _side(table, face, towards)
+    here, other = 1 if side < 0 else 0, 1 if there < 0 else 0
+    alike = pieces[f] != pieces[face] or ways[here, f] == ways[other, face]
+    return alike and dot(times(at(table, WIDTH * face + NORMAL), there), up) > TURNED
+
+
+@called
+def _leading(table, sides, f, side, up, face, b1, b2, towards, gone, rise):  # type: ignore[no-untyped-def]
+    """What `beyond` gives, if one may step there."""
+    if not _leads(table, sides, f, side, up, face, towards):
+        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+    b1, b2 = inside(b1 + 0.0, b2 + 0.0)
+    return face, b1, b2, _side(table, face, towards), gone, rise

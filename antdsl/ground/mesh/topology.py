@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh.self_cuts import Cuts, cuts
 from antdsl.numerics import elementary, stored_tables
+from antdsl.numerics.vectors import dot
 from antdsl.scene.geometry.live_faces import components, corner_numbers, live_faces
 
 Floats = NDArray[np.float64]
@@ -57,11 +58,20 @@ class Topology:
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
     weld: Ints  # (m, 3): numbers of corners, those of one place being one
 
-    def together(self, face: Index, side: Floats, other: Index, there: Floats) -> NDArray[np.bool_]:
-        """Whether sides (1 that of the normal, -1) of faces are of two pieces, or may be come to from each other in one."""
-        way = (self.way[np.where(s < 0, 1, 0), f] for f, s in ((face, side), (other, there)))
-        found: NDArray[np.bool_] = (self.piece.take(face) != self.piece.take(other)) | np.equal(*way)
-        return found
+    def in_space(self, face: Index, c: Floats, s: Floats) -> Floats:
+        """Vectors of the frames of faces as (3, k)."""
+        return self.axis1.take(face, axis=1) * c + self.axis2.take(face, axis=1) * s
+
+    def weights(self, face: Index, place: Floats) -> tuple[Floats, Floats]:
+        """Weights of the point of each face below places (3, k) near it, in the triangle."""
+        if not self.corner.shape[1]:
+            return np.zeros(len(face)), np.zeros(len(face))
+        off = place - self.corner.take(face, axis=1)
+        c, s = dot(self.axis1.take(face, axis=1), off), dot(self.axis2.take(face, axis=1), off)
+        b1, b2 = c * self.rate1.take(face) - s * self.shear.take(face) + 0.0, s * self.rate2.take(face) + 0.0  # no -0.0
+        b1, b2 = np.clip(b1, 0.0, 1.0), np.clip(b2, 0.0, 1.0)
+        total = np.maximum(b1 + b2, 1.0)
+        return b1 / total, b2 / total
 
     def copy(self) -> Topology:
         """One whose shape may be changed without changing this."""

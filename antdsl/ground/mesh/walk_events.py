@@ -1,4 +1,4 @@
-"""The compiled walk: a loop over all agents, and one over those of whom it has found that they may come to something else."""
+"""A step of a crowd over triangles: a loop over all agents, and one over those that may come to something else."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh import walk_compiled as loop
+from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh.boxes import Boxes
 from antdsl.ground.mesh.face_table import OPEN, mark_open, pack, packed
 from antdsl.ground.mesh.open_borders import open_borders
 from antdsl.ground.mesh.surface_clearance import Clearances, Parts
 from antdsl.ground.mesh.surroundings import LIFT, Scale
 from antdsl.ground.mesh.topology import NO_LINK, Topology
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
 _WAITING = 16  # agents who look out for other surfaces, for whom a thread pays
@@ -33,12 +33,12 @@ class Waiting:
     @staticmethod
     def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> Waiting:
         """What kernels have found that have done the loop in parts."""
-        own = compiled.joined(parts, reals, wholes)
+        own = parallel.joined(parts, reals, wholes)
         return Waiting(own[0], own[1], sum([left for _, _, left in parts]))
 
 
 class Walk:
-    """What the compiled loop reads: the `table` of faces with the mesh int32[m] of each and the first face of each mesh, `packed`
+    """What the loops read: the `table` of faces with the mesh int32[m] of each and the first face of each mesh, `packed`
     for it."""
 
     def __init__(self, table: Topology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
@@ -83,7 +83,7 @@ class CrowdWalk:
     scale: Scale
 
     def tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        """What kernels read of the faces, and of how far other surfaces are: see `walk_compiled`, `Surface` and `Clearances`."""
+        """What kernels read of the faces, and of how far other surfaces are: see `walk`, `Surface` and `Clearances`."""
         walk, parts = self.walk, self.parts
         surface = (walk.packed, walk.table.link, walk.table.forked, walk.first)
         return surface, (parts.first, parts.count, parts.least, parts.reach, self.scale.noise)
@@ -96,18 +96,16 @@ class CrowdWalk:
         to: tuple[Any, ...],
         threads: int,
         straight: bool,
-    ) -> NDArray[np.intp] | None:
-        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; gives the rows of who
-        is left as they are, None if nobody is: they are nowhere, or their numbers are not finite. `straight`: ways end at open
-        borders."""
+    ) -> None:
+        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`. Ways end at open
+        borders if they are to be `straight`."""
         n = body.size
         how = np.empty(n, np.uint8)
         placed, moved, blocked = to[:5], to[5:10], to[10]
         reals, wholes = np.empty((loop.REALS, n)), np.empty((loop.WHOLES, n), np.int64)
         work = partial(loop.walk_all, *self.tables(), at, body, vectors, reals, wholes, how, placed, moved)
-        waiting = Waiting.of(compiled.in_parts(work, n, threads), reals, wholes)
-        _, left = self.on(waiting, how, placed, moved, blocked, threads, straight)
-        return np.flatnonzero(how != loop.DONE) if left else None
+        waiting = Waiting.of(parallel.in_parts(work, n, threads), reals, wholes)
+        self.on(waiting, how, placed, moved, blocked, threads, straight)
 
     def on(
         self,
@@ -118,18 +116,20 @@ class CrowdWalk:
         blocked: NDArray[np.bool_],
         threads: int,
         straight: bool = False,
-    ) -> tuple[NDArray[np.int64], int]:
-        """Move those who wait to footings `placed`, to `moved` as `walk_compiled.Moved` has it, and say who is
-        `blocked`: their rows, and of how many of all agents `how` does not say that they have moved."""
-        reals, wholes, left = some.reals, some.wholes, some.left
-        if not wholes.size:
-            return wholes[loop.AGENT], left
+    ) -> NDArray[np.int64]:
+        """Move those who wait to footings `placed`, to `moved` as `walk.Moved` has it, and say who is
+        `blocked`; gives their rows."""
+        reals, wholes = some.reals, some.wholes
+        rows: NDArray[np.int64] = wholes[loop.AGENT]
+        if not rows.size:
+            return rows
         table, boxes, scale = self.walk.table, self.boxes, self.scale
         sides, tree = (table.piece, table.way), (boxes.order, boxes.first, boxes.bounds)
         cuts = (table.cuts.first, table.cuts.other)
         known = (*self.tables(), sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch, straight)
         count = wholes.shape[1]
-        parts = compiled.parts(count, threads, _WAITING)
+        parts = parallel.parts(count, threads, _WAITING)
         rooms = (np.empty(parts * boxes.order.size, np.int64), parts, count)
         further = partial(loop.walk_on, *known, rooms, reals, wholes, how, placed, moved, blocked)
-        return wholes[loop.AGENT], left + sum(compiled.in_parts(further, count, threads, _WAITING))
+        parallel.in_parts(further, count, threads, _WAITING)
+        return rows

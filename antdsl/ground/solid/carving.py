@@ -5,22 +5,28 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.solid.bricks import AIR, CUBE, SIDE, WHOLE, Bricks, filling, mixed
-from antdsl.numerics import compiled
+from antdsl.ground.solid.bricks import AIR, CUBE, SIDE, STEPS, WHOLE, Bricks
+from antdsl.machine_code.kernels import F32, F64, I32, I64, U32, U64, Array1, Array2, inlined, kernel
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
 Pairs = tuple[Index, Distances, Index]  # as of Reached
 
-_PIECE = 1 << 17  # pairs of ball and node looked at together
 _GREAT = 24  # voxels that a ball reaches, above which it is dug brick by brick
-_LIKE_AGENTS = 4  # a ball is as much work as so many agents who do other things
+
+# Table, values, origin, voxel, shape, and the least and the greatest distance of the bricks
+Grid = tuple[Array1[I32], Array1[F32], Array1[F64], F64, tuple[I64, I64, I64], F64, F32]
+Balls = tuple[Array2[F64], Array1[F64]]  # centres and radii
+Changes = tuple[Array1[I64], Array1[F32], Array1[I64]]  # nodes, new distances, and the balls that they are of
+
+_M1, _M2, _M3 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_SCATTER = np.uint64(0x9E3779B97F4A7C15)
+_FULL = np.float32(STEPS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +44,7 @@ def carve(bricks: Bricks, centres: Floats, radii: Floats, owners: Index) -> Floa
     # The same whatever order the balls come in: at a tie the least owner, then the least place.
     order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], np.asarray(owners, np.int64).reshape(-1)))
     centres, radii = centres[order], radii[order]
-    fast = compiled.wanted(len(order) * _LIKE_AGENTS)
-    reached = _reached(bricks, centres, radii, fast)
+    reached = _reached(bricks, centres, radii)
     removed = np.zeros(len(order))
     if reached.nodes.size:
         brick = reached.nodes >> 12
@@ -47,7 +52,7 @@ def carve(bricks: Bricks, centres: Floats, radii: Floats, owners: Index) -> Floa
         changed[brick] = True
         bricks.open(np.flatnonzero(changed))
         at = (bricks.table.take(brick).astype(np.int64) << 12) + (reached.nodes & (CUBE - 1))
-        lost = (_compiled_write if fast else _write)(bricks, at, reached, len(order))
+        lost = _write(bricks, at, reached, len(order))
         bricks.steps -= int(lost.sum())
         removed[order] = lost * bricks.step_volume
     return removed
@@ -65,23 +70,12 @@ def _meeting(bricks: Bricks, centres: Floats, radii: Floats) -> tuple[Index, Ind
     return rows, np.ceil(np.minimum(reach[rows], 2.0 * max(bricks.nodes))).astype(np.int64)
 
 
-def _reached(bricks: Bricks, centres: Floats, radii: Floats, fast: bool) -> Reached:
+def _reached(bricks: Bricks, centres: Floats, radii: Floats) -> Reached:
     rows, steps = _meeting(bricks, centres, radii)
     great = np.flatnonzero(steps > _GREAT)
     parts = [_great(bricks, centres, radii, int(ball)) for ball in rows[great]]
     small = np.flatnonzero(steps <= _GREAT)
-    rows, steps = rows[small], steps[small]
-    if fast and rows.size:
-        parts.append(_compiled_pairs(bricks, centres, radii, rows, steps))
-    else:
-        for size in np.unique(steps):
-            alike = rows[steps == size]
-            around = _around(int(size))
-            many = max(_PIECE // around.shape[1], 1)
-            for a in range(0, len(alike), many):
-                parts.append(_pairs(bricks, centres, radii, alike[a : a + many], int(size), around))
-    if not parts:
-        return Reached(np.empty(0, np.int64), np.empty(0, np.float32), np.empty(0, np.int64))
+    parts.append(_small(bricks, centres, radii, rows[small], steps[small]))
     nodes, values, balls = (np.concatenate(p) for p in zip(*parts, strict=True)) if len(parts) > 1 else parts[0]
     return Reached(nodes, values, balls)
 
@@ -115,74 +109,17 @@ def _great(bricks: Bricks, centres: Floats, radii: Floats, ball: int) -> Pairs:
     return nodes, values, np.full(nodes.size, ball, np.int64)
 
 
-def _compiled_pairs(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, steps: Index) -> Pairs:
-    from antdsl.ground.solid.carving_compiled import reached
-
+def _small(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, steps: Index) -> Pairs:
+    """What small balls change."""
     room = int(((2 * steps + 2) ** 3).sum())
     nodes, values, balls = np.empty(room, np.int64), np.empty(room, np.float32), np.empty(room, np.int64)
     tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.least, bricks.most)
-    count = reached(tables, (centres, radii), rows, steps, (nodes, values, balls))
+    count = reach(tables, (centres, radii), rows, steps, (nodes, values, balls))
     return nodes[:count], values[:count], balls[:count]
-
-
-@cache
-def _around(size: int) -> Index:
-    """Which of 2 * size + 2 nodes of a line along each axis (3, m) can be within `size` of a centre between the middle two."""
-    line = np.arange(-size, size + 2)
-    gap = np.maximum(np.abs(line - 0.5) - 0.5, 0.0) ** 2
-    near = gap[:, None, None] + gap[None, :, None] + gap[None, None, :] <= size * size
-    return np.stack(np.nonzero(near)).astype(np.int64)
-
-
-def _pairs(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, size: int, around: Index) -> Pairs:
-    """What some balls that reach equally far change; the squares of distances and the places add up axis by axis."""
-    away = place = None
-    for axis, brick in enumerate((bricks.shape[1] * bricks.shape[2], bricks.shape[2], 1)):
-        centre = centres[rows, axis, None]
-        node = np.floor((centre - bricks.origin[axis]) / bricks.voxel).astype(np.int64) + np.arange(-size, size + 2)
-        gap = (bricks.origin[axis] + node * bricks.voxel) - centre
-        square = np.where((node >= 0) & (node < bricks.nodes[axis]), gap * gap, np.inf)
-        where = (((node >> 4) * brick) << 12) + ((node & 15) << (8 - 4 * axis))
-        square, where = square.take(around[axis], axis=1), where.take(around[axis], axis=1)
-        away = square if away is None else np.add(away, square, out=away)
-        place = where if place is None else np.add(place, where, out=place)
-    assert away is not None and place is not None
-    reach = radii[rows] - bricks.least
-    near = np.flatnonzero(away < (reach * reach * (1 + 1e-9))[:, None])
-    ball = rows.take(near // around.shape[1])
-    place = place.take(near)
-    value = np.minimum((radii.take(ball) - np.sqrt(away.take(near))).astype(np.float32), np.float32(bricks.most))
-    slot = bricks.table.take(place >> 12).astype(np.int64)
-    changes = np.flatnonzero(value > bricks.values.take((slot << 12) + (place & (CUBE - 1))))
-    return place.take(changes), value.take(changes), ball.take(changes)
 
 
 def _write(bricks: Bricks, at: Index, reached: Reached, count: int) -> Index:
     """Put the greatest of the new distances into each node; gives the steps of volume that each ball took."""
-    values, balls = reached.values, reached.balls.astype(np.int32)
-    before = bricks.values.take(at)
-    rows = np.arange(at.size)
-    while rows.size:
-        bricks.values[at[rows]] = values[rows]
-        rows = rows[values[rows] > bricks.values[at[rows]]]
-    best = np.flatnonzero(values == bricks.values.take(at))
-    # Of those as deep the first ball has the node: while that is found, its number stands in place of the distance.
-    names = bricks.values.view(np.int32)
-    rows = best
-    while rows.size:
-        names[at[rows]] = balls[rows]
-        rows = rows[balls[rows] < names[at[rows]]]
-    won = best[balls[best] == names.take(at[best])]
-    bricks.values[at[won]] = values[won]
-    lost = filling(before[won], bricks.voxel) - filling(values[won], bricks.voxel)
-    bricks.mark += int((mixed(reached.nodes[won], values[won]) - mixed(reached.nodes[won], before[won])).sum(dtype=np.uint64))
-    bricks.mark &= WHOLE
-    return np.bincount(balls[won], weights=lost, minlength=count).astype(np.int64)
-
-
-def _compiled_write(bricks: Bricks, at: Index, reached: Reached, count: int) -> Index:
-    from antdsl.ground.solid.carving_compiled import write
-
     before = bricks.values.take(at)
     lost = np.zeros(count, np.int64)
     best = np.full(1 << (2 * at.size - 1).bit_length(), -1, np.int32)
@@ -191,3 +128,97 @@ def _compiled_write(bricks: Bricks, at: Index, reached: Reached, count: int) -> 
     bricks.mark += write(bricks.values, at, found, before, bits, 1.0 / bricks.voxel, best, lost)
     bricks.mark &= WHOLE
     return lost
+
+
+@kernel
+def reach(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array1[I64], found: Changes) -> I64:
+    """Fill `found` with what each of the balls `rows` changes within `steps` voxels; gives how much."""
+    table, values, origin, voxel, shape, least, most = bricks
+    centres, radii = all_balls
+    nodes, news, balls = found
+    count = 0
+    for row in range(rows.size):
+        ball = rows[row]
+        size = steps[row]
+        radius = radii[ball]
+        least_reach = radius - least
+        square = least_reach * least_reach * (1 + 1e-9)
+        cx, cy, cz = centres[ball, 0], centres[ball, 1], centres[ball, 2]
+        bx = np.int64(np.floor((cx - origin[0]) / voxel)) - size
+        by = np.int64(np.floor((cy - origin[1]) / voxel)) - size
+        bz = np.int64(np.floor((cz - origin[2]) / voxel)) - size
+        for i in range(max(bx, 0), min(bx + 2 * size + 2, shape[0] * 16)):
+            gx = (origin[0] + i * voxel) - cx
+            gx *= gx
+            for j in range(max(by, 0), min(by + 2 * size + 2, shape[1] * 16)):
+                gy = (origin[1] + j * voxel) - cy
+                gy = gx + gy * gy
+                if gy >= square:
+                    continue
+                line = ((i >> 4) * shape[1] + (j >> 4)) * shape[2]
+                local = ((i & 15) << 8) + ((j & 15) << 4)
+                for k in range(max(bz, 0), min(bz + 2 * size + 2, shape[2] * 16)):
+                    gz = (origin[2] + k * voxel) - cz
+                    away = gy + gz * gz
+                    if away >= square:
+                        continue
+                    value = min(np.float32(radius - np.sqrt(away)), most)
+                    brick = line + (k >> 4)
+                    place = local + (k & 15)
+                    if value > values[(table[brick] << 12) + place]:
+                        nodes[count] = (brick << 12) + place
+                        news[count] = value
+                        balls[count] = ball
+                        count += 1
+    return count
+
+
+@kernel
+def write(
+    values: Array1[F32],
+    at: Array1[I64],
+    found: Changes,
+    before: Array1[F32],
+    bits: tuple[Array1[U32], Array1[U32]],
+    scale: F32,
+    best: Array1[I32],
+    lost: Array1[I64],
+) -> U64:
+    """Put the greatest new value in each place `at`, count what balls took in `lost`, and give the change of the bricks' mark.
+    `bits`: of the new distances and those `before`; `best`: a table of places, -1 all over, of a power of two of rows."""
+    nodes, news, balls = found
+    news_bits, before_bits = bits
+    room = best.size
+    for row in range(at.size):
+        slot = np.int64((np.uint64(at[row]) * _SCATTER) >> np.uint64(32)) & (room - 1)
+        while best[slot] >= 0 and at[best[slot]] != at[row]:
+            slot = (slot + 1) & (room - 1)
+        now = best[slot]
+        if now < 0 or news[row] > news[now] or (news[row] == news[now] and balls[row] < balls[now]):
+            best[slot] = row
+    mark = np.uint64(0)
+    for place in range(room):
+        last = best[place]
+        if last >= 0:
+            values[at[last]] = news[last]
+            lost[balls[last]] += _filled(before[last], scale) - _filled(news[last], scale)
+            mark += _mixed(nodes[last], news_bits[last]) - _mixed(nodes[last], before_bits[last])
+    return mark
+
+
+@inlined
+def _filled(distance, scale):  # type: ignore[no-untyped-def]
+    """As `bricks.filling`, of one node."""
+    part = np.float32(0.5) - distance * scale
+    part = min(max(part, np.float32(0)), np.float32(1))
+    return np.int64(np.rint(part * _FULL))
+
+
+@inlined
+def _mixed(node, bits):  # type: ignore[no-untyped-def]
+    """As `bricks.mixed`, of one node."""
+    x = (np.uint64(node) << np.uint64(32)) ^ np.uint64(bits)
+    x *= _M1
+    x = (x ^ (x >> np.uint64(30))) * _M2
+    x = (x ^ (x >> np.uint64(27))) * _M3
+    return x ^ (x >> np.uint64(31))

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid.bricks import Bricks
-from antdsl.ground.solid.trilinear import Columns, field
+from antdsl.ground.solid.trilinear import Grid, field_at, grid_of
+from antdsl.machine_code.kernels import BOOL, F64, Array1, Array2, called, kernel
+from antdsl.numerics.kernel_vectors import dot
 
 Floats = NDArray[np.float64]
 
@@ -28,48 +30,58 @@ class Projected:
 
 def project(bricks: Bricks, points: Floats, hints: Floats, reach: float | None = None) -> Projected:
     """As `Volume.project`; where nothing is found the point stays, with its hint."""
-    start = np.array(points, np.float64).reshape(-1, 3)
-    hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape))
-    place, normal, found = settle(bricks, tuple(start.T), tuple(hint.T), CLOSE * bricks.voxel)
-    landed, turned = np.stack(place, axis=1), np.stack(normal, axis=1)
+    start = np.array(points, np.float64, order="C").reshape(-1, 3)
+    hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
+    landed, turned, found = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
+    settle(grid_of(bricks), start, hint, CLOSE * bricks.voxel, landed, turned, found)
     far = 2 * bricks.voxel if reach is None else float(reach)
     found &= ((landed - start) ** 2).sum(axis=1) <= far * far
     return Projected(np.where(found[:, None], landed, start), np.where(found[:, None], turned, hint), found)
 
 
+@kernel
 def settle(
-    bricks: Bricks, start: Columns, hint: Columns, close: Floats | float
-) -> tuple[list[Floats], list[Floats], NDArray[np.bool_]]:
-    """Places within `close` (mm) of the zero level, the unit normals there, and whether they were reached.
+    bricks: Grid,
+    start: Array2[F64],
+    hints: Array2[F64],
+    close: F64,
+    places: Array2[F64],
+    normals: Array2[F64],
+    found: Array1[BOOL],
+) -> None:
+    """As `settle_at`, of places and hints [n,3], into the last three arrays."""
+    for i in range(found.size):
+        p, hint = (start[i, 0], start[i, 1], start[i, 2]), (hints[i, 0], hints[i, 1], hints[i, 2])
+        found[i], q, normal = settle_at(bricks[0], bricks[1], bricks[2:], p, hint, close)
+        for k in range(3):
+            places[i, k], normals[i, k] = q[k], normal[k]
+
+
+@called
+def settle_at(table, values, grid, p, hint, close):  # type: ignore[no-untyped-def]
+    """Whether the surface was found, a place within `close` (mm) of it and the normal there; those given where not.
 
     Each step is as long as the distance, a voxel at most where the gradient shows the way. Where the field is flat (the middle of
     a cave, the depth of the solid) the way is along the hint: down in air, up in what is solid.
     """
-    place = [np.array(p, np.float64) for p in start]
-    normal = [np.array(h, np.float64) for h in hint]
-    found = np.zeros(place[0].size, bool)
-    rows = np.flatnonzero(np.isfinite(place[0] + place[1] + place[2]))
-    within = np.broadcast_to(np.asarray(close, np.float64), found.shape)
+    voxel = grid[3]
+    q = p
+    if not np.isfinite(p[0] + p[1] + p[2]):
+        return False, p, hint
     for turn in range(SETTLING):
-        if not rows.size:
-            break
-        at = [p[rows] for p in place]
-        d, gx, gy, gz = field(bricks, *at)
-        square = (gx * gx + gy * gy) + gz * gz
-        here = np.abs(d) <= within[rows]
+        d, g = field_at(table, values, grid, q)
+        square = dot(g, g)
+        if abs(d) <= close:
+            if square > 0:
+                size = np.sqrt(square)
+                return True, q, (g[0] / size, g[1] / size, g[2] / size)
+            return True, q, hint
         # Between two caves that meet, gradients send to and fro: each third step keeps to the hint.
-        flat = (square < FLAT) | (turn % 3 == 2)
-        done = np.flatnonzero(here & (square > 0))
-        size = np.sqrt(square[done])
-        for into, slope in zip(normal, (gx, gy, gz), strict=True):
-            into[rows[done]] = slope[done] / size
-        found[rows[here]] = True
-        step = np.where(flat, -d, -d / np.where(flat, 1.0, square))
-        length = np.abs(step) * np.sqrt(square)
-        step *= np.where(flat | (length <= bricks.voxel), 1.0, bricks.voxel / np.where(length > 0, length, 1.0))
-        away = np.flatnonzero(~here)
-        for axis, slope in enumerate((gx, gy, gz)):
-            way = np.where(flat, hint[axis][rows], slope)
-            place[axis][rows[away]] += (step * way)[away]
-        rows = rows[away]
-    return place, normal, found
+        flat = square < FLAT or turn % 3 == 2
+        step = -d if flat else -d / square
+        length = abs(step) * np.sqrt(square)
+        if not (flat or length <= voxel):
+            step = step * (voxel / length)
+        ahead = hint if flat else g
+        q = (q[0] + step * ahead[0], q[1] + step * ahead[1], q[2] + step * ahead[2])
+    return False, p, hint

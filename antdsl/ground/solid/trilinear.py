@@ -2,51 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid.bricks import Bricks
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, called, inlined, kernel
 
 Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
-Columns = Sequence[Floats]
+Grid = tuple[Array1[I32], Array1[F32], F64, F64, F64, F64, I64, I64, I64]  # table, values, origin, voxel and shape of bricks
+Places = tuple[Array1[F64], Array1[F64], Array1[F64]]
 
-_OFFSETS = (0, 1, 16, 17, 256, 257, 272, 273)  # of a cell's corners, in a brick
 LEAN = 0.5  # voxels: how far around a place the smooth normal looks, each way, where no body says more
+
+
+def grid_of(bricks: Bricks) -> tuple[Any, ...]:
+    """Bricks as kernels read them, a `Grid`."""
+    return bricks.table, bricks.values, *bricks.origin, bricks.voxel, *bricks.shape
 
 
 def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
     """Signed distance at places (mm)."""
-    if compiled.wanted(np.size(x)):
-        return _compiled_distance(bricks, x, y, z)
-    (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, x, y, z)
-    v0 = _mix(_mix(v000, v001, fz), _mix(v010, v011, fz), fy)
-    return _mix(v0, _mix(_mix(v100, v101, fz), _mix(v110, v111, fz), fy), fx)
+    found = np.empty(len(x))
+    distances(grid_of(bricks), _whole(x, y, z), found)
+    return found
 
 
 def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Signed distance at places (mm), and its gradient."""
-    if compiled.wanted(np.size(x)):
-        return _compiled_field(bricks, x, y, z)
-    (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, x, y, z)
-    d00, d01, d10, d11 = v001 - v000, v011 - v010, v101 - v100, v111 - v110
-    v00, v01, v10, v11 = v000 + d00 * fz, v010 + d01 * fz, v100 + d10 * fz, v110 + d11 * fz
-    e0, e1 = v01 - v00, v11 - v10
-    v0, v1 = v00 + e0 * fy, v10 + e1 * fy
-    gx = v1 - v0
-    scale = 1.0 / bricks.voxel
-    gz = _mix(_mix(d00, d01, fy), _mix(d10, d11, fy), fx) * scale
-    return v0 + gx * fx, gx * scale, _mix(e0, e1, fx) * scale, gz
+    d, gx, gy, gz = np.empty((4, len(x)))
+    fields(grid_of(bricks), _whole(x, y, z), d, (gx, gy, gz))
+    return d, gx, gy, gz
 
 
-def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: Floats | float = LEAN) -> list[Floats]:
+def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: float = LEAN) -> list[Floats]:
     """A gradient that changes steadily from place to place, unlike the field's own: differences along each axis, over `lean`
-    voxels (one or for each place) either way."""
-    a = np.asarray(lean) * bricks.voxel
+    voxels either way."""
+    a = lean * bricks.voxel
     scale = 0.5 / a
     return [
         (distance(bricks, x + a, y, z) - distance(bricks, x - a, y, z)) * scale,
@@ -55,61 +48,101 @@ def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: Floats | float
     ]
 
 
-def _compiled_distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
-    from antdsl.ground.solid import trilinear_compiled
-
-    found = np.empty(np.size(x))
-    trilinear_compiled.distance(_tables(bricks), _whole(x, y, z), found)
-    return found
-
-
-def _compiled_field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    from antdsl.ground.solid import trilinear_compiled
-
-    d, gx, gy, gz = (np.empty(np.size(x)) for _ in range(4))
-    trilinear_compiled.field(_tables(bricks), _whole(x, y, z), d, (gx, gy, gz))
-    return d, gx, gy, gz
-
-
-def _tables(bricks: Bricks) -> tuple[Any, ...]:
-    return bricks.table, bricks.values, bricks.origin, 1.0 / bricks.voxel, bricks.shape
-
-
 def _whole(*columns: Floats) -> list[Floats]:
     """Columns as kernels take them: one after another in memory, all of one kind."""
     return [np.ascontiguousarray(c, np.float64) for c in columns]
 
 
-def _mix(a: Floats, b: Floats, t: Floats) -> Floats:
-    return a + (b - a) * t
+@kernel
+def distances(bricks: Grid, places: Places, found: Array1[F64]) -> None:
+    """Fill `found` with the signed distance at places."""
+    x, y, z = places
+    for n in range(found.size):
+        found[n] = distance_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
 
 
-def _corners(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[list[Floats], list[Floats]]:
-    """Values at the corners of the cells that places lie in, and where in them, 0 .. 1. Places outside count as on the rim."""
-    parts, nodes = [], []
-    for axis, place in enumerate((x, y, z)):
-        far = bricks.nodes[axis]
-        # fmax and fmin take what is not a number to the rim.
-        at = np.fmin(np.fmax((place - bricks.origin[axis]) * (1.0 / bricks.voxel), 0.0), far - 1.0)
-        node = np.minimum(at.astype(np.int32), far - 2)
-        parts.append(at - node)
-        nodes.append(node)
-    at = _place(bricks, nodes)
-    local = [n & 15 for n in nodes]
-    astride = np.flatnonzero((local[0] == 15) | (local[1] == 15) | (local[2] == 15))
-    across = [n.take(astride) for n in nodes]
-    found = []
-    for corner, offset in enumerate(_OFFSETS):
-        where = at + offset
-        if astride.size:
-            where[astride] = _place(bricks, [n + ((corner >> (2 - axis)) & 1) for axis, n in enumerate(across)])
-        found.append(bricks.values.take(where).astype(np.float64))
-    return found, parts
+@kernel
+def fields(bricks: Grid, places: Places, d: Array1[F64], gradient: Places) -> None:
+    """Fill `d` with the signed distance at places, and the others with its gradient."""
+    x, y, z = places
+    gx, gy, gz = gradient
+    for n in range(d.size):
+        d[n], (gx[n], gy[n], gz[n]) = field_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
 
 
-def _place(bricks: Bricks, nodes: list[NDArray[np.int32]]) -> Index:
-    """Where the values of nodes are kept."""
-    i, j, k = nodes
-    slot = bricks.table.take(((i >> 4) * bricks.shape[1] + (j >> 4)) * bricks.shape[2] + (k >> 4)).astype(np.int64)
-    where: Index = (slot << 12) + (((i & 15) << 8) + ((j & 15) << 4) + (k & 15))
-    return where
+@called
+def slope_at(table, values, grid, lean, p):  # type: ignore[no-untyped-def]
+    """As `smooth`, at one place."""
+    a = lean * grid[3]
+    scale = 0.5 / a
+    x, y, z = p
+    return (
+        (distance_at(table, values, grid, (x + a, y, z)) - distance_at(table, values, grid, (x - a, y, z))) * scale,
+        (distance_at(table, values, grid, (x, y + a, z)) - distance_at(table, values, grid, (x, y - a, z))) * scale,
+        (distance_at(table, values, grid, (x, y, z + a)) - distance_at(table, values, grid, (x, y, z - a))) * scale,
+    )
+
+
+@inlined
+def _rim(place, low, over, nodes):  # type: ignore[no-untyped-def]
+    """The node below a place along one axis, and how far it is beyond."""
+    at = (place - low) * over
+    at = at if at >= 0.0 else 0.0
+    at = min(at, nodes - 1.0)
+    node = min(np.int64(at), nodes - 2)
+    return node, at - node
+
+
+@inlined
+def corners_at(table, values, grid, p):  # type: ignore[no-untyped-def]
+    """Values at the corners of the cell that a place lies in, four and four, and where in it, 0 .. 1. A place outside, or that is
+    no number, counts as on the rim."""
+    over = 1.0 / grid[3]
+    i, fx = _rim(p[0], grid[0], over, grid[4] * 16)
+    j, fy = _rim(p[1], grid[1], over, grid[5] * 16)
+    k, fz = _rim(p[2], grid[2], over, grid[6] * 16)
+    i1, j1, k1 = i + 1, j + 1, k + 1
+    bx0, bx1 = (i >> 4) * grid[5] * grid[6], (i1 >> 4) * grid[5] * grid[6]
+    by0, by1 = (j >> 4) * grid[6], (j1 >> 4) * grid[6]
+    bz0, bz1 = k >> 4, k1 >> 4
+    x0, x1, y0, y1, z0, z1 = (i & 15) << 8, (i1 & 15) << 8, (j & 15) << 4, (j1 & 15) << 4, k & 15, k1 & 15
+    return (
+        (
+            _node(table, values, bx0 + by0 + bz0, x0 + y0 + z0), _node(table, values, bx0 + by0 + bz1, x0 + y0 + z1),
+            _node(table, values, bx0 + by1 + bz0, x0 + y1 + z0), _node(table, values, bx0 + by1 + bz1, x0 + y1 + z1),
+        ),
+        (
+            _node(table, values, bx1 + by0 + bz0, x1 + y0 + z0), _node(table, values, bx1 + by0 + bz1, x1 + y0 + z1),
+            _node(table, values, bx1 + by1 + bz0, x1 + y1 + z0), _node(table, values, bx1 + by1 + bz1, x1 + y1 + z1),
+        ),
+        (fx, fy, fz),
+    )  # fmt: skip
+
+
+@inlined
+def _node(table, values, brick, place):  # type: ignore[no-untyped-def]
+    return np.float64(values[(table[brick] << 12) + place])
+
+
+@inlined
+def distance_at(table, values, grid, p):  # type: ignore[no-untyped-def]
+    """The signed distance at a place (mm)."""
+    a, b, f = corners_at(table, values, grid, p)
+    v00, v01 = a[0] + (a[1] - a[0]) * f[2], a[2] + (a[3] - a[2]) * f[2]
+    v10, v11 = b[0] + (b[1] - b[0]) * f[2], b[2] + (b[3] - b[2]) * f[2]
+    v0, v1 = v00 + (v01 - v00) * f[1], v10 + (v11 - v10) * f[1]
+    return v0 + (v1 - v0) * f[0]
+
+
+@called
+def field_at(table, values, grid, p):  # type: ignore[no-untyped-def]
+    """The signed distance at a place (mm), and its gradient."""
+    a, b, f = corners_at(table, values, grid, p)
+    d00, d01, d10, d11 = a[1] - a[0], a[3] - a[2], b[1] - b[0], b[3] - b[2]
+    v00, v01, v10, v11 = a[0] + d00 * f[2], a[2] + d01 * f[2], b[0] + d10 * f[2], b[2] + d11 * f[2]
+    e0, e1 = v01 - v00, v11 - v10
+    v0, v1 = v00 + e0 * f[1], v10 + e1 * f[1]
+    gx = v1 - v0
+    scale = 1.0 / grid[3]
+    z0, z1 = d00 + (d01 - d00) * f[1], d10 + (d11 - d10) * f[1]
+    return v0 + gx * f[0], (gx * scale, (e0 + (e1 - e0) * f[0]) * scale, (z0 + (z1 - z0) * f[0]) * scale)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS, MachineClips
-from antdsl.numerics import compiled
+from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.runtime.world import Population
 
@@ -49,12 +49,10 @@ def clips_playing(population: Population, rows: NDArray[np.intp] | None = None) 
 def _told(population: Population, rows: NDArray[np.intp] | None, now: Arrays, fields: Sequence[str]) -> dict[str, NDArray[Any]]:
     """The first of the fields, the usual ones or more."""
     found: dict[str, NDArray[Any]] = {}
-    if rows is None and compiled.wanted(len(population)):
-        from antdsl.outputs.cache import frames_compiled as kernels
-
+    if rows is None:
         found = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
         of = [tuple([arrays[field] for field in some]) for arrays in (now, found) for some in (_CLIPS, _SHARES)]
-        kernels.playing(of[0], of[1], population.ranks(), of[2], of[3])
+        frame_loops.playing(of[0], of[1], population.ranks(), of[2], of[3])
     rows = population.in_id_order() if rows is None else rows
     for field in fields[len(found) :]:
         found[field] = now[field].take(rows).astype(_REGISTERS[field][1], copy=False)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
-from antdsl.numerics import compiled
+from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.agent_arrays import AgentArrays
 from antdsl.outputs.cache.clip_arrays import clips_playing, playing
 from antdsl.outputs.cache.event_arrays import events_of
@@ -127,14 +127,9 @@ class FrameMaker:
 
 def _not_zero(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The cells of a field that have something in them, and how much."""
-    if compiled.wanted(len(values)):
-        from antdsl.outputs.cache import frames_compiled as kernels
-
-        cells, strength = np.empty(len(values) + 1, np.int32), np.empty(len(values) + 1, np.float32)
-        count = kernels.not_zero(values, cells, strength)
-        return cells[:count], strength[:count]
-    found = np.flatnonzero(values != 0)
-    return found.astype(np.int32), values[found].astype(np.float32)
+    cells, strength = np.empty(len(values) + 1, np.int32), np.empty(len(values) + 1, np.float32)
+    count = frame_loops.not_zero(values, cells, strength)
+    return cells[:count], strength[:count]
 
 
 def _plain_numbers(program: Program) -> set[str]:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.varied_bodies import Draws
-from antdsl.numerics import compiled
 from antdsl.numerics.randomness import uniform
+from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.runtime.world import Population
 from antdsl.scene.setting import CrowdData, Setting
@@ -60,12 +60,10 @@ def _put_on(
     population: Population, on: NDArray[np.bool_], some: NDArray[np.intp] | None, bit: np.uint64, mask: NDArray[np.uint64]
 ) -> None:
     """Put a bit into the masks of the agents who have it on: of those at some rows, of all by id where none are given."""
-    if some is None and compiled.wanted(len(mask)):
-        from antdsl.outputs.cache.frames_compiled import worn
-
-        worn(on, population.ranks(), bit.view(np.int64), mask.view(np.int64))
+    if some is None:
+        frame_loops.worn(on, population.ranks(), bit.view(np.int64), mask.view(np.int64))
     else:
-        mask |= np.where(on[population.in_id_order() if some is None else some], bit, np.uint64(0))
+        mask |= np.where(on[some], bit, np.uint64(0))
 
 
 def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:

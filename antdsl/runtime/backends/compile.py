@@ -23,7 +23,7 @@ from antdsl.source import Span
 Slots = list[Any]
 Run = Callable[[Slots], None]
 Make = Callable[[int, tuple[int, ...], "int | None"], Run]  # of the slots of a result, of its inputs, of an array to use
-WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, NEARBY, SPENT, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6, 7, 8
+WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, THREADS, SPENT, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6, 7, 8
 
 
 class Does(Enum):

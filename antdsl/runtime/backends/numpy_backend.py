@@ -20,16 +20,16 @@ from antdsl.runtime.backends.compile import (
     BUFFERS,
     EFFECTS,
     LAZY,
-    NEARBY,
     PAIRS,
     POPULATION,
     SPENT,
+    THREADS,
     WORLD,
     BlockCompiler,
     bind_calls,
 )
 from antdsl.runtime.backends.metering import Metered
-from antdsl.runtime.pairs import MOST_PAIRS, NearbySets
+from antdsl.runtime.pairs import MOST_PAIRS
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.sensing import constant, uniform_leaf
 from antdsl.runtime.world import DTYPES, Population, World
@@ -171,7 +171,7 @@ class NumpyBackend:
         v[WORLD], v[POPULATION], v[EFFECTS], v[LAZY] = world, population, effects, self._kept.get(population.name)
         v[SPENT] = spent
         v[PAIRS] = {} if compiler.name == "born" else self._pairs[population.name]
-        v[NEARBY] = NearbySets(world.options.threads if alone else 1)
+        v[THREADS] = world.options.threads if alone else 1
         values = self._values[population.name]
         for node, slot in compiler.uniforms.items():
             v[slot] = values[node]

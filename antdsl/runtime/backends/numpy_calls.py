@@ -17,9 +17,9 @@ from antdsl.runtime import pairs as sets
 from antdsl.runtime.backends.compile import (
     BUFFERS,
     LAZY,
-    NEARBY,
     PAIRS,
     POPULATION,
+    THREADS,
     WORLD,
     BlockCompiler,
     Does,
@@ -240,7 +240,7 @@ def pairs(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
             if known is not None:
                 v[out] = known if mine is chunk else known.of_rows(row_numbers(mine) - chunk.start)
                 return
-            v[out] = sets.find(v[WORLD], v[POPULATION], node, mine, tuple(v[a] for a in inputs), v[NEARBY])
+            v[out] = sets.find(v[WORLD], v[POPULATION], node, mine, tuple(v[a] for a in inputs), v[THREADS])
             if mine is chunk and isinstance(chunk, slice) and shared.get(node, 0) > 1:
                 kept[node, chunk.start] = v[out]
 

@@ -18,6 +18,7 @@ from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Ground
 from antdsl.ground.solid import Unusable, Volume
 from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.machine_code import machine
 from antdsl.numerics import stages
 from antdsl.numerics.float_environment import standard
 from antdsl.plan import ir
@@ -67,7 +68,9 @@ def unpeopled(
     built: Built | None = None,
     origin: NDArray[np.float64] | None = None,
 ) -> World:
-    """As `bind`, with nobody in it yet. `origin` is one that positions are counted from already."""
+    """As `bind`, with nobody in it yet. `origin` is one that positions are counted from already. Raises NoMachineCode where no
+    kernel can run."""
+    machine.require()
     options, built = options or Options(), built or Built()
     origin = world_origin(setting) if origin is None else origin
     up = np.asarray(setting.up, np.float64)

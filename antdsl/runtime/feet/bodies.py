@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors_compiled import cross, direction, dot, flat, minus
+from antdsl.numerics.kernel_vectors import cross, direction, dot, flat, minus
 from antdsl.runtime.world import Population
 
 PLACE = 0  # the first row of three
@@ -32,7 +32,7 @@ def place_bodies(population: Population, room: str, threads: int) -> NDArray[np.
     if n:
         columns = vec.named(now, "heading"), vec.named(now, "up"), now["size"]
         work = partial(_place_bodies, population.position, *columns, population.in_id_order(), bodies)
-        compiled.in_parts(work, n, threads, compiled.LIGHT)
+        parallel.in_parts(work, n, threads, parallel.LIGHT)
     return bodies
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.casting.grid_rays import AHEAD, Grid, fetch_rays, first_hit
 from antdsl.casting.tolerances import FURTHER
-from antdsl.casting.triangle_grid_compiled import AHEAD, Grid, fetch_rays, first_hit
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,
@@ -25,7 +25,7 @@ from antdsl.machine_code.kernels import (
     kernel,
     scratch,
 )
-from antdsl.numerics.vectors_compiled import dot, minus, of, put
+from antdsl.numerics.kernel_vectors import dot, minus, of, put
 from antdsl.runtime.feet.bodies import body_at
 from antdsl.runtime.feet.gaits import HIP, REACHED, SINK
 from antdsl.runtime.feet.state import NOTHING

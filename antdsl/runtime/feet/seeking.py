@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.ground.plane import Plane
 from antdsl.ground.solid_feelers import SolidFeelers
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.feet import footholds
 from antdsl.runtime.feet.state import NOTHING, PLANE
@@ -95,7 +95,7 @@ class Floor:
             else:
                 far = np.empty(len(found.part), np.int64)
                 work = partial(footholds.cast, tables, box, k, origin, way, found.columns, far)
-                near = compiled.joined(compiled.in_parts(work, len(far), threads, _RAYS), far)[0]
+                near = parallel.joined(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
             if not near.size:
                 continue
             if isinstance(seen, RayScene):
@@ -189,13 +189,13 @@ class Seeking:
         columns = room[:3], room[3:6], room[6:9], room[12], room[13]
         made = Seeking(requests, columns, room[9:12], np.empty(count, np.bool_))
         work = partial(footholds.aim, requests, *given, columns, made.way, made.is_quick)
-        compiled.in_parts(work, count, threads, _RAYS)
+        parallel.in_parts(work, count, threads, _RAYS)
         return made
 
     def settle(self, found: Found, columns: Arrays, threads: int) -> None:
         """Let feet have the ground that was found: `place`, `on`, `face` and `weight`, legs first."""
         work = partial(footholds.settle, self.requests, self.columns, found.columns, *columns)
-        compiled.in_parts(work, len(self.requests), threads, _RAYS)
+        parallel.in_parts(work, len(self.requests), threads, _RAYS)
 
 
 def seek(world: World, floor: Floor, seeking: Seeking) -> Found:
@@ -204,7 +204,7 @@ def seek(world: World, floor: Floor, seeking: Seeking) -> Found:
     found = floor.cast(world, seeking.columns[0], seeking.way)
     fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
     work = partial(footholds.judge, seeking.columns, found.columns, seeking.is_quick, fits, rows)
-    (rows,) = compiled.joined(compiled.in_parts(work, count, threads, _RAYS), rows)
+    (rows,) = parallel.joined(parallel.in_parts(work, count, threads, _RAYS), rows)
     if rows.size:
         _look_around(world, floor, seeking, found, fits, rows)
     return found
@@ -215,13 +215,13 @@ def _look_around(world: World, floor: Floor, seeking: Seeking, found: Found, fit
     threads, count = world.options.threads, len(rows)
     room = np.empty((13, count))
     above, to_above, down, hips, reach = room[:3], room[3:6], room[6:9], room[9:12], room[12]
-    compiled.in_parts(partial(footholds.look_around, seeking.columns, rows, above, to_above, down, hips), count, threads, _RAYS)
+    parallel.in_parts(partial(footholds.look_around, seeking.columns, rows, above, to_above, down, hips), count, threads, _RAYS)
     level = floor.cast(world, hips, to_above, most_hit=False)
     below = floor.cast(world, above, down)
     lost = np.empty(count, np.int64)
     given = seeking.columns, rows, found.columns, fits, level.columns, below.columns, lost, reach
-    parts = compiled.in_parts(partial(footholds.choose, *given), count, threads, _RAYS)
-    lost, reach = compiled.joined(parts, lost, reach)
+    parts = parallel.in_parts(partial(footholds.choose, *given), count, threads, _RAYS)
+    lost, reach = parallel.joined(parts, lost, reach)
     if lost.size:
         rows, hips = rows[lost], np.ascontiguousarray(hips[:, lost])
         close = floor.nearest(world, np.ascontiguousarray(seeking.columns[1][:, rows]), reach)

@@ -28,7 +28,7 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
-from antdsl.numerics.vectors_compiled import dot, minus
+from antdsl.numerics.kernel_vectors import dot, minus
 from antdsl.runtime.feet import trunk
 from antdsl.runtime.feet.bodies import body_at, orthonormal_axes, to_body, to_world
 from antdsl.runtime.feet.gaits import (

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.runtime.feet import stepping, trunk
 from antdsl.runtime.feet.bodies import PLACE, place_bodies
 from antdsl.runtime.feet.gaits import REST_X, REST_Z, Gaits
@@ -57,7 +57,7 @@ def measure(world: World) -> None:
             is_new[new] = True
             before = feet.position, feet.heading, feet.up
             work = partial(stepping.measure_cover, bodies, before, walkers.gaits.legs, is_new, _legs_first(feet.covered))
-            compiled.in_parts(work, n, world.options.threads, _AGENTS)
+            parallel.in_parts(work, n, world.options.threads, _AGENTS)
 
 
 def walk(world: World) -> None:
@@ -107,7 +107,7 @@ class _Step:
             self._plan()
             last = feet.position, feet.heading, feet.up
             given = self.bodies, self.gaits.legs, self._trunk_steps(), self.columns, self.pace, self.targets, last
-            compiled.in_parts(partial(stepping.take_steps, *given), n, self.threads, _AGENTS)
+            parallel.in_parts(partial(stepping.take_steps, *given), n, self.threads, _AGENTS)
         feet.covered = feet.stood = None
 
     def _follow_ground(self) -> None:
@@ -152,8 +152,8 @@ class _Step:
             self.bodies, self.covered, gaits.legs, gaits.tables, times, self.undermined, self.columns,
             self.pace, self.targets, self.requests,
         )  # fmt: skip
-        parts = compiled.in_parts(partial(stepping.plan_steps, *given), len(self.feet), self.threads, _AGENTS)
-        self._seek(compiled.joined(parts, self.requests)[0])
+        parts = parallel.in_parts(partial(stepping.plan_steps, *given), len(self.feet), self.threads, _AGENTS)
+        self._seek(parallel.joined(parts, self.requests)[0])
 
     def _seek(self, requests: NDArray[np.int64]) -> None:
         """Find ground for feet: the number of the agent times L plus that of the leg."""

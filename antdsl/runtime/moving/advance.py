@@ -1,32 +1,49 @@
-"""From pushes to places: acceleration, limits of speed and turn, sliding along obstacles, walking, and where one faces.
+"""A substep of a crowd, from pushes to positions: acceleration, limits of speed and turn, obstacles, the walk, headings and
+bodies.
 
 a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An animal whose response is a
 step or less takes its whole change of velocity at once, and faces where it goes. The heading of others follows within a tenth of
-a second. Who has a way to face turns there instead, and walks backward and sideways where its velocity leads.
-"""
+a second. An agent with a direction to face turns there instead, and walks backward and sideways where its velocity leads.
+
+One loop over all agents does all that does not depend on obstacles or walls. Another walks all agents that stay on their own
+surface and lets them arrive (`strides`). Few may touch an obstacle, look out for walls, lean or have a wall ahead: they have
+separate loops."""
 
 from __future__ import annotations
 
-from functools import cache
+from dataclasses import dataclass
+from functools import partial
+from math import inf, nan
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.protocol import Move
-from antdsl.numerics import compiled, elementary
+from antdsl.ground.mesh import walk as loop
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.mesh.walk_events import CrowdWalk, Waiting
+from antdsl.ground.plane import Plane
+from antdsl.ground.protocol import Footing, Ground, Move
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.falling import in_the_air
-from antdsl.runtime.moving.headings import AT_ONCE, BEYOND, BOUNCE, FACE, LEAST_TURN, LEVEL, NINETIETH, SLOW, TWELFTH, share
-from antdsl.runtime.moving.least_speed import LEAST, least, no_slower, quickened
-from antdsl.runtime.moving.obstacles import slide
+from antdsl.runtime.moving.headings import AT_ONCE, FACE, STANDS, share
+from antdsl.runtime.moving.heads import RAISED
+from antdsl.runtime.moving.least_speed import LEAST, no_slower
+from antdsl.runtime.moving.obstacles import slide, slowed
 from antdsl.runtime.moving.orienting import orient
-from antdsl.runtime.moving.tilting import bodies
-from antdsl.runtime.moving.walks import led
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.runtime.moving.rises import find_walls
+from antdsl.runtime.moving.strides import glide, set_out, stride
+from antdsl.runtime.moving.tilting import follow, pace
+from antdsl.runtime.moving.velocities import arrive
+from antdsl.runtime.moving.walks import led, walks_of
+from antdsl.runtime.world import Population, World
 
 _F = np.float32
+_ON_FACES = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
+_ARRIVING = 64  # agents who are let arrive by themselves, for whom a thread pays
 
 
 def move(world: World, population: Population, substep: int) -> None:
@@ -34,206 +51,186 @@ def move(world: World, population: Population, substep: int) -> None:
     if not len(population):
         return
     dt = _F(world.dt / world.setting.substeps)
-    if compiled.wanted(len(population)):
-        _strides().move(world, population, dt, substep)
-        return
-    up = vec.columns(population.normal, np.float32)
     others = world.setting.orient != "normal"
-    before = (vec.copy(_read(population, "velocity")), vec.copy(_read(population, "up")), population.normal) if others else None
-    velocity = _velocity(world, population, up, dt, substep)
-    velocity = led(world, population, velocity, up)
-    if population.quarantined.any():
-        velocity = vec.choose(population.quarantined, (_F(0),) * 3, velocity)  # type: ignore[arg-type]
-    wanted = vec.scale(velocity, dt)
-    step = no_slower(world, population, slide(world, population, wanted, up, population.now["radius"]), up, dt)
-    if step is not wanted:
-        stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
-        velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
-    body = bodies(world, population, step, dt)
-    going = body.paced(step, velocity)
-    moved = world.ground.move(population.footing, going.wish, going.looking, going.up, going.size, world.options.threads)
-    if world.solids:
-        moved = in_the_air(world, population, moved, dt)
-    hasty = _arrive(population, going.velocity, going.step, moved, going.at_once, dt, _F(world.dt))
+    crowd = _Crowd.of(world, population, dt, others)
+    before = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
+    crowd.set_out(substep)
+    crowd.pass_obstacles()
+    _, _, heading, up = crowd.registers
+    *walls, half = find_walls(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
+    n, threads = len(population), crowd.threads
+    work = partial(pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, tuple(walls))
+    parallel.in_parts(work, n, threads)
     came_from = population.position
-    population.footing, population.position = moved.footing, moved.position
+    crowd.walk(world.ground)
     if before is not None:
         orient(world, population, *before)
-        hasty[:] = True
-    body.follow(hasty, came_from, dt)
+    ways = (*crowd.kept, came_from, population.position)
+    (rows,) = population.room("following", 1, (n,), np.int64)
+    turns = (crowd.most, population.now["max_turn"], dt)
+    parallel.in_parts(partial(follow, crowd.state, *ways, *turns, tuple(walls), half, RAISED, up, heading, rows), n, threads)
 
 
-@cache
-def _strides() -> Any:
-    """What does this by kernels, which take a while to load."""
-    from antdsl.runtime.moving import strides
+@dataclass(slots=True)
+class _Crowd:
+    """A crowd on its way for `dt` of `whole` seconds: its registers position, velocity, heading and up, and what kernels work
+    out, see `strides`. `kept` is room for the up and heading from before of those whose bodies have to follow their feet
+    afterwards, as those of `everyone` may have."""
 
-    return strides
+    world: World
+    population: Population
+    dt: np.float32
+    whole: np.float32
+    everyone: bool
+    registers: tuple[Vector, Vector, Vector, Vector]
+    velocity: Vector
+    step: Vector
+    looking: Vector
+    kept: tuple[Vector, Vector]
+    long: NDArray[np.float32]
+    most: NDArray[np.float32]
+    reach: NDArray[np.float64]
+    state: NDArray[np.int32]
+    longest: float = 0.0  # step (mm) that is finite
+    widest: float = nan  # size (mm) that is a number
 
+    @staticmethod
+    def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _Crowd:
+        """A crowd before it sets out."""
+        now, n = population.now, len(population)
+        room = population.room("on the way", 17, (n,), np.float32)
+        (reach,), (state,) = population.room("reach", 1, (n,), np.float64), population.room("state", 1, (n,), np.int32)
+        registers = tuple(vec.named(now, name) for name in ("position", "velocity", "heading", "up"))
+        velocity, step, looking, up, heading = (room[k : k + 3] for k in range(0, 15, 3))
+        given = (registers, velocity, step, looking, (up, heading), *room[15:], reach, state)
+        return _Crowd(world, population, dt, _F(world.dt), everyone, *given)  # type: ignore[arg-type]
 
-def _arrive(
-    population: Population,
-    velocity: Vector,
-    step: Vector,
-    moved: Move,
-    most: NDArray[np.float32],
-    dt: np.float32,
-    whole: np.float32,
-) -> NDArray[np.bool_]:
-    """Velocity and heading where the walk of a substep has led, with place, and up as that of the ground there; says whose body
-    would tilt by more than `most` (radians) by that, or turn by more than `max_turn` allows. What it tilts by, up to `most`,
-    its heading turns less. `whole`: the time of all substeps."""
-    now = population.now
-    old_up = _read(population, "up")
-    new_up = vec.columns(moved.up, np.float32)
-    speed = vec.length(velocity)
-    velocity = vec.scale(vec.columns(moved.direction, np.float32), speed)
-    if moved.blocked.any():
-        gone = vec.scale(vec.columns(moved.position - population.position, np.float32), _F(1) / dt)
-        lost = vec.sub(vec.scale(step, _F(1) / dt), gone)
-        velocity = vec.choose(moved.blocked, vec.sub(gone, vec.scale(lost, BOUNCE)), velocity)
-    velocity = vec.flat(velocity, new_up)
-    chord = vec.sub(new_up, old_up)
-    tilt = _squared_angle(vec.dot(chord, chord))
-    hasty = tilt > most * most
-    ahead, tilt = vec.columns(moved.heading, np.float32), np.minimum(tilt, most * most)
-    heading = _face(population, ahead, velocity, new_up, tilt, dt, _at_once(now, whole))
-    # A way round a tip brings a heading back turned. The whole turn, by how far all axes of the body are from where they were.
-    before = _read(population, "heading")
-    chords = (vec.sub(heading, before), vec.sub(new_up, old_up), vec.sub(vec.cross(new_up, heading), vec.cross(old_up, before)))
-    square = (vec.dot(chords[0], chords[0]) + vec.dot(chords[1], chords[1]) + vec.dot(chords[2], chords[2])) * _F(0.5)
-    limit = np.maximum(now["max_turn"], _F(0)) * dt * BEYOND
-    hasty |= _squared_angle(square) > limit * limit + LEAST_TURN
-    for name, value in (
-        ("velocity", velocity),
-        ("heading", heading),
-        ("up", new_up),
-        ("position", vec.columns(moved.position, np.float32)),
-    ):
-        for axis, component in zip(AXES, value, strict=True):
-            now[f"{name}.{axis}"][:] = component
-    population.normal = np.stack(new_up, axis=1)
-    return hasty
+    @property
+    def threads(self) -> int:
+        return self.world.options.threads
 
+    def set_out(self, substep: int) -> None:
+        """What all are about to do, whatever is in their way."""
+        p, now, whole = self.population, self.population.now, self.whole
+        _, *given = self.registers
+        limits = (now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
+        keeps = LEAST in now
+        least = now[LEAST] if keeps else now["max_speed"]
+        times = (whole * AT_ONCE, whole if substep == 0 else _F(0), self.dt)
+        to = (self.velocity, self.step, self.looking, (self.long, self.most, self.reach), self.state)
+        does = (vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times)
+        work = partial(set_out, *does, *to)
+        found = parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
+        self.longest, self.widest = found[0] if len(found) == 1 else map(max, zip(*found, strict=True))
+        if self.widest == -inf:
+            self.widest = nan
+        if walks_of(self.world, p):
+            velocity = led(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
+            zero = np.zeros(len(p), np.float32)
+            self.velocity = vec.choose(p.quarantined, (zero, zero, zero), velocity)
+            self.step = vec.scale(self.velocity, self.dt)
+            self.long = vec.length(self.step)
+            self.longest = float(self.long.max(initial=0.0, where=np.isfinite(self.long)))
 
-def _squared_angle(square: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The square of an angle, by the first terms of its series in the squared chord of unit vectors: less beyond 1 rad."""
-    inner: NDArray[np.float32] = square * NINETIETH + TWELFTH
-    angle: NDArray[np.float32] = square * (square * inner + _F(1))
-    return angle
+    def pass_obstacles(self) -> None:
+        """Steps along the obstacles in their way, and velocities of those who would have gone otherwise."""
+        world, p = self.world, self.population
+        if not world.plan.of_kind("obstacle"):
+            return
+        wanted, up = self.step, p.normal.T
+        step = no_slower(world, p, slide(world, p, wanted, up, p.now["radius"]), up, self.dt)
+        if step is not wanted:
+            work = partial(slowed, wanted, step, self.velocity, _F(1) / self.dt)
+            parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
+            self.step = step
 
+    def walk(self, ground: Ground) -> None:
+        """Walk over a ground to new places, and arrive there."""
+        now = self.population.now
+        limits = (now["max_speed"], now["max_turn"], now["response"])
+        times = (self.whole * AT_ONCE, self.dt, share(self.dt))
+        facing = (FACE in now, vec.named(now, "~face") if FACE in now else self.registers[1], self.everyone)
+        there = (limits, (self.most, self.state, *self.kept), times, facing, self.registers)
+        if isinstance(ground, Plane):
+            self._over_plane(ground, there)
+        elif not isinstance(ground, MeshGround) or not self._over_meshes(ground, there):
+            self._over_any(ground, there)
 
-def _read(population: Population, name: str) -> Vector:
-    return vec.named(population.now, name)
+    def _over_plane(self, plane: Plane, there: tuple[Any, ...]) -> None:
+        p, n = self.population, len(self.population)
+        place, normals = np.empty((n, 3)), np.empty((n, 3), np.float32)
+        going = (self.velocity, self.step, self.looking)
+        work = partial(glide, plane.up, p.footing.point, *going, *there, place, normals)
+        parallel.in_parts(work, n, self.threads)
+        p.footing, p.position, p.normal = Footing.on_plane(place), place, normals
 
+    def _over_meshes(self, ground: MeshGround, there: tuple[Any, ...]) -> bool:
+        """False where triangles are not what is walked over."""
+        p, n = self.population, len(self.population)
+        walk = ground.crowd_walk(self.longest, self.widest)
+        if walk is None:
+            return False
+        tables = walk.tables()
+        to = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
+        at, placed = _ON_FACES(p.footing.columns), _ON_FACES(to.columns)
+        place, normals = np.empty((3, n)), np.empty((n, 3), np.float32)
+        (how,) = p.room("how", 1, (n,), np.uint8)
+        (reals,), (wholes,) = p.room("reals", 1, (loop.REALS, n), np.float64), p.room("wholes", 1, (loop.WHOLES, n), np.int64)
+        given = (at, p.now["size"], p.normal, self.velocity, self.step, self.looking, *there)
+        work = partial(stride, *tables, *given, reals, wholes, how, placed, place, p.position, normals)
+        parts = parallel.in_parts(work, n, self.threads)
+        if any([waiting or left for _, waiting, left in parts]):
+            self._later(ground, there, walk, Waiting.of(parts, reals, wholes), to, place, normals, how)
+        p.footing, p.position, p.normal = to, place.T, normals
+        return True
 
-def _velocity(world: World, population: Population, up: Vector, dt: np.float32, substep: int) -> Vector:
-    """Velocity after the push, along the ground, within the limits of speed and turn."""
-    now = population.now
-    before, push = _read(population, "velocity"), _read(population, "push")
-    velocity = _pushed(now, push, vec.flat(before, up), up, _time(now, _F(world.dt), dt, substep))
-    turning = np.flatnonzero(np.isfinite(now["max_turn"]))
-    if len(turning):
-        time = _time({"response": now["response"][turning]}, _F(world.dt), dt, substep)
-        most = np.maximum(now["max_turn"][turning], _F(0)) * time
-        u = vec.take(up, turning)
-        _limit_turn(velocity, vec.flat(vec.take(before, turning), u), u, most, turning)
-    return velocity
+    def _later(
+        self,
+        ground: MeshGround,
+        there: tuple[Any, ...],
+        walk: CrowdWalk,
+        waiting: Waiting,
+        to: Footing,
+        place: NDArray[np.float64],
+        normals: NDArray[np.float32],
+        how: NDArray[np.uint8],
+    ) -> None:
+        """Move those who have come to something else than the next face of their surface, and those who are nowhere or whose
+        numbers are none, and let them arrive."""
+        p, n = self.population, len(self.population)
+        above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
+        (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
+        placed, moved = _ON_FACES(to.columns), (place, above, ahead, direction, gone)
+        rows = walk.on(waiting, how, placed, moved, blocked, self.threads)
+        if waiting.left:
+            others = np.flatnonzero(how != loop.DONE)
+            result = Move(to, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
+            result.put(others, self._moved(ground, others))
+            rows = np.union1d(rows, others)
+        if len(rows):
+            self._arrive(rows, (*moved[:4], blocked), there, normals)
 
+    def _over_any(self, ground: Ground, there: tuple[Any, ...]) -> None:
+        p, rows = self.population, np.arange(len(self.population))
+        moved = self._moved(ground, slice(None))
+        if self.world.solids:
+            moved = in_the_air(self.world, p, moved, self.dt)
+        normals = np.empty((len(rows), 3), np.float32)
+        walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
+        self._arrive(rows, walked, there, normals)
+        p.footing, p.position, p.normal = moved.footing, moved.position, normals
 
-def _pushed(now: dict[str, NDArray[Any]], push: Vector, before: Vector, up: Vector, time: NDArray[np.float32]) -> Vector:
-    """Velocity after the push for a time each, along the ground, within the limit of speed."""
-    push = vec.flat(push, up)
-    push = vec.scale(push, _F(1) / np.maximum(vec.length(push), _F(1)))
-    max_speed = np.maximum(now["max_speed"], _F(0))
-    velocity = vec.add(before, vec.scale(push, _gain(now, time)))
-    speed = vec.length(velocity)
-    velocity = vec.scale(velocity, np.where(speed > max_speed, max_speed / np.where(speed > 0, speed, _F(1)), _F(1)))
-    x, y, z = (np.where(np.isfinite(v), v, _F(0)) for v in velocity)
-    if LEAST not in now:
-        return x, y, z
-    return quickened((x, y, z), before, vec.flat(vec.named(now, "heading"), up), least(now))
+    def _moved(self, ground: Ground, rows: NDArray[np.intp] | slice) -> Move:
+        """Where a ground moves some agents."""
+        p = self.population
+        stands = self.state[rows] == STANDS
+        heading = vec.choose(stands, vec.take(self.registers[2], rows), vec.take(self.looking, rows))
+        vectors = vec.rows(vec.take(self.step, rows)), vec.rows(heading), p.normal[rows].astype(np.float64)
+        size = p.now["size"][rows].astype(np.float64)
+        return ground.move(p.footing.take(rows), *vectors, size, self.threads)
 
-
-def _time(now: dict[str, NDArray[Any]], step: np.float32, dt: np.float32, substep: int) -> NDArray[np.float32]:
-    """Seconds that a push acts in this substep: for who answers at once the whole step, in the first."""
-    return np.where(_at_once(now, step), step if substep == 0 else _F(0), dt)
-
-
-def _at_once(now: dict[str, NDArray[Any]], step: np.float32) -> NDArray[np.bool_]:
-    """Who is kinematic: whose response is no longer than a step."""
-    at_once: NDArray[np.bool_] = now["response"] <= step * AT_ONCE
-    return at_once
-
-
-def _gain(now: dict[str, NDArray[Any]], time: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Change of velocity by a push of 1 in this substep, mm/s."""
-    per_second = now["max_force"] / now["mass"]
-    gain: NDArray[np.float32] = np.where(np.isfinite(per_second), per_second, _F(0)) * time
-    return gain
-
-
-def _limit_turn(velocity: Vector, before: Vector, up: Vector, most: NDArray[np.float32], rows: NDArray[np.intp]) -> None:
-    """Turn the velocity of `rows`, whose are all others, by at most `most` (radians), at its new speed; changes it in place."""
-    some = np.flatnonzero(_may_turn_more(vec.take(velocity, rows), before, most))
-    if not len(some):
-        return
-    rows, most = rows[some], most[some]
-    v, b, u = vec.take(velocity, rows), vec.take(before, some), vec.take(up, some)
-    speed, ahead = vec.length(v), vec.unit(b, vec.unit(v, vec.across(u)))
-    direction = vec.unit(v, ahead)
-    side = vec.unit(vec.flat(direction, ahead), vec.cross(u, ahead))
-    angle = elementary.atan2(vec.length(vec.cross(ahead, direction)), vec.dot(ahead, direction))
-    most = np.where(vec.length(b) > 0, most, _F(4))  # who stands may set out in any direction
-    turned = vec.add(vec.scale(ahead, elementary.cos(most)), vec.scale(side, elementary.sin(most)))
-    limited = vec.choose(angle > most, vec.scale(turned, speed), v)
-    for component, value in zip(velocity, limited, strict=True):
-        component[rows] = value
-
-
-def _may_turn_more(velocity: Vector, before: Vector, most: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Who may turn by more than `most` (radians): all but those whose angle is clearly less, of whom most crowds are."""
-    cosine = np.cos(np.clip(most, _F(0), _F(np.pi)))
-    along, both = vec.dot(velocity, before), vec.length(velocity) * vec.length(before)
-    clearly: NDArray[np.bool_] = (along > (cosine + _F(1e-3)) * both) & (both > _F(1e-12))
-    return np.logical_not(clearly)
-
-
-def _face(
-    population: Population,
-    heading: Vector,
-    velocity: Vector,
-    up: Vector,
-    tilt: NDArray[np.float32],
-    dt: np.float32,
-    at_once: NDArray[np.bool_],
-) -> Vector:
-    """Turn the heading towards the movement: exponentially within a tenth of a second or at once, and with the body's tilt, whose
-    squared angle is given, no faster than max_turn."""
-    now = population.now
-    heading = vec.unit(vec.flat(heading, up), vec.across(up))
-    speed = vec.length(velocity)
-    direction = vec.unit(velocity, heading)
-    faced = None
-    if FACE in now:
-        wish = vec.named(now, "~face")
-        along = vec.flat(vec.unit(wish, up), up)  # a way straight off the ground is none
-        faced = vec.length(along) > LEVEL
-        direction = vec.choose(faced, vec.unit(along, direction), direction)
-    turn = now["max_turn"]
-    behind = (vec.dot(heading, direction) < 0) & ~(at_once & ~np.isfinite(turn))
-    if behind.any():  # over a right angle it turns towards its side first, instead of through itself
-        left = vec.cross(up, heading)
-        side = vec.unit(vec.flat(direction, heading), left)
-        direction = vec.choose(behind, vec.unit(vec.flat(side, up), left), direction)
-    part = share(dt)
-    eager = np.minimum(speed / np.maximum(now["max_speed"] * SLOW, _F(1e-6)), _F(1))
-    if faced is not None:
-        eager = np.where(faced, _F(1), eager)
-    change = vec.scale(vec.sub(direction, heading), np.where(at_once, _F(1), part * eager))
-    if np.isfinite(turn).any():
-        size = vec.length(change)
-        most = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, np.inf).astype(np.float32)
-        most = np.sqrt(np.maximum(most * most - tilt, _F(0)))
-        change = vec.scale(change, np.where(size > most, most / np.where(size > 0, size, _F(1)), _F(1)))
-    return vec.unit(vec.flat(vec.add(heading, change), up), heading)
+    def _arrive(
+        self, rows: NDArray[np.intp], walked: tuple[Any, ...], there: tuple[Any, ...], normals: NDArray[np.float32]
+    ) -> None:
+        work = partial(arrive, rows, self.velocity, self.step, self.population.position, walked, *there, normals)
+        parallel.in_parts(work, len(rows), self.threads, _ARRIVING)

@@ -15,20 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.catalogue import CAPSULES, Capsule, body_of
-from antdsl.numerics import compiled, elementary, randomness
+from antdsl.numerics import elementary, parallel, randomness
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import dot
+from antdsl.runtime.moving.capsule_distances import before, gathered, measured, met, nothing_seen, trunks
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.touching import Bounds, Pairs, within_reach
+from antdsl.senses.touching import Bounds, within_reach
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_SEEN = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
-_ABOUT = 1.5  # widths that two are apart, up to which they may yet meet
-_OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
-_NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
 _SPREAD = 0x9E3779B1  # an odd number, that numbers pairs of ids
 _SPECIES = 1 << 40  # more than there are ids of a species
 
@@ -56,25 +52,10 @@ class Crowd:
         self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
         self._capsules = [capsule_of(world, population.name) for population in self.species]
         self.key = self.of(lambda p: p.ids + k * _SPECIES if (k := self.species.index(p)) else p.ids)
-        self.bounds: Bounds | None = None  # of x, y and z of middles and of reaches, where these are known
-        if compiled.wanted(len(self)):
-            self.bounds = self._measured_fast()
-            return
-        size = self.of(lambda p: np.maximum(self._registers(p)["size"], np.float32(0))).astype(np.float64)
-        self.radius = size * self._shares("width") * 0.5
-        self.half = np.maximum(size * self._shares("length") * 0.5 - self.radius, 0.0)
-        self.reach = self.half + self.radius * _SEEN
-        high, self.ahead = size * self._shares("height"), size * self._shares("ahead")  # of the trunk's middle from the feet, mm
-        heading, up = self.vector("heading"), self.vector("up")
-        place = self.of(lambda p: p.position)
-        self.middle = np.empty((3, len(self)))  # mm
-        for k in range(3):
-            self.middle[k] = (place[:, k] + up[k] * high) + heading[k] * self.ahead
+        self.bounds = self._measure()  # of x, y and z of middles and of reaches
 
-    def _measured_fast(self) -> Bounds:
-        """The same by a loop over each species, with the bounds of all."""
-        from antdsl.runtime.moving.capsules_compiled import nothing_seen, trunks
-
+    def _measure(self) -> Bounds:
+        """Measure the capsules of each species; gives the bounds of all."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
         seen, bounds = nothing_seen(), ()
@@ -111,13 +92,6 @@ class Crowd:
     def _registers(self, population: Population) -> dict[str, NDArray[Any]]:
         return population.start if self._start else population.now
 
-    def _shares(self, name: str) -> Floats | float:
-        """A number of each capsule, in body lengths: one for all where they have one body."""
-        shares = [float(getattr(capsule, name)) for capsule in self._capsules]
-        if len(set(shares)) == 1:
-            return shares[0]
-        return np.repeat(shares, np.diff(self.first))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Near:
@@ -144,36 +118,37 @@ class Near:
         """Gaps and ways of all pairs before rows `walked` (3, k) mm, as these face now, and how deep (k) mm each was in the worst
         of the others."""
         pairs, rows = len(self.i), len(self.rows)
-        if compiled.wanted(pairs):
-            from antdsl.runtime.moving.capsules_compiled import before
-
-            gap, way, deep, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
-            capsules = (self.ahead, self.up, self.half, self.radius)
-            count = before(self.middle, walked, *capsules, self.i, self.j, gap, way, deep, lost)
-            if count:
-                way[:, lost[:count]] = self.measured(-walked, lost[:count])[1]
-            return gap, way, deep
-        gap, way = self.measured(-walked, np.arange(pairs))
-        return gap, way, deepest(rows, self.i, self.j, gap)
+        gap, way, deep, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
+        capsules = (self.ahead, self.up, self.half, self.radius)
+        count = before(self.middle, walked, *capsules, self.i, self.j, gap, way, deep, lost)
+        self.draw(way, lost[:count])
+        return gap, way, deep
 
     def measure(self, gone: Floats, changed: Flags) -> None:
         """Measure anew the pairs of which a row has `changed` (k), once rows have gone by (3, k) mm."""
-        gap, way = self.gap, self.way
-        if compiled.wanted(len(self.i)):
-            from antdsl.runtime.moving.capsules_compiled import measured
+        some, lost = np.empty((2, len(self.i)), np.intp)
+        capsules = (self.ahead, self.up, self.half, self.radius)
+        count = measured(self.middle, gone, *capsules, self.i, self.j, changed, self.gap, self.way, some, lost)
+        self.draw(self.way, lost[:count])
 
-            some, lost = np.empty((2, len(self.i)), np.intp)
-            capsules = (self.ahead, self.up, self.half, self.radius)
-            count = measured(self.middle, gone, *capsules, self.i, self.j, changed, gap, way, some, lost)
-            which = lost[:count]
-        else:
-            which = np.flatnonzero(changed.take(self.i) | changed.take(self.j))
-        if len(which):
-            gap[which], way[:, which] = self.measured(gone, which)
-
-    def measured(self, gone: Floats, which: Rows) -> tuple[Floats, Floats]:
-        """Gaps and ways of some pairs, once rows have gone by (3, k) mm."""
-        return _gaps(self, self.middle + gone, self.i.take(which), self.j.take(which))
+    def draw(self, way: Floats, which: Rows) -> None:
+        """Draw the ways to part (3, m) of some pairs, which are in one place: along the ground of the first, by the seed and both
+        ids."""
+        if not len(which):
+            return
+        crowd, i, j = self.crowd, self.i.take(which), self.j.take(which)
+        first, second = (crowd.key.take(self.rows.take(k)) for k in (i, j))
+        kinds = (first // _SPECIES) * len(crowd.species) + second // _SPECIES
+        turn = np.empty(len(i), np.float32)
+        for kind in np.unique(kinds):
+            some = np.flatnonzero(kinds == kind)
+            one, other = (crowd.species[number].name for number in divmod(int(kind), len(crowd.species)))
+            ids = (first[some] % _SPECIES) * _SPREAD + second[some] % _SPECIES
+            turn[some] = randomness.uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
+        angle = turn * np.float32(2 * np.pi)
+        normal = self.up.take(i, axis=1)
+        side = np.stack(vec.across((normal[0], normal[1], normal[2])))
+        way[:, which] = side * elementary.cos(angle) + vec.stacked_cross(normal, side) * elementary.sin(angle)
 
 
 def find(crowd: Crowd, dead: float | None = None) -> Near:
@@ -181,32 +156,7 @@ def find(crowd: Crowd, dead: float | None = None) -> Near:
     of two."""
     x, y, z = crowd.middle
     pairs = within_reach((x, y, z), crowd.reach, crowd.key, crowd.bounds)
-    if compiled.wanted(len(pairs.i)):
-        return _found_fast(crowd, pairs, dead)
-    late = crowd.key.take(pairs.i) > crowd.key.take(pairs.j)
-    i, j = np.where(late, pairs.j, pairs.i), np.where(late, pairs.i, pairs.j)
-    ahead, up = (np.stack(crowd.vector(name)).astype(np.float64) for name in ("heading", "up"))
-    number, gap, way = np.arange(len(crowd)), np.empty(len(i)), np.empty((3, len(i)))
-    near = Near(crowd, number, i, j, crowd.middle, ahead, up, crowd.half, crowd.radius, 0.0, gap, way)
-    gap, way = near.measured(np.zeros_like(crowd.middle), np.arange(len(i)))
-    room = crowd.radius.take(i) + crowd.radius.take(j)
-    kept = np.flatnonzero(gap < room * _ABOUT)
-    widest = max(float(crowd.radius.take(k.take(kept)).max(initial=0.0)) for k in (i, j))
-    if dead is not None:
-        deep, inside = kept[gap.take(kept) < room.take(kept) * -dead], np.zeros(len(crowd), np.bool_)
-        inside[i.take(deep)] = inside[j.take(deep)] = True
-        kept = kept[inside.take(i.take(kept)) | inside.take(j.take(kept))]
-    rows, i, j = part_of(len(crowd), i.take(kept), j.take(kept))
-    middle, ahead, up = (v.take(rows, axis=1) for v in (crowd.middle, ahead, up))
-    gap, way = gap.take(kept), way.take(kept, axis=1)
-    return Near(crowd, rows, i, j, middle, ahead, up, crowd.half.take(rows), crowd.radius.take(rows), widest, gap, way)
-
-
-def _found_fast(crowd: Crowd, pairs: Pairs, dead: float | None) -> Near:
-    """As `find`, by one loop over all pairs and one over those rows that are in any."""
-    from antdsl.runtime.moving.capsules_compiled import gathered, met
-
-    i, j, m = *compiled.plain(pairs.i, pairs.j), len(pairs.i)
+    i, j, m = *parallel.plain(pairs.i, pairs.j), len(pairs.i)
     gap, way, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
     rows, number = np.empty((2, len(crowd)), np.intp)
     stand = (crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
@@ -216,8 +166,7 @@ def _found_fast(crowd: Crowd, pairs: Pairs, dead: float | None) -> Near:
     own = (middle, ahead, up, half, radius)
     gathered(rows, *stand, own)
     near = Near(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(way[:, :m]))
-    if lost:
-        near.gap[known[:lost]], near.way[:, known[:lost]] = near.measured(np.zeros_like(middle), known[:lost])
+    near.draw(near.way, known[:lost])
     return near
 
 
@@ -237,76 +186,3 @@ def deepest(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
     for k in (i.take(inside), j.take(inside)):
         np.maximum.at(deep, k, -gap.take(inside))
     return deep
-
-
-def part_of(count: int, i: Rows, j: Rows) -> tuple[Rows, Rows, Rows]:
-    """Which of so many rows are in some pairs, ascending, and the pairs by where these stand among them."""
-    there = np.zeros(count, np.bool_)
-    there[i] = True
-    there[j] = True
-    number = np.cumsum(there) - 1
-    return np.flatnonzero(there), number.take(i), number.take(j)
-
-
-def _gaps(near: Near, at: Floats, i: Rows, j: Rows) -> tuple[Floats, Floats]:
-    """Gaps and ways of some pairs whose middles are at places (3, k) mm. The nearest points of two segments by C. Ericson,
-    Real-Time Collision Detection, 2005, 5.1.9."""
-    ahead, up, half, radius = near.ahead, near.up, near.half, near.radius
-    one, other = up.take(i, axis=1), up.take(j, axis=1)
-    away = at.take(i, axis=1) - at.take(j, axis=1)
-    between = one + other
-    size = dot(between, between)
-    between = between * np.where(dot(one, other) < _OPPOSITE, 0.0, 1 / np.sqrt(np.maximum(size, 1e-12)))
-    a, b = ahead.take(i, axis=1), ahead.take(j, axis=1)
-    flat = away - between * dot(away, between)
-    one, other = a - between * dot(a, between), b - between * dot(b, between)
-    reach, length = half.take(i), half.take(j)
-    aa, bb, ab = np.maximum(dot(one, one), 1e-9), np.maximum(dot(other, other), 1e-9), dot(one, other)
-    c, f = dot(one, flat), dot(other, flat)
-    skew = aa * bb - ab * ab
-    s = np.where(skew > 1e-9, (ab * f - c * bb) / np.maximum(skew, 1e-9), 0.0)
-    s = np.minimum(np.maximum(s, -reach), reach)
-    t = (ab * s + f) / bb
-    t = np.minimum(np.maximum(t, -length), length)
-    s = (ab * t - c) / aa
-    s = np.minimum(np.maximum(s, -reach), reach)
-    apart = (away + a * s) - b * t
-    over = dot(apart, between)
-    apart = apart - between * over
-    distance = np.sqrt(dot(apart, apart))
-    wide = radius.take(i) + radius.take(j)
-    room = wide * wide - over * over
-    gap = np.where(room > 0, distance - np.sqrt(np.maximum(room, 0.0)), np.inf)
-    way = apart / np.maximum(distance, 1e-300)
-    lost = np.flatnonzero(distance <= wide * _NOWHERE)
-    if len(lost):
-        way[:, lost] = _parting(near, flat.take(lost, axis=1), wide.take(lost), i.take(lost), j.take(lost))
-    return gap, way
-
-
-def _parting(near: Near, flat: Floats, wide: Floats, i: Rows, j: Rows) -> Floats:
-    """Ways to part of pairs whose axes cross: from middle to middle, and where these are in one place, as drawn."""
-    size = np.sqrt(dot(flat, flat))
-    way = flat / np.maximum(size, 1e-300)
-    same = np.flatnonzero(size <= wide * _NOWHERE)
-    if len(same):
-        way[:, same] = _drawn(near, i.take(same), j.take(same))
-    return way
-
-
-def _drawn(near: Near, i: Rows, j: Rows) -> Floats:
-    """Unit vectors (3, m) along the ground of the first of each pair, by the seed and both ids."""
-    crowd = near.crowd
-    first, second = (crowd.key.take(near.rows.take(k)) for k in (i, j))
-    kinds = (first // _SPECIES) * len(crowd.species) + second // _SPECIES
-    turn = np.empty(len(i), np.float32)
-    for kind in np.unique(kinds):
-        some = np.flatnonzero(kinds == kind)
-        one, other = (crowd.species[number].name for number in divmod(int(kind), len(crowd.species)))
-        ids = (first[some] % _SPECIES) * _SPREAD + second[some] % _SPECIES
-        turn[some] = randomness.uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
-    angle = turn * np.float32(2 * np.pi)
-    normal = near.up.take(i, axis=1)
-    side = np.stack(vec.across((normal[0], normal[1], normal[2])))
-    found: Floats = side * elementary.cos(angle) + vec.stacked_cross(normal, side) * elementary.sin(angle)
-    return found

@@ -19,32 +19,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled, elementary
+from antdsl.numerics import elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot
 from antdsl.runtime.moving import cutting, rounds
-from antdsl.runtime.moving.capsules import Crowd, Near, find, part_of
-from antdsl.runtime.moving.corrections import Corrections
-from antdsl.runtime.world import AXES, PUSHED, World
+from antdsl.runtime.moving.capsules import Crowd, Near, find
+from antdsl.runtime.moving.corrections import Corrections, came, stands
+from antdsl.runtime.moving.separation import DEAD, FINE, arrays, faced, parted
+from antdsl.runtime.world import PUSHED, World
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 _F = np.float32
-_DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
-_FINE = 40  # digits of a term in a sum, below the widest overlap
-_MAGIC = 1.5 * 2.0 ** (52 - _FINE)
-_SHARES = 1 << 20  # a share is a multiple of one in so many
-_SPREADS = 3  # contacts along which it is told how locked in agents are
-_OUTWARD = 10.0  # times the difference of two, by which the outer one makes room in a heap
-_PRESSED = 1.0  # the same among those who are hardly in each other: there a crowd that presses must not be thrown about
-_LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
-_EAGER = 1.5  # times the mean of its contacts, by which one in a heap is moved
-_STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
-_HEAP = 0.4  # radii: who was half as deep in another begins to be in a heap, who was one and a half times as deep is
-_RESTS = 0.01  # of the way that it may walk: who goes less rests, and presses nobody
-_YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
 _SOFT = 0.1  # s, in which two part by the most of their overlap
 
 
@@ -89,7 +77,7 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     if len(world) < 2:
         return
     effort, crowd = EFFORTS[world.setting.contacts], Crowd(world)
-    near = find(crowd, _DEAD if effort.once else None)
+    near = find(crowd, DEAD if effort.once else None)
     if not len(near.i):
         return
     share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
@@ -102,7 +90,7 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     else:
         cut = np.zeros_like(near.middle)
     which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.places, dt)
-    work = _work(near)
+    work = arrays(len(near.rows), len(near.i))
     for left in range(effort.rounds - 1, -1, -1):
         asked = _apart(near, agents, which, held, walked, deep, effort, share, cut, work)
         some, wanted = rounds.led(asked)
@@ -126,16 +114,11 @@ def resolve(world: World, began: Stood, dt: float) -> None:
 
 def _came(crowd: Crowd, rows: Rows, dt: float) -> Floats:
     """The way (3, k) mm that rows of a crowd came in a time as long as this substep before it."""
-    if compiled.wanted(len(rows)):
-        from antdsl.runtime.moving.corrections_compiled import came
-
-        first, way = 0, np.empty((3, len(rows)))
-        for population, own in crowd.parts(rows):
-            came(own, first, vec.named(population.start, "velocity"), dt, way)
-            first += len(own)
-        return way
-    velocity = (crowd.of(lambda p, axis=axis: p.start[f"velocity.{axis}"]) for axis in AXES)  # type: ignore[misc]
-    return np.stack([component.take(rows) * dt for component in velocity]).astype(np.float64)
+    first, way = 0, np.empty((3, len(rows)))
+    for population, own in crowd.parts(rows):
+        came(own, first, vec.named(population.start, "velocity"), dt, way)
+        first += len(own)
+    return way
 
 
 def _note_pushes(crowd: Crowd, rows: Rows, cut: Floats, some: Rows, asked: Floats, got: Floats) -> None:
@@ -171,44 +154,19 @@ class _Agents:
     def of(crowd: Crowd, near: Near, began: Stood, dt: float) -> tuple[_Agents, Floats]:
         """These, and by how much (3, k) mm agents are now from where they started."""
         rows = near.rows
-        if compiled.wanted(len(rows)):
-            start, walked, normal, reach, mass = _stands(crowd, rows, began, dt)
-        else:
-            start = crowd.of(lambda p: began.places[p.name].T, 1).take(rows, axis=1)
-            walked = crowd.of(lambda p: p.position.T, 1).take(rows, axis=1) - start
-            normal = crowd.of(lambda p: p.normal.T, 1).take(rows, axis=1).astype(np.float64)
-            speed = np.maximum(crowd.of(lambda p: p.now["max_speed"]).take(rows), _F(0))
-            reach = speed.astype(np.float64) * dt
-            mass = np.maximum(crowd.of(lambda p: p.now["mass"]).take(rows).astype(np.float64), 1e-30)
+        vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
+        for p, own in crowd.parts(rows):
+            feet = (began.places[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
+            stands(own, first, *feet, dt, *vectors, reach, mass)
+            first += len(own)
+        start, walked, normal = vectors
         yields = np.ones(len(rows))
         if mass.min() < mass.max():  # or the sweeps would push at a heavy one as often as a light one cannot get away
             yields[:] = 0.0
             for k, other in ((near.i, near.j), (near.j, near.i)):
-                np.maximum.at(yields, k, cutting.lightness(mass.take(k), mass.take(other)))
+                one, two = mass.take(k), mass.take(other)
+                np.maximum.at(yields, k, np.minimum(2 * two / (one + two), 1.0))
         return _Agents(start, reach, mass, yields, normal, crowd.of(lambda p: p.quarantined).take(rows)), walked
-
-
-def _stands(crowd: Crowd, rows: Rows, began: Stood, dt: float) -> tuple[Floats, ...]:
-    """Of rows of a crowd, ascending, where they start, how they have walked and the normals of their ground (3, k), how far they
-    may walk, and their masses, by a loop over each species."""
-    from antdsl.runtime.moving.corrections_compiled import stands
-
-    vectors, numbers = np.empty((3, 3, len(rows))), np.empty((2, len(rows)))
-    first = 0
-    for p, own in crowd.parts(rows):
-        feet = (began.places[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
-        stands(own, first, *feet, dt, *vectors, *numbers)
-        first += len(own)
-    return *vectors, *numbers
-
-
-def _work(near: Near) -> tuple[Any, ...] | None:
-    """Room for the kernels that part agents; None without kernels."""
-    if not compiled.wanted(len(near.i)):
-        return None
-    from antdsl.runtime.moving.contacts_compiled import arrays
-
-    return arrays(len(near.rows), len(near.i))
 
 
 def _apart(
@@ -221,148 +179,21 @@ def _apart(
     effort: Effort,
     share: float,
     cut: Floats,
-    work: tuple[Any, ...] | None,
+    work: tuple[Any, ...],
 ) -> Floats:
     """By what (3, k) mm rows are to be moved for some of the pairs (m), as measured after steps were `cut` by (3, k) mm; who is
-    `held` is not moved farther. Rows have `walked` (3, k) mm and were so `deep` (k) mm in others before. `work`: room for
+    `held` is not moved farther. Rows have `walked` (3, k) mm and were so `deep` (k) mm in others before. `work`: memory for
     kernels."""
-    magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - _FINE + 52)
+    magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - FINE + 52)
     which, gone = which.copy(), cut.copy()
-    if work is not None:
-        from antdsl.runtime.moving.contacts_compiled import parted
-
-        looks, lost = effort.looks, np.empty(len(near.i), np.intp)
-        bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
-        pairs = (near.i, near.j, near.gap, near.way, which)
-        stand = (agents.mass, agents.yields, agents.reach, deep, held, agents.normal, walked, cut)
-        while looks:
-            looks, count = parted(bodies, pairs, stand, gone, magic, looks, effort.sweeps, share, lost, work)
-            some = lost[:count]
-            if count:
-                near.gap[some], near.way[:, some] = near.measured(gone, some)
-        return gone
-    size = np.sqrt(dot(walked, walked))
-    most = np.maximum(agents.reach, size)
-    room = np.minimum(most * _YIELD + deep, most) * agents.yields
-    heap = np.minimum(np.maximum(deep / (near.radius * _HEAP) - 0.5, 0.0), 1.0)
-    heap[size <= _RESTS * most] = 1.0
-    light = np.where(held, 0.0, 1 / agents.mass)
-    least = (near.radius.take(near.i) + near.radius.take(near.j)) * _DEAD
-    for left in range(effort.looks - 1, -1, -1):
-        before = gone.copy()
-        _look(near, which, least, light, heap, agents.normal, walked, most, room, cut, gone, magic, effort.sweeps, share)
-        changed = rounds.moved(gone - before)
-        if not left or not changed.any():
-            break
-        near.measure(gone, changed)
-        which |= changed.take(near.i) | changed.take(near.j)
+    looks, lost = effort.looks, np.empty(len(near.i), np.intp)
+    bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
+    pairs = (near.i, near.j, near.gap, near.way, which)
+    stand = (agents.mass, agents.yields, agents.reach, deep, held, agents.normal, walked, cut)
+    while looks:
+        looks, count = parted(bodies, pairs, stand, gone, magic, looks, effort.sweeps, share, lost, work)
+        near.draw(near.way, lost[:count])
     return gone
-
-
-def _look(
-    near: Near,
-    which: Flags,
-    least: Floats,
-    light: Floats,
-    heap: Floats,
-    normal: Floats,
-    walked: Floats,
-    most: Floats,
-    room: Floats,
-    cut: Floats,
-    gone: Floats,
-    magic: float,
-    sweeps: int,
-    share: float,
-) -> None:
-    """Change by what (3, k) rows are `gone`, for some pairs (m) as they were last measured; overlaps of less than the `least` (m)
-    do not count."""
-    count = len(near.rows)
-    touching = np.flatnonzero(which & (near.gap < -least))
-    if not len(touching):
-        return
-    met = np.zeros(count, np.bool_)
-    met[near.i.take(touching)] = True
-    met[near.j.take(touching)] = True
-    part = np.flatnonzero(
-        which & (met.take(near.i) | met.take(near.j))
-    )  # others are not reached by what these are moved in a sweep
-    some, i, j = part_of(count, near.i.take(part), near.j.take(part))
-    light, heap, normal, walked = light.take(some), heap.take(some), normal.take(some, axis=1), walked.take(some, axis=1)
-    pairs = _Pairs(i, j, near.gap.take(part), near.way.take(part, axis=1), least.take(part), light, heap, normal, magic)
-    seen, most, room, back = gone.take(some, axis=1), most.take(some), room.take(some), -cut.take(some, axis=1)
-    led = seen
-    for _ in range(sweeps):
-        asked = pairs.swept(led - seen, share)
-        if asked is None:
-            break
-        led = _within(led + asked, back, room)
-        led = _within(led, walked, most)
-    gone[:, some] = led
-
-
-class _Pairs:
-    """Pairs of agents, `i` and `j` of them, as one look found them: gaps and ways to part stay these for its sweeps. All
-    that these need is laid out in one row: of the first of each pair, then of the second, axis after axis."""
-
-    def __init__(
-        self, i: Rows, j: Rows, gap: Floats, way: Floats, dead: Floats, light: Floats, heap: Floats, normal: Floats, magic: float
-    ) -> None:
-        self._count, self._gap, self._way, self._least, self._magic = len(light), gap, way, -dead, magic
-        self._both = np.concatenate([i, j])
-        self._along = np.concatenate([self._both, self._both + len(light), self._both + 2 * len(light)])
-        ways, normal = np.concatenate([way, -way], axis=1), normal.take(self._both, axis=1)
-        ways -= normal * dot(ways, normal)  # along the ground under the feet of each: who is pushed into it makes no room
-        self._shares = _shares(i, j, np.where(gap < -dead, -gap, 0.0), light, heap, dot(ways, ways))
-        self._eager = 1 + (_EAGER - 1) * heap
-        self._ways = ways * (self._shares / np.maximum(dot(ways, ways), _STEEPEST))
-
-    def swept(self, since: Floats, share: float) -> Floats | None:
-        """One sweep, when agents have gone by (3, k) mm since the look: what each one's contacts ask of it together (3, k) mm, by
-        a share of what is left of their overlaps; None where nobody is in anybody."""
-        count, m = self._count, len(self._gap)
-        gone = since.take(self._both, axis=1)
-        gap = self._gap + dot(self._way, gone[:, :m] - gone[:, m:])
-        touching = gap < self._least
-        if not touching.any():
-            return None
-        deep, flags = np.where(touching, gap, 0.0) * -share, np.concatenate([touching, touching])
-        terms = np.where(flags, self._ways * np.concatenate([deep, deep]), 0.0)  # who has no mass harms those alone who touch it
-        terms = (terms + self._magic) - self._magic
-        weight = np.bincount(self._both, np.where(flags, self._shares, 0.0), count)
-        crowded = np.bincount(self._both, flags, count) > 1
-        part = np.where(crowded, self._eager, 1.0) / np.maximum(weight, 1.0)
-        asked: Floats = np.bincount(self._along, terms.ravel(), 3 * count).astype(np.float64).reshape(3, count) * part
-        return asked
-
-
-def _shares(i: Rows, j: Rows, deep: Floats, light: Floats, heap: Floats, level: Floats) -> Floats:
-    """What of their overlap the first of each pair and then (2 m) the second of each make room for, together 1: the lighter more,
-    and the one that is less locked in. `deep`: overlaps, mm; `light`: 1 / mass of each agent, 0 of who is not to be moved;
-    `level`: how much of the way to part lies along the ground of each (2 m), squared.
-
-    Locked in is who is deep in others that are deep in others: the overlaps of each, added up along contacts again and again
-    (power iteration to the first eigenvector of the contact graph, whose values fall from the middle of a heap to its rim)."""
-    count, touch = len(light), deep > 0
-    both, far = np.concatenate([i[touch], j[touch]]), np.concatenate([j[touch], i[touch]])
-    deep = _rounded(deep[touch] / deep.max())
-    locked: Floats = np.bincount(both, np.concatenate([deep, deep]), count).astype(np.float64)
-    for _ in range(_SPREADS):
-        locked = locked + np.bincount(both, locked.take(far), count)
-        locked = _rounded(locked / locked.max())
-    first, second = locked.take(i), locked.take(j)
-    outward = _PRESSED + (_OUTWARD - _PRESSED) * np.maximum(heap.take(i), heap.take(j))
-    outer = 0.5 + outward * (second - first) / np.maximum(first + second, 1e-300)
-    outer = np.minimum(np.maximum(outer, _LEAST), 1 - _LEAST)
-    one, other = light.take(i) * outer * level[: len(i)], light.take(j) * (1 - outer) * level[len(i) :]
-    total = one + other
-    share = np.round(one / np.maximum(total, 1e-300) * _SHARES) / _SHARES
-    return np.concatenate([share, np.where(total > 0, 1 - share, 0.0)])
-
-
-def _rounded(terms: Floats) -> Floats:
-    """Numbers up to 1 as multiples of a quantum, of which sums are exact."""
-    return (terms + _MAGIC) - _MAGIC
 
 
 def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str, Vector]) -> None:
@@ -370,27 +201,5 @@ def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str
     rows, last = near.rows.take(stopped), 0
     for population, own in crowd.parts(rows):
         first, last = last, last + len(own)
-        if compiled.wanted(len(own)):
-            from antdsl.runtime.moving.contacts_compiled import faced
-
-            vectors = (facing[population.name], *(vec.named(population.now, name) for name in ("up", "heading")))
-            faced(own, stopped[first:last], rows[first:last], *vectors, crowd.ahead, near.ahead, near.middle)
-            continue
-        up, now = vec.take(vec.named(population.now, "up"), own), vec.take(vec.named(population.now, "heading"), own)
-        heading = vec.unit(vec.flat(vec.take(facing[population.name], own), up), now)
-        for axis, component in zip(AXES, heading, strict=True):
-            population.now[f"heading.{axis}"][own] = component
-        turned = near.ahead[:, stopped[first:last]]
-        near.ahead[:, stopped[first:last]] = heading
-        near.middle[:, stopped[first:last]] += (heading - turned) * crowd.ahead.take(rows[first:last])
-
-
-def _within(gone: Floats, from_middle: Floats, room: Floats) -> Floats:
-    """Corrections (3, k) cut so that nobody ends farther than its `room` from a place that lies `from_middle` before that where
-    it walked to."""
-    way = from_middle + gone
-    size = np.sqrt(dot(way, way))
-    far = np.flatnonzero(size > room)
-    if len(far):
-        gone[:, far] = way[:, far] * (room[far] / size[far]) - from_middle[:, far]
-    return gone
+        vectors = (facing[population.name], *(vec.named(population.now, name) for name in ("up", "heading")))
+        faced(own, stopped[first:last], rows[first:last], *vectors, crowd.ahead, near.ahead, near.middle)

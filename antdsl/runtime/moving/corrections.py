@@ -8,21 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Move
-from antdsl.numerics import compiled
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vector_rows import length
+from antdsl.numerics.kernel_vectors import dot, minus, plus, put, times
 from antdsl.numerics.vectors import Columns, Vector
 from antdsl.runtime.moving.capsules import Crowd
 from antdsl.runtime.moving.falling import floating, pushed_in_the_air
 from antdsl.runtime.moving.obstacles import slide_some
-from antdsl.runtime.world import AXES, Population
+from antdsl.runtime.world import Population
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-_F = np.float32
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 _LONGER = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
 _BACK = 3  # times that one is led back which got farther than it may
+_ZERO, _ONE, _TINY, _LIGHTEST = np.float32(0), np.float32(1), np.float32(1e-12), 1e-30
 
 
 class Corrections:
@@ -62,17 +63,10 @@ class Corrections:
         """What a walk by (3, k) mm is told of some agents: the way and the normal of the ground, float32, the same normal and
         headings, float64 (k, 3), and sizes (mm)."""
         now = population.now
-        if compiled.wanted(len(rows)):
-            from antdsl.runtime.moving.corrections_compiled import asked
-
-            step, feet = np.empty((2, 3, len(rows)), np.float32)
-            up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
-            asked(rows, gone, population.normal, vec.named(now, "heading"), now["size"], step, feet, up, heading, size)
-            return (step[0], step[1], step[2]), feet, up.T, heading.T, size
-        normal = vec.columns(population.normal[rows], np.float32)
-        way = (gone[0].astype(_F), gone[1].astype(_F), gone[2].astype(_F))
-        heading = vec.rows(vec.take(vec.named(now, "heading"), rows))
-        return way, normal, vec.rows(normal), heading, now["size"][rows].astype(np.float64)
+        step, feet = np.empty((2, 3, len(rows)), np.float32)
+        up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
+        _asked(rows, gone, population.normal, vec.named(now, "heading"), now["size"], step, feet, up, heading, size)
+        return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
     def _allowed(self, population: Population, rows: Rows, moved: Move, size: Floats) -> Rows | None:
         """Let those of some agents whom ground that bends led farther than they may walk go back towards the start by as much.
@@ -96,44 +90,147 @@ class Corrections:
         """How far (mm) from where some agents began they would get, None where nobody gets farther than it may, and how far they
         may."""
         began, max_speed = self._began[population.name], population.now["max_speed"]
-        if compiled.wanted(len(rows)):
-            from antdsl.runtime.moving.corrections_compiled import too_far
-
-            far, most = np.empty((2, len(rows)))
-            found = too_far(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
-            return (far if found else None), most
-        start = began[rows]
-        most = np.maximum(max_speed[rows].astype(np.float64) * self._dt, length(population.position[rows] - start))
-        far = length(moved.position - start)
-        return (None if (far <= most * _LONGER).all() else far), most
+        far, most = np.empty((2, len(rows)))
+        found = _too_far(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
+        return (far if found else None), most
 
     def _put(self, population: Population, rows: Rows, moved: Move) -> Floats:
         """Where corrections have led the feet of some agents; gives by what (3, k) mm. Bodies stay as they stand, or they would
         be in others again: they lean, and the next step turns them after their feet. The footings, places and normals written to
         are those that the substep's own walk has made, which nobody else has."""
-        if compiled.wanted(len(rows)):
-            from antdsl.runtime.moving.corrections_compiled import arrived
-
-            at, velocity = (vec.named(population.now, name) for name in ("position", "velocity"))
-            got = np.empty((3, len(rows)))
-            arrived(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
-        else:
-            got = self._arrive(population, rows, moved)
+        at, velocity = (vec.named(population.now, name) for name in ("position", "velocity"))
+        got = np.empty((3, len(rows)))
+        _arrived(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
         population.footing.put(rows, moved.footing)  # at last, since a plane's footings are the places themselves
         return got
 
-    def _arrive(self, population: Population, rows: Rows, moved: Move) -> Floats:
-        """As `_put`, of all but footings."""
-        now = population.now
-        got = moved.position - population.position[rows]
-        pushed, up = vec.columns(got, np.float32), vec.columns(moved.up, np.float32)
-        velocity = vec.take(vec.named(now, "velocity"), rows)
-        size, dt = vec.length(pushed), _F(self._dt)
-        against = vec.unit(pushed, (size * 0,) * 3)
-        back = np.minimum(np.maximum(-vec.dot(velocity, against), _F(0)), size / dt)
-        velocity = vec.flat(vec.add(velocity, vec.scale(against, back)), up)
-        for name, value in (("position", vec.columns(moved.position, np.float32)), ("velocity", velocity)):
-            for axis, component in zip(AXES, value, strict=True):
-                now[f"{name}.{axis}"][rows] = component
-        population.position[rows], population.normal[rows] = moved.position, moved.up
-        return got.T
+
+@inlined
+def _row(table, i):  # type: ignore[no-untyped-def]
+    """One of vectors (n, 3)."""
+    return table[i, 0], table[i, 1], table[i, 2]
+
+
+@inlined
+def _single(v):  # type: ignore[no-untyped-def]
+    return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
+
+
+@kernel
+def stands(
+    rows: Array1[I64],
+    first: I64,
+    began: Strided2[F64],
+    place: Strided2[F64],
+    feet: Strided2[F32],
+    max_speed: Array1[F32],
+    weight: Array1[F32],
+    dt: F64,
+    start: Array2[F64],
+    walked: Array2[F64],
+    normal: Array2[F64],
+    reach: Array1[F64],
+    mass: Array1[F64],
+) -> None:
+    """How some rows of a species stand after a substep of `dt` s, from the number `first` on among all rows: as
+    `contacts.Agents`, and by how much they have `walked` (3, k) mm."""
+    for n in independent(0, rows.size):
+        row, k = rows[n], first + n
+        before = _row(began, row)
+        put(start, k, before)
+        put(walked, k, minus(_row(place, row), before))
+        normal[0, k], normal[1, k], normal[2, k] = feet[row, 0], feet[row, 1], feet[row, 2]
+        reach[k] = np.float64(_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
+        mass[k] = max(np.float64(weight[row]), _LIGHTEST)
+
+
+@kernel
+def came(rows: Array1[I64], first: I64, velocity: Three, dt: F32, way: Array2[F64]) -> None:
+    """How far (mm) agents came in a time as long before, of some rows of a species, from the number `first` on among all rows."""
+    for n in independent(0, rows.size):
+        for axis in range(3):
+            way[axis, first + n] = velocity[axis][rows[n]] * dt
+
+
+@kernel
+def _asked(
+    rows: Array1[I64],
+    gone: Strided2[F64],
+    feet: Strided2[F32],
+    facing: Three,
+    long: Array1[F32],
+    way: Array2[F32],
+    normal: Array2[F32],
+    up: Array2[F64],
+    heading: Array2[F64],
+    size: Array1[F64],
+) -> None:
+    """What a walk by (3, k) mm is told of some rows of a species: the way and the normal of the ground, float32, the same normal,
+    headings and sizes, float64."""
+    for k in independent(0, rows.size):
+        row = rows[k]
+        size[k] = long[row]
+        for axis in range(3):
+            way[axis, k], heading[axis, k] = gone[axis, k], facing[axis][row]
+            normal[axis, k] = feet[row, axis]
+            up[axis, k] = feet[row, axis]
+
+
+@kernel
+def _too_far(
+    rows: Array1[I64],
+    to: Strided2[F64],
+    began: Strided2[F64],
+    place: Strided2[F64],
+    max_speed: Array1[F32],
+    dt: F64,
+    far: Array1[F64],
+    most: Array1[F64],
+) -> BOOL:
+    """Whether any of some rows of a species gets farther than it may by ending at places `to` (k, 3), or that is not known: how
+    far (mm) from where it `began` (n, 3), and how far it may."""
+    found = False
+    for k in range(rows.size):
+        row = rows[k]
+        start = _row(began, row)
+        way, walked = minus(_row(to, k), start), minus(_row(place, row), start)
+        far[k] = np.sqrt(dot(way, way))
+        most[k] = max(np.float64(max_speed[row]) * dt, np.sqrt(dot(walked, walked)))
+        found |= not far[k] <= most[k] * _LONGER
+    return found
+
+
+@kernel
+def _arrived(
+    rows: Array1[I64],
+    to: Strided2[F64],
+    above: Strided2[F64],
+    dt: F32,
+    at: Three,
+    velocity: Three,
+    place: Strided2[F64],
+    feet: Strided2[F32],
+    got: Array2[F64],
+) -> None:
+    """Put agents where corrections have led them, all but footings: they end at places `to` with ways up `above` (k, 3), and have
+    come on by what they `got` (3, k) mm."""
+    for k in independent(0, rows.size):
+        row = rows[k]
+        end, up = _row(to, k), _single(_row(above, k))
+        way = minus(end, _row(place, row))
+        put(got, k, way)
+        pushed = _single(way)
+        size = np.sqrt(dot(pushed, pushed))
+        good = size > _TINY and np.isfinite(size)
+        factor = _ONE / (size if good else _ONE)
+        against = times(pushed, factor)
+        if not good:
+            against = (size * _ZERO, size * _ZERO, size * _ZERO)
+        v = (velocity[0][row], velocity[1][row], velocity[2][row])
+        back, most = -dot(v, against), size / dt
+        back = _ZERO if back <= 0 else back  # never -0
+        v = plus(v, times(against, most if most < back else back))
+        v = minus(v, times(up, dot(v, up)))
+        for axis in range(3):
+            at[axis][row], velocity[axis][row] = end[axis], v[axis]
+            place[row, axis], feet[row, axis] = end[axis], up[axis]

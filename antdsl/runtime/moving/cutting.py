@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled
-from antdsl.numerics.vectors import dot
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, independent, inlined, kernel
+from antdsl.numerics.kernel_vectors import dot, minus, of, put, times
+from antdsl.numerics.sorting import listed
 from antdsl.runtime.moving.capsules import Near
 
 Floats = NDArray[np.float64]
@@ -29,57 +30,112 @@ def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way
     cut less."""
     most = max(walked.max(), -walked.min(), 1e-30)
     magic = np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _FINE + 52)
-    if compiled.wanted(len(gap)):
-        from antdsl.runtime.moving.cutting_compiled import bent
-
-        rows, pairs = len(near.rows), len(gap)
-        (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
-        met, some, stopped = np.empty((3, rows), np.intp)
-        room = (np.empty((2, pairs)), sums, part, met, some, np.empty(pairs, np.intp))
-        count = bent(near.i, near.j, gap, way, came, mass, walked, magic, *room, short, stopped, changed)
-        return short, stopped[:count], changed
-    step = _bent(near, _free(near, came, mass, walked, gap, way), walked, way, magic)
-    short, halted = step - walked, dot(step, step) < _GOES**2 * dot(walked, walked)
-    return short, np.flatnonzero(halted), halted | (short != 0).any(axis=0)
+    rows, pairs = len(near.rows), len(gap)
+    (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
+    met, some, stopped = np.empty((3, rows), np.intp)
+    room = (np.empty((2, pairs)), sums, part, met, some, np.empty(pairs, np.intp))
+    count = _bent(near.i, near.j, gap, way, came, mass, walked, magic, *room, short, stopped, changed)
+    return short, stopped[:count], changed
 
 
-def _free(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way: Floats) -> Floats:
-    """How far (2 m) mm the first and then the second of each pair may go towards the other."""
-    both, other = np.concatenate([near.i, near.j]), np.concatenate([near.j, near.i])
-    ways = np.concatenate([way, -way], axis=1)
-    free = np.maximum(gap, 0.0) * 0.5
-    free = np.concatenate([free, free]) + np.maximum(-dot(ways, came.take(other, axis=1)), 0.0)
-    heavier = 1 - lightness(mass.take(both), mass.take(other))
-    if heavier.any():
-        free += heavier * np.maximum(-dot(ways, walked.take(both, axis=1)) - free, 0.0)
-    found: Floats = free
-    return found
+@inlined
+def add(sums, i, v, magic):  # type: ignore[no-untyped-def]
+    """Add to a sum of terms that are rounded to the quantum of `magic`."""
+    for axis in range(3):
+        sums[axis, i] += (v[axis] + magic) - magic
 
 
-def _bent(near: Near, free: Floats, walked: Floats, way: Floats, magic: float) -> Floats:
-    """Steps (3, k) mm of rows that `walked` so, of which what leads farther towards another than is `free` (2 m) is left out, one
-    half-plane after the other, and at last what yet does is cut."""
-    i, j, count = near.i, near.j, len(near.rows)
-    both, ways = np.concatenate([i, j]), np.concatenate([way, -way], axis=1)
-    along = np.concatenate([both, both + count, both + 2 * count])
-    step = walked
-    for _ in range(_BENDS):
-        over = -dot(ways, step.take(both, axis=1)) - free
-        into = over > 0
-        if not into.any():
+@inlined
+def negative(v):  # type: ignore[no-untyped-def]
+    return -v[0], -v[1], -v[2]
+
+
+@kernel
+def _bent(
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    came: Array2[F64],
+    mass: Array1[F64],
+    walked: Array2[F64],
+    magic: F64,
+    free: Array2[F64],
+    sums: Array2[F64],
+    part: Array1[F64],
+    met: Array1[I64],
+    some: Array1[I64],
+    pairs: Array1[I64],
+    cut: Array2[F64],
+    stopped: Array1[I64],
+    changed: Array1[BOOL],
+) -> I64:
+    """Bend and cut steps as `cut` says: by what steps are `cut` (3, k), who has `changed` (k), and how many are
+    stopped, which are the first of `stopped`. `free` (2, m), `sums` (3, k), `part`, `met` and `some` (k) and `pairs` (m) are room
+    for work. Once all pairs have been looked at, only those count of which a row has been bent: no other goes elsewhere."""
+    for pair in independent(0, i.size):
+        ways, over = of(way, pair), 0
+        for side in range(2):
+            own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
+            towards = -dot(ways, of(walked, own))
+            far = max(gap[pair], 0.0) * 0.5 + max(-dot(ways, of(came, other)), 0.0)
+            heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
+            far += heavier * max(towards - far, 0.0)
+            free[side, pair] = far
+            over = 1 if towards - far > 0 else over
+            ways = negative(ways)
+        pairs[pair] = over
+    count, rows = listed(pairs, i.size), 0
+    met[:] = 0
+    part[:] = 1.0
+    for k in independent(0, part.size):
+        put(cut, k, of(walked, k))
+    for bend in range(_BENDS):
+        found = False
+        for n in range(count):
+            pair = pairs[n]
+            ways = of(way, pair)
+            for side in range(2):
+                k = j[pair] if side else i[pair]
+                over = -dot(ways, of(cut, k)) - free[side, pair]
+                if over > 0:
+                    if met[k] == 0:
+                        sums[0, k], sums[1, k], sums[2, k] = 0.0, 0.0, 0.0
+                        if bend == 0:
+                            some[rows] = k
+                            rows += 1
+                    add(sums, k, times(ways, over), magic)
+                    met[k] += 1
+                    found = True
+                ways = negative(ways)
+        if not found:
             break
-        terms = ways * np.where(into, over, 0.0)
-        terms = (terms + magic) - magic
-        met = np.maximum(np.bincount(both, into, count), 1)
-        step = step + np.bincount(along, terms.ravel(), 3 * count).reshape(3, -1) / met
-    towards = -dot(ways, step.take(both, axis=1))
-    part = np.ones(count)
-    np.minimum.at(part, both, np.where(towards > free, free / np.maximum(towards, 1e-300), 1.0))
-    step = step * part
-    return step
-
-
-def lightness(mass: Floats, other: Floats) -> Floats:
-    """Up to which share of an even one those of a mass make room for others, 1 for the lighter."""
-    share: Floats = np.minimum(2 * other / (mass + other), 1.0)
-    return share
+        for n in range(rows):
+            k = some[n]
+            if met[k]:
+                for axis in range(3):
+                    cut[axis, k] += sums[axis, k] / met[k]
+        if bend == 0:
+            for pair in independent(0, i.size):
+                pairs[pair] = 1 if (met[i[pair]] != 0) | (met[j[pair]] != 0) else 0
+            count = listed(pairs, i.size)
+        for n in range(rows):
+            met[some[n]] = 0
+    for n in range(count):
+        pair = pairs[n]
+        ways = of(way, pair)
+        for side in range(2):
+            k = j[pair] if side else i[pair]
+            towards = -dot(ways, of(cut, k))
+            if towards > free[side, pair]:
+                part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
+            ways = negative(ways)
+    for k in independent(0, part.size):
+        way_on = of(walked, k)
+        step = times(of(cut, k), part[k])
+        short = minus(step, way_on)
+        put(cut, k, short)
+        held = dot(step, step) < _GOES * _GOES * dot(way_on, way_on)
+        stopped[k] = 1 if held else 0
+        changed[k] = held | (short[0] != 0) | (short[1] != 0) | (short[2] != 0)
+    return listed(stopped, part.size)

@@ -1,4 +1,7 @@
-"""How fast headings follow the movement, and what counts as the same or as too much: for NumPy's passes and for kernels."""
+"""How fast headings follow the movement, which differences count, and the states of bodies.
+
+The `state` of a body is the number of the wall before it; or it leans, or stands as its feet do, or hastens: it stands so, but
+would turn too fast."""
 
 from __future__ import annotations
 
@@ -18,6 +21,8 @@ LEVEL = _F(1e-3)  # sine of the angle to the body's up below which a way to face
 AT_ONCE = _F(1.0001)  # steps: who responds within that is kinematic
 LEAST_TURN = _F(1e-12)  # rad2 more than the greatest turn that are rounding
 TWELFTH, NINETIETH = _F(1 / 12), _F(1 / 90)  # of the series of an angle's square
+
+LEANS, STANDS, HASTENS = -1, -2, -3
 
 
 @cache

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Columns, Vector
@@ -17,28 +14,13 @@ _F = np.float32
 LEAST = "min_speed"  # a register of those species alone that ask for it
 
 
-def least(now: dict[str, NDArray[Any]]) -> NDArray[np.float32]:
-    """How fast who has to keep moving goes at least (mm/s)."""
-    found: NDArray[np.float32] = np.minimum(np.maximum(now["min_speed"], _F(0)), np.maximum(now["max_speed"], _F(0)))
-    return found
-
-
-def quickened(velocity: Vector, before: Vector, heading: Vector, least: NDArray[np.float32]) -> Vector:
-    """Velocities of at least a speed each: who would be slower goes on along the way that it went `before`, from a stand along
-    its heading, by as much as makes up for it. What pushes it aside turns it, and braking never turns it round."""
-    ahead = vec.unit(before, vec.unit(heading, (_F(0) * least,) * 3))
-    along, square = vec.dot(velocity, ahead), vec.dot(velocity, velocity)
-    more = np.sqrt(np.maximum((least * least - square) + along * along, _F(0))) - along
-    return vec.choose(square < least * least, vec.add(velocity, vec.scale(ahead, more)), velocity)
-
-
 def no_slower(world: World, population: Population, step: Vector, up: Columns, dt: np.float32) -> Vector:
     """Steps (mm) that obstacles have bent: of those who have to keep moving as long as the least speed asks for along the same
     way, if that is free."""
     now = population.now
     if LEAST not in now or not world.plan.of_kind("obstacle"):
         return step
-    size, wanted = vec.length(step), least(now) * dt
+    size, wanted = vec.length(step), np.minimum(np.maximum(now[LEAST], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt
     short = (size > _F(1e-9)) & (size < wanted * _F(0.999)) & ~population.quarantined & ~is_led(world, population)
     if not short.any():
         return step

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.grid_rays import AHEAD, Grid, feel
+from antdsl.casting.nearest_faces import fetch_around, fetch_lists, way_out
 from antdsl.casting.rays import RayScene
-from antdsl.numerics import compiled
+from antdsl.casting.tolerances import FURTHER
+from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import dot, minus, plus, times
 from antdsl.numerics.vectors import Columns, Vector
-from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
+from antdsl.runtime.moving.obstacle_clearance import clearance
 from antdsl.runtime.world import Population, World
 
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 _F = np.float32
-_BIT = _F(1e-6)  # more than rounding makes a way shorter
+_ZERO, _HALF, _ONE, _FAR = _F(0), _F(0.5), _F(1), _F(np.inf)
+_LEAST = _F(1e-9)  # mm: a shorter step is none
+_TINY = _F(1e-12)  # as `vectors.unit`
 _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
-
-
-@cache
-def _kernels() -> Any:
-    from antdsl.runtime.moving import obstacles_compiled
-
-    return obstacles_compiled
+_SLACK = _F(1e-4)  # as `obstacle_clearance`
+_WIDER = _F(1) + _SLACK
+_LOOKS = 1 + 1e-6  # more than rounding makes of a distance
+_LONGER = _F(1) + _F(1e-6)  # more than rounding makes a way shorter
 
 
 def slide(world: World, population: Population, step: Vector, up: Columns, radius: NDArray[np.float32]) -> Vector:
@@ -53,13 +57,9 @@ def slide_some(world: World, population: Population, rows: NDArray[np.intp], ste
 def _strayed(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, NDArray[np.float32], NDArray[np.float32]]:
     """Where some agents are now, their radii, and how far (mm) they are at most from where the step began."""
     places, start = (vec.named(registers, "position") for registers in (population.now, population.start))
-    if compiled.wanted(len(rows)):
-        place, radius, gone = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
-        _kernels().strayed(rows, places, start, population.now["radius"], place, radius, gone)
-        return (place[0], place[1], place[2]), radius, gone
-    at = vec.take(places, rows)
-    gone = vec.length(vec.sub(at, vec.take(start, rows))) * (1 + _BIT)
-    return at, population.now["radius"][rows], gone
+    place, radius, gone = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
+    strayed(rows, places, start, population.now["radius"], place, radius, gone)
+    return (place[0], place[1], place[2]), radius, gone
 
 
 def _names(world: World) -> list[str]:
@@ -77,9 +77,7 @@ def mesh_of(world: World, name: str) -> RayScene:
 def _where_they_were(population: Population, threads: int) -> bool:
     """Whether everybody is still where the step began; not so after a first substep."""
     now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
-    if compiled.wanted(len(population)):
-        return all(compiled.in_parts(partial(_kernels().same, now, start), len(population), threads, compiled.LIGHT))
-    return all((one == other).all() for one, other in zip(now, start, strict=True))
+    return all(parallel.in_parts(partial(same, now, start), len(population), threads, parallel.LIGHT))
 
 
 def _along(
@@ -91,46 +89,19 @@ def _along(
     clear: NDArray[np.float32],
     threads: int,
 ) -> Vector:
-    if compiled.wanted(len(radius)):
-        return _along_fast(scene, place, step, up, radius, clear, threads)
-    size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
-    near = np.flatnonzero((size > _F(1e-9)) & may_touch(clear, size + margin))
-    if not len(near):
-        return step
-    place, up, clear = vec.take(place, near), vec.take(up, near), clear[near]
-    return _put(step, near, _bent(scene, place, vec.take(step, near), up, size[near], margin[near], clear, threads))
-
-
-def _put(step: Vector, rows: NDArray[np.intp], own: Vector) -> Vector:
-    """Steps, of some rows others."""
-    result = vec.copy(step)
-    for component, value in zip(result, own, strict=True):
-        component[rows] = value
-    return result
-
-
-def _along_fast(
-    scene: RayScene,
-    place: Vector,
-    step: Vector,
-    up: Columns,
-    radius: NDArray[np.float32],
-    clear: NDArray[np.float32],
-    threads: int,
-) -> Vector:
-    """As `_along`, to the same bits, by kernels."""
-    kernels, n = _kernels(), len(radius)
+    """Steps (mm) of agents at places, bent along one obstacle; `clear` (mm) of it are they at least."""
+    n = len(radius)
     tables = scene.tables()
     if tables is not None:
         (rows, met), found, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
         normals = np.stack(up) if isinstance(up, tuple) else up
-        work = partial(kernels.along, tables, place, step, normals, radius, clear, rows, found, met, faces)
-        parts = compiled.in_parts(work, n, threads, compiled.LIGHT)
+        work = partial(along, tables, place, step, normals, radius, clear, rows, found, met, faces)
+        parts = parallel.in_parts(work, n, threads, parallel.LIGHT)
         if not any([left for _, _, _, left in parts]):
             return _turned(scene, step, rows, found, met, faces, parts, threads)
     rows, found = np.empty(n, np.int64), np.empty((9, n), np.float32)
-    parts = compiled.in_parts(partial(kernels.touching, place, step, radius, clear, rows, found), n, threads)
-    rows, found = compiled.joined(parts, rows, found)
+    parts = parallel.in_parts(partial(touching, place, step, radius, clear, rows, found), n, threads)
+    rows, found = parallel.joined(parts, rows, found)
     count, found = len(rows), np.ascontiguousarray(found)
     if not count:
         return step
@@ -138,7 +109,7 @@ def _along_fast(
     size, margin, _, x, y, z, _, _, _ = found
     gap, out = scene.apart(x, y, z, size + margin, threads)
     bent, going, rays = np.empty((3, count), np.float32), np.empty(count, np.int64), np.empty((9, count), np.float32)
-    asking = kernels.kept_off(found, above, gap, out, bent, going, rays)
+    asking = kept_off(found, above, gap, out, bent, going, rays)
     a, b, c = bent
     if asking:
         px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
@@ -147,7 +118,7 @@ def _along_fast(
         if len(met):
             free, normal = np.clip(hits.t[met] - margin[met], _F(0), size[met]), (hits.nx[met], hits.ny[met], hits.nz[met])
             _turn_aside(scene, (x, y, z), (a, b, c), above, found[1], going[met], free, normal, threads)
-    return _put(step, rows, (a, b, c))
+    return _put(step, rows, bent)
 
 
 def _turned(
@@ -161,10 +132,10 @@ def _turned(
     threads: int,
 ) -> Vector:
     """Steps, of those whom the kernel `along` has found bent ones, of those who have met a face turned aside from that."""
-    rows, found = compiled.joined(parts, rows, found)
+    rows, found = parallel.joined(parts, rows, found)
     if not len(rows):
         return step
-    met, hits = compiled.joined([(begin, hit) for begin, _, hit, _ in parts], met, hits)
+    met, hits = parallel.joined([(begin, hit) for begin, _, hit, _ in parts], met, hits)
     if len(met):
         if len(parts) > 1:  # each part counts its own
             counts = [count for _, count, _, _ in parts]
@@ -172,28 +143,14 @@ def _turned(
         free, *normal = hits
         place, bent, above = (found[k : k + 3] for k in (0, 3, 6))
         _turn_aside(scene, place, bent, above, found[9], met, free, (normal[0], normal[1], normal[2]), threads)
+    return _put(step, rows, found[3:6])
+
+
+def _put(step: Vector, rows: NDArray[np.int64], own: NDArray[np.float32]) -> Vector:
+    """Steps, of some rows their own (3, k)."""
     to = np.empty((3, len(step[0])), np.float32)
-    _kernels().put(step, rows, found[3:6], to)
+    put(step, rows, own, to)
     return to[0], to[1], to[2]
-
-
-def _bent(
-    scene: RayScene,
-    place: Vector,
-    step: Vector,
-    up: Columns,
-    size: NDArray[np.float32],
-    margin: NDArray[np.float32],
-    clear: NDArray[np.float32],
-    threads: int,
-) -> Vector:
-    """The steps of those who may touch the obstacle; `size` is their length."""
-    step, gap = _keep_off(scene, place, step, up, size, margin, threads)
-    clear = np.where(gap < 0, _F(np.inf), np.maximum(clear, gap))  # nothing holds who is inside
-    met, free, normal = _ahead(scene, place, step, margin, threads, clear)
-    if len(met):
-        _turn_aside(scene, place, step, up, margin, met, free, normal, threads)
-    return step
 
 
 def _turn_aside(
@@ -226,42 +183,207 @@ def _turn_aside(
         component[met] = value
 
 
-def _keep_off(
-    scene: RayScene,
-    place: Vector,
-    step: Vector,
-    up: Columns,
-    size: NDArray[np.float32],
-    margin: NDArray[np.float32],
-    threads: int,
-) -> tuple[Vector, NDArray[np.float32]]:
-    """Steps that keep the margin from the nearest face, or win it back by at most half a step; and how far (mm) that is, below 0
-    of who is inside. A ray along a round wall sees nothing of it, and the ground may carry one sideways."""
-    gap, out = scene.apart(*place, size + margin, threads)
-    wall = vec.unit(vec.flat((out[0], out[1], out[2]), up), (_F(0) * size,) * 3)
-    least = np.minimum(margin - gap, size * _F(0.5)) - vec.dot(step, wall)
-    bent = vec.choose(least <= 0, step, vec.add(step, vec.scale(wall, least)))
-    long = vec.length(bent)
-    return vec.scale(bent, np.where(long > size, size / np.where(long > 0, long, _F(1)), _F(1))), gap
-
-
 def _ahead(
-    scene: RayScene,
-    place: Vector,
-    step: Vector,
-    margin: NDArray[np.float32],
-    threads: int,
-    clear: NDArray[np.float32] | None = None,
+    scene: RayScene, place: Vector, step: Vector, margin: NDArray[np.float32], threads: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], Vector]:
-    """Who meets a face on its step, how much of the step (mm) is free, and the face's normal. `clear`: as far there is none."""
+    """Which agents meet a face on their step, how much of the step (mm) is free, and the face's normal."""
     size = vec.length(step)
-    asking = size > _F(1e-9)
-    if clear is not None:
-        asking &= may_touch(clear, size + margin)
-    going = np.flatnonzero(asking)
+    going = np.flatnonzero(size > _LEAST)
     size, margin = size[going], margin[going]
     direction = vec.scale(vec.take(step, going), _F(1) / size)
     hits = scene.feelers(*vec.take(place, going), *direction, size + margin, threads=threads)
     met = np.flatnonzero(hits.hit)
     free = np.clip(hits.t[met] - margin[met], _F(0), size[met])
     return going[met], free, (hits.nx[met], hits.ny[met], hits.nz[met])
+
+
+@kernel
+def same(one: Three, other: Three, begin: I64, end: I64) -> BOOL:
+    """Whether vectors from `begin` to before `end` are all equal, none of them NaN."""
+    found = True
+    for i in range(begin, end):
+        found = found and one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]
+    return found
+
+
+@inlined
+def _asked(step, radius, clear, i):  # type: ignore[no-untyped-def]
+    """How long a step is, its margin, and whether it may touch an obstacle."""
+    way = (step[0][i], step[1][i], step[2][i])
+    size = np.sqrt(dot(way, way))
+    margin = (_ZERO if radius[i] <= 0 else radius[i]) * _MARGIN
+    return size, margin, size > _LEAST and clear[i] <= (size + margin) * _WIDER + _SLACK
+
+
+@inlined
+def _kept(step, up, size, margin, clear, gap, out):  # type: ignore[no-untyped-def]
+    """A step that keeps the margin from the nearest face, so far along `out`; its length, and whether it may meet a face."""
+    wall = minus(out, times(up, dot(out, up)))
+    long = np.sqrt(dot(wall, wall))
+    if long > _TINY and np.isfinite(long):
+        wall = times(wall, _ONE / long)
+    else:
+        wall = (_ZERO, _ZERO, _ZERO)
+    least, half = margin - gap, size * _HALF
+    least = (half if half < least else least) - dot(step, wall)
+    if not least <= 0:
+        step = plus(step, times(wall, least))
+    long = np.sqrt(dot(step, step))
+    if long > size:
+        step = times(step, size / long)
+    if gap < 0:
+        clear = _FAR  # nothing holds who is inside
+    elif not gap <= clear:
+        clear = gap
+    size = np.sqrt(dot(step, step))
+    return step, size, size > _LEAST and clear <= (size + margin) * _WIDER + _SLACK
+
+
+@kernel
+def along(
+    grid: Grid,
+    place: Three,
+    step: Three,
+    up: Strided2[F32],
+    radius: Array1[F32],
+    clear: Array1[F32],
+    rows: Array1[I64],
+    found: Array2[F32],
+    met: Array1[I64],
+    hits: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64, I64, I64]:
+    """`begin`; how many agents from there to before `end` may touch an obstacle on their step, which is `clear` of them, without
+    those who are outside and whose nearest face is farther than they look: their steps stay; how many of these meet it on the
+    step that keeps the margin; and of how many the grid cannot tell. From number `begin` on: their `rows` with place, that step,
+    the `up` of the ground (3, n) and the margin, `found` [10, n]; who of them has `met` a face, how much of the step (mm) is
+    free, and the normal, `hits` [4, n]."""
+    asking = begin
+    for i in range(begin, end):
+        _, _, asked = _asked(step, radius, clear, i)
+        if asked:
+            rows[asking] = i
+            asking += 1
+    count, hit, left = 0, 0, 0
+    cubes = scratch(9 * AHEAD, I64)
+    for low in range(begin, asking, AHEAD):
+        high = min(low + AHEAD, asking)
+        for n in range(low, high):
+            i = rows[n]
+            fetch_around(grid, (place[0][i], place[1][i], place[2][i]), cubes, n - low)
+        fetch_lists(grid, cubes, 9 * (high - low))
+        for n in range(low, high):
+            i = rows[n]
+            size, margin, _ = _asked(step, radius, clear, i)
+            at, above = (place[0][i], place[1][i], place[2][i]), (up[0, i], up[1, i], up[2, i])
+            gap, out = way_out(grid, at, np.float64((size + margin) * _WIDER + _SLACK) * _LOOKS)
+            if gap == _FAR:
+                continue
+            left += 1 if gap != gap else 0
+            bent, size, asked = _kept((step[0][i], step[1][i], step[2][i]), above, size, margin, clear[i], gap, out)
+            k = begin + count
+            rows[k], found[9, k] = i, margin
+            for axis in range(3):
+                found[axis, k], found[3 + axis, k], found[6 + axis, k] = at[axis], bent[axis], above[axis]
+            if asked:
+                normal, face = feel(grid, at, times(bent, _ONE / size), size + margin)
+                left += 1 if face == FURTHER else 0
+                if face >= 0:
+                    h = begin + hit
+                    free = _F(normal[3]) - margin
+                    free = _ZERO if free < _ZERO else size if free > size else free
+                    met[h], hits[0, h], hits[1, h], hits[2, h], hits[3, h] = (
+                        count,
+                        free,
+                        _F(normal[0]),
+                        _F(normal[1]),
+                        _F(normal[2]),
+                    )
+                    hit += 1
+            count += 1
+    return begin, count, hit, left
+
+
+@kernel
+def put(step: Three, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> None:
+    """Steps `to` (3, n), of some rows their `own` (3, k)."""
+    for i in independent(0, step[0].size):
+        to[0, i], to[1, i], to[2, i] = step[0][i], step[1][i], step[2][i]
+    for k in range(rows.size):
+        to[0, rows[k]], to[1, rows[k]], to[2, rows[k]] = own[0, k], own[1, k], own[2, k]
+
+
+@kernel
+def touching(
+    place: Three,
+    step: Three,
+    radius: Array1[F32],
+    clear: Array1[F32],
+    rows: Array1[I64],
+    found: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Gives `begin` and how many from there to before `end` may touch an obstacle on their step, which is `clear` of them: from
+    `begin` on their rows, and of each `found` [9, ..]: how long its step is, its margin (mm) and `clear`, then both vectors."""
+    count = begin
+    for i in range(begin, end):
+        size, margin, asked = _asked(step, radius, clear, i)
+        if asked:
+            rows[count], found[0, count], found[1, count], found[2, count] = i, size, margin, clear[i]
+            for k in range(3):
+                found[3 + k, count], found[6 + k, count] = place[k][i], step[k][i]
+            count += 1
+    return begin, count - begin
+
+
+@kernel
+def kept_off(
+    near: Array2[F32],
+    above: Three,
+    gaps: Array1[F32],
+    out: Array2[F32],
+    bent: Array2[F32],
+    going: Array1[I64],
+    rays: Array2[F32],
+) -> I64:
+    """Steps of those whom `touching` has found, on ground whose up is `above`, `bent` [3, n] such that they keep the margin from
+    the nearest face, which lies so far (`gaps`) along `out` [3, n]; and how many may meet a face on them: which ones they are,
+    and their `rays` [9, n]: place, direction, how far they look, the length of the step and the margin."""
+    count = 0
+    for i in range(gaps.size):
+        margin, up, away = near[1, i], (above[0][i], above[1][i], above[2][i]), (out[0, i], out[1, i], out[2, i])
+        step, size, asked = _kept((near[6, i], near[7, i], near[8, i]), up, near[0, i], margin, near[2, i], gaps[i], away)
+        bent[0, i], bent[1, i], bent[2, i] = step
+        if asked:
+            going[count] = i
+            inverse = _ONE / size
+            for k in range(3):
+                rays[k, count], rays[3 + k, count] = near[3 + k, i], step[k] * inverse
+            rays[6, count], rays[7, count], rays[8, count] = size + margin, size, margin
+            count += 1
+    return count
+
+
+@kernel
+def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, begin: I64, end: I64) -> None:
+    """Changes velocities of agents from `begin` to before `end`, of those whose steps are not as `wanted`, to `rate` times their
+    steps."""
+    for i in independent(begin, end):
+        if step[0][i] != wanted[0][i] or step[1][i] != wanted[1][i] or step[2][i] != wanted[2][i]:
+            for k in range(3):
+                velocity[k][i] = step[k][i] * rate
+
+
+@kernel
+def strayed(
+    rows: Array1[I64], place: Three, start: Three, wide: Array1[F32], at: Array2[F32], radius: Array1[F32], gone: Array1[F32]
+) -> None:
+    """Of some rows where they are, `at` (3, k), their radii, and how far from where the step began, with a bit more."""
+    for k in independent(0, rows.size):
+        row = rows[k]
+        to = (place[0][row], place[1][row], place[2][row])
+        way = minus(to, (start[0][row], start[1][row], start[2][row]))
+        at[0, k], at[1, k], at[2, k] = to
+        radius[k], gone[k] = wide[row], np.sqrt(dot(way, way)) * _LONGER

@@ -1,230 +1,213 @@
-"""A substep of a crowd by kernels: what `advance.move` does, to the same bits, in as few loops over all agents as there can be.
-
-Up to what stands in anybody's way one loop does; those who may touch an obstacle, look out for walls, lean or have a wall before
-them are few, and have loops of their own. Another walks all who stay on their own surface and lets them arrive."""
+"""A substep of a crowd in two loops over all agents: `set_out` does all before obstacles and walls, and for each kind of ground
+one loop walks agents and lets them arrive."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
-from math import inf, nan
-from operator import itemgetter
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from antdsl.ground.mesh import walk_compiled as loop
-from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.walk_events import CrowdWalk, Waiting
-from antdsl.ground.plane import Plane
-from antdsl.ground.protocol import Footing, Ground, Move
-from antdsl.numerics import compiled
-from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
-from antdsl.runtime.moving.advance_compiled import arrive
-from antdsl.runtime.moving.falling import in_the_air
-from antdsl.runtime.moving.headings import AT_ONCE, FACE, share
-from antdsl.runtime.moving.heads import RAISED
-from antdsl.runtime.moving.least_speed import LEAST, no_slower
-from antdsl.runtime.moving.obstacles import slide
-from antdsl.runtime.moving.obstacles_compiled import slowed
-from antdsl.runtime.moving.orienting import orient
-from antdsl.runtime.moving.rises import WIDEST, rises_by_kernels
-from antdsl.runtime.moving.strides_compiled import glide, set_out, stride
-from antdsl.runtime.moving.tilting import WAITING
-from antdsl.runtime.moving.tilting_compiled import STANDS, follow, pace
-from antdsl.runtime.moving.walks import led, walks_of
-from antdsl.runtime.world import Population, World
+from antdsl.ground.mesh.face_table import WIDTH
+from antdsl.ground.mesh.stretches import finish
+from antdsl.ground.mesh.walk import (
+    DONE,
+    LEFT_OUT,
+    ROWS_AHEAD,
+    WAITS,
+    Clearances,
+    Placed,
+    Surface,
+    bring_near,
+    counted,
+    keep,
+    walked,
+)  # fmt: skip
+from antdsl.ground.plane import straight
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    U8,
+    Array1,
+    Array2,
+    Strided2,
+    fetch_ahead,
+    independent,
+    inlined,
+    kernel,
+    three,
+)  # fmt: skip
+from antdsl.numerics.kernel_vectors import dot, times
+from antdsl.runtime.moving.headings import STANDS
+from antdsl.runtime.moving.rises import WIDEST, half_of
+from antdsl.runtime.moving.tilting import stood
+from antdsl.runtime.moving.velocities import Bodies, Facing, Limits, Three, Times, arrived, pushed
 
 _F = np.float32
-_ON_FACES = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
-_ARRIVING = 64  # agents who are let arrive by themselves, for whom a thread pays
+_ZERO = _F(0)
 
 
-def move(world: World, population: Population, dt: np.float32, substep: int) -> None:
-    """As `advance.move`, of a crowd of one at least, in `dt` seconds."""
-    others = world.setting.orient != "normal"
-    crowd = _Crowd.of(world, population, dt, others)
-    before = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
-    crowd.set_out(substep)
-    crowd.pass_obstacles()
-    _, _, heading, up = crowd.registers
-    found = rises_by_kernels(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
-    walls = (found.wall, found.ahead, found.angle, found.far, found.over)
-    n, threads = len(population), crowd.threads
-    work = partial(pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, walls, WAITING)
-    compiled.in_parts(work, n, threads)
-    came_from = population.position
-    crowd.walk(world.ground)
-    if before is not None:
-        orient(world, population, *before)
-    ways = (*crowd.kept, came_from, population.position)
-    (rows,) = population.room("following", 1, (n,), np.int64)
-    turns = (crowd.most, population.now["max_turn"], dt)
-    compiled.in_parts(partial(follow, crowd.state, *ways, *turns, walls, found.half, RAISED, up, heading, rows), n, threads)
+@kernel
+def set_out(
+    push: Three,
+    velocity: Three,
+    heading: Three,
+    up: Three,
+    normal: Array2[F32],
+    limits: tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]],
+    keeps: BOOL,
+    min_speed: Array1[F32],
+    size: Array1[F32],
+    quarantined: Array1[BOOL],
+    times_of: tuple[F32, F32, F32],
+    to: Three,
+    step: Three,
+    looking: Three,
+    lengths: tuple[Array1[F32], Array1[F32], Array1[F64]],
+    state: Array1[I32],
+    begin: I64,
+    end: I64,
+) -> tuple[F64, F64]:
+    """What agents from `begin` to before `end` are about to do: velocities after the push `to` three arrays, the `step` (mm) that
+    is their way in `dt`, and how bodies stand: their `state`, and of those who lean the heading along the ground, `looking`.
+
+    `limits`: `max_speed`, `max_force`, `mass`, `response` and `max_turn`; `keeps`: whether `min_speed` counts. `times_of`: the
+    longest response that takes its whole time in one substep, that time, and `dt`, that of others. Into `lengths`: how long the
+    step is, by what angle (radians) a body tilts at most, and how far before it (mm) it looks
+    out for walls. Gives the longest step that is finite and the greatest size, -inf where none is a number.
+    """
+    max_speed, max_turn, dt = limits[0], limits[4], times_of[2]
+    long, most, reach = lengths
+    for i in independent(begin, end):
+        u = three(normal, i)
+        v = pushed(push, velocity, u, heading, limits, keeps, min_speed, times_of, i)
+        if quarantined[i]:
+            v = (_ZERO, _ZERO, _ZERO)
+        way = times(v, dt)
+        for k in range(3):
+            to[k][i], step[k][i] = v[k], way[k]
+        long[i] = np.sqrt(dot(way, way))
+        stood(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
+        reach[i] = WIDEST * half_of(size[i])
+    longest, greatest = _ZERO, _F(-np.inf)
+    for i in range(begin, end):
+        longest = long[i] if long[i] > longest and np.isfinite(long[i]) else longest
+        greatest = size[i] if size[i] > greatest else greatest
+    return np.float64(longest), np.float64(greatest)
 
 
-@dataclass(slots=True)
-class _Crowd:
-    """A crowd on its way for `dt` of `whole` seconds: its registers position, velocity, heading and up, and what kernels work
-    out, see `strides_compiled`. `kept` is room for the up and heading from before of those whose bodies have to follow their feet
-    afterwards, as those of `everyone` may have."""
+@inlined
+def _ahead(heading, looking, state, i):  # type: ignore[no-untyped-def]
+    """The heading along the ground, in float64."""
+    if state[i] == STANDS:
+        return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
+    return np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i])
 
-    world: World
-    population: Population
-    dt: np.float32
-    whole: np.float32
-    everyone: bool
-    registers: tuple[Vector, Vector, Vector, Vector]
-    velocity: Vector
-    step: Vector
-    looking: Vector
-    kept: tuple[Vector, Vector]
-    long: NDArray[np.float32]
-    most: NDArray[np.float32]
-    reach: NDArray[np.float64]
-    state: NDArray[np.int32]
-    longest: float = 0.0  # step (mm) that is finite
-    widest: float = nan  # size (mm) that is a number
 
-    @staticmethod
-    def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _Crowd:
-        """A crowd before it sets out."""
-        now, n = population.now, len(population)
-        room = population.room("on the way", 17, (n,), np.float32)
-        (reach,), (state,) = population.room("reach", 1, (n,), np.float64), population.room("state", 1, (n,), np.int32)
-        registers = tuple(vec.named(now, name) for name in ("position", "velocity", "heading", "up"))
-        velocity, step, looking, up, heading = (room[k : k + 3] for k in range(0, 15, 3))
-        given = (registers, velocity, step, looking, (up, heading), *room[15:], reach, state)
-        return _Crowd(world, population, dt, _F(world.dt), everyone, *given)  # type: ignore[arg-type]
+@kernel
+def stride(
+    surface: Surface,
+    near: Clearances,
+    at: Placed,
+    size: Array1[F32],
+    normal: Array2[F32],
+    velocity: Three,
+    step: Three,
+    looking: Three,
+    limits: Limits,
+    bodies: Bodies,
+    times_of: Times,
+    facing: Facing,
+    registers: tuple[Three, Three, Three, Three],
+    reals: Array2[F64],
+    wholes: Array2[I64],
+    how: Array1[U8],
+    placed: Placed,
+    place: Array2[F64],
+    old: Strided2[F64],
+    normals: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64, I64]:
+    """`walk_all` over triangles by steps and headings in float32, from footings `at` to `placed` and `place` (3, n); those
+    who are there arrive as by `arrive`."""
+    mesh, face, b1s, b2s, overs = at
+    first = surface[3]
+    heading, state = registers[2], bodies[1]
+    to_mesh, to_face, to_b1, to_b2, to_over = placed
+    for group in range(begin - 8 * ROWS_AHEAD, end, 8):
+        # Columns are brought near, too: they are more than a processor by itself sees coming.
+        k = group + 8 * ROWS_AHEAD
+        for columns in (velocity, step, registers[0], registers[1], registers[2], registers[3], limits):
+            for each in columns:
+                fetch_ahead(each, k)
+        for each in (bodies[0], size, state, b1s, b2s, overs, to_mesh, to_face, to_b1, to_b2, to_over):
+            fetch_ahead(each, k)
+        for axis in range(3):
+            fetch_ahead(place, k + axis * to_b1.size)
+        for each in (normal, normals):
+            fetch_ahead(each, 3 * k)
+            fetch_ahead(each, 3 * k + 16)
+        for each in (mesh, face):
+            fetch_ahead(each, k + 64)
+        bring_near(surface, mesh, face, max(group + 8 * ROWS_AHEAD, begin), min(group + 8 * ROWS_AHEAD + 8, end))
+        for i in independent(max(group, begin), min(group + 8, end)):
+            how[i] = LEFT_OUT
+            if mesh[i] < 0 or face[i] < 0:
+                continue
+            way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+            if not np.isfinite(way[0] + way[1] + way[2]):
+                continue
+            x, y, z = three(normal, i)
+            up = (np.float64(x), np.float64(y), np.float64(z))
+            long, look = np.float64(size[i]), _ahead(heading, looking, state, i)
+            high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length, hops = walked(
+                surface, near, True, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], long, way, look, up
+            )
+            if event:
+                how[i] = WAITS
+                keep(
+                    reals, wholes, i, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s, left, gone,
+                    over, turn, event, edge, length, hops,
+                )  # fmt: skip
+                continue
+            how[i] = DONE
+            to_mesh[i], to_face[i] = mesh[i], f - first[mesh[i]]  # no edge leads to another mesh
+            to_b1[i], to_b2[i], to_over[i] = b1, b2, over * side + 0.0
+            found = finish(surface[0], WIDTH * f, b1, b2, side, c, s, heading_c, heading_s, over)
+            for k in range(3):
+                place[k, i] = found[0][k]
+            arrived(i, found, hops > 0, old, step, velocity, limits, bodies, times_of, facing, registers, normals)
+    waiting, left = counted(how, reals, wholes, begin, end)
+    return begin, waiting, left
 
-    @property
-    def threads(self) -> int:
-        return self.world.options.threads
 
-    def set_out(self, substep: int) -> None:
-        """What all are about to do, whatever is in their way."""
-        p, now, whole = self.population, self.population.now, self.whole
-        _, *given = self.registers
-        limits = (now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
-        keeps = LEAST in now
-        least = now[LEAST] if keeps else now["max_speed"]
-        times = (whole * AT_ONCE, whole if substep == 0 else _F(0), self.dt)
-        to = (self.velocity, self.step, self.looking, (self.long, self.most, self.reach), self.state)
-        does = (vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times, WIDEST)
-        work = partial(set_out, *does, *to)
-        found = compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
-        self.longest, self.widest = found[0] if len(found) == 1 else map(max, zip(*found, strict=True))
-        if self.widest == -inf:
-            self.widest = nan
-        if walks_of(self.world, p):
-            velocity = led(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
-            zero = np.zeros(len(p), np.float32)
-            self.velocity = vec.choose(p.quarantined, (zero, zero, zero), velocity)
-            self.step = vec.scale(self.velocity, self.dt)
-            self.long = vec.length(self.step)
-            self.longest = float(self.long.max(initial=0.0, where=np.isfinite(self.long)))
-
-    def pass_obstacles(self) -> None:
-        """Steps along the obstacles in their way, and velocities of those who would have gone otherwise."""
-        world, p = self.world, self.population
-        if not world.plan.of_kind("obstacle"):
-            return
-        wanted, up = self.step, p.normal.T
-        step = no_slower(world, p, slide(world, p, wanted, up, p.now["radius"]), up, self.dt)
-        if step is not wanted:
-            work = partial(slowed, wanted, step, self.velocity, _F(1) / self.dt)
-            compiled.in_parts(work, len(p), self.threads, compiled.LIGHT)
-            self.step = step
-
-    def walk(self, ground: Ground) -> None:
-        """Walk over a ground to new places, and arrive there."""
-        now = self.population.now
-        limits = (now["max_speed"], now["max_turn"], now["response"])
-        times = (self.whole * AT_ONCE, self.dt, share(self.dt))
-        facing = (FACE in now, vec.named(now, "~face") if FACE in now else self.registers[1], self.everyone)
-        there = (limits, (self.most, self.state, *self.kept), times, facing, self.registers)
-        if isinstance(ground, Plane):
-            self._over_plane(ground, there)
-        elif not isinstance(ground, MeshGround) or not self._over_meshes(ground, there):
-            self._over_any(ground, there)
-
-    def _over_plane(self, plane: Plane, there: tuple[Any, ...]) -> None:
-        p, n = self.population, len(self.population)
-        place, normals = np.empty((n, 3)), np.empty((n, 3), np.float32)
-        going = (self.velocity, self.step, self.looking)
-        work = partial(glide, plane.up, p.footing.point, *going, *there, place, normals)
-        compiled.in_parts(work, n, self.threads)
-        p.footing, p.position, p.normal = Footing.on_plane(place), place, normals
-
-    def _over_meshes(self, ground: MeshGround, there: tuple[Any, ...]) -> bool:
-        """False where triangles are not what is walked over."""
-        p, n = self.population, len(self.population)
-        walk = ground.crowd_walk(self.longest, self.widest)
-        if walk is None:
-            return False
-        tables = walk.tables()
-        to = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
-        at, placed = _ON_FACES(p.footing.columns), _ON_FACES(to.columns)
-        place, normals = np.empty((3, n)), np.empty((n, 3), np.float32)
-        (how,) = p.room("how", 1, (n,), np.uint8)
-        (reals,), (wholes,) = p.room("reals", 1, (loop.REALS, n), np.float64), p.room("wholes", 1, (loop.WHOLES, n), np.int64)
-        given = (at, p.now["size"], p.normal, self.velocity, self.step, self.looking, *there)
-        work = partial(stride, *tables, *given, reals, wholes, how, placed, place, p.position, normals)
-        parts = compiled.in_parts(work, n, self.threads)
-        if any([waiting or left for _, waiting, left in parts]):
-            self._later(ground, there, walk, Waiting.of(parts, reals, wholes), to, place, normals, how)
-        p.footing, p.position, p.normal = to, place.T, normals
-        return True
-
-    def _later(
-        self,
-        ground: MeshGround,
-        there: tuple[Any, ...],
-        walk: CrowdWalk,
-        waiting: Waiting,
-        to: Footing,
-        place: NDArray[np.float64],
-        normals: NDArray[np.float32],
-        how: NDArray[np.uint8],
-    ) -> None:
-        """Move those who have come to something else than the next face of their surface, and those who are nowhere or whose
-        numbers are none, and let them arrive."""
-        p, n = self.population, len(self.population)
-        above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
-        (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
-        placed, moved = _ON_FACES(to.columns), (place, above, ahead, direction, gone)
-        rows, left = walk.on(waiting, how, placed, moved, blocked, self.threads)
-        if left:
-            others = np.flatnonzero(how != loop.DONE)
-            result = Move(to, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
-            result.put(others, self._moved(ground, others))
-            rows = np.union1d(rows, others)
-        if len(rows):
-            self._arrive(rows, (*moved[:4], blocked), there, normals)
-
-    def _over_any(self, ground: Ground, there: tuple[Any, ...]) -> None:
-        p, rows = self.population, np.arange(len(self.population))
-        moved = self._moved(ground, slice(None))
-        if self.world.solids:
-            moved = in_the_air(self.world, p, moved, self.dt)
-        normals = np.empty((len(rows), 3), np.float32)
-        walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
-        self._arrive(rows, walked, there, normals)
-        p.footing, p.position, p.normal = moved.footing, moved.position, normals
-
-    def _moved(self, ground: Ground, rows: NDArray[np.intp] | slice) -> Move:
-        """Where a ground moves some agents."""
-        p = self.population
-        stands = self.state[rows] == STANDS
-        heading = vec.choose(stands, vec.take(self.registers[2], rows), vec.take(self.looking, rows))
-        vectors = vec.rows(vec.take(self.step, rows)), vec.rows(heading), p.normal[rows].astype(np.float64)
-        size = p.now["size"][rows].astype(np.float64)
-        return ground.move(p.footing.take(rows), *vectors, size, self.threads)
-
-    def _arrive(
-        self, rows: NDArray[np.intp], walked: tuple[Any, ...], there: tuple[Any, ...], normals: NDArray[np.float32]
-    ) -> None:
-        work = partial(arrive, rows, self.velocity, self.step, self.population.position, walked, *there, normals)
-        compiled.in_parts(work, len(rows), self.threads, _ARRIVING)
+@kernel
+def glide(
+    plane: Array1[F64],
+    at: Strided2[F64],
+    velocity: Three,
+    step: Three,
+    looking: Three,
+    limits: Limits,
+    bodies: Bodies,
+    times_of: Times,
+    facing: Facing,
+    registers: tuple[Three, Three, Three, Three],
+    place: Array2[F64],
+    normals: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Agents from `begin` to before `end` walk across the unit vector `plane` from points `at` to points `place`, (n, 3) both,
+    and arrive there as by `arrive`."""
+    heading, state = registers[2], bodies[1]
+    up = (plane[0], plane[1], plane[2])
+    for i in independent(begin, end):
+        way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
+        look = _ahead(heading, looking, state, i)
+        there, ahead, direction, _ = straight(up, (at[i, 0], at[i, 1], at[i, 2]), way, look)
+        for k in range(3):
+            place[i, k] = there[k]
+        found = (there, up, ahead, direction)
+        arrived(i, found, False, at, step, velocity, limits, bodies, times_of, facing, registers, normals)

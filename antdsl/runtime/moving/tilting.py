@@ -9,252 +9,372 @@ over about its own length; where it cannot tilt as fast as it walks, the feet wa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import compiled, elementary
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, Array2, Strided2, called, independent, inlined, kernel, three
+from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vector_rows import unit
-from antdsl.numerics.vectors import Vector, dot, stacked_cross
-from antdsl.runtime.moving.rises import Rises, reaches, rises
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.numerics.elementary_loops import atan2, cos_sin
+from antdsl.numerics.kernel_vectors import cross, dot, minus, plus, times
+from antdsl.numerics.vectors import Vector
+from antdsl.runtime.moving.headings import LEANS, STANDS
+from antdsl.runtime.moving.rises import find_walls, reaches
+from antdsl.runtime.world import Population, World
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.intp]
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+# Of walls: normal and direction ahead (3, k), angle, how far, over how much.
+WallArrays = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array1[F64]]
 
 _F = np.float32
+_ZERO, _ONE, _PI = _F(0), _F(1), _F(np.pi)
 _RIGHT_ANGLE = _F(np.pi / 2)
-_LEAST = _F(np.pi / 4)  # rad/s that a body tilts at least: who turns slower still comes round an edge
+_LEAST = _F(np.pi / 4)  # rad/s that a body tilts at least: one that turns slower still comes round an edge
 _OPPOSITE = 0.05  # sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
-WAITING = _F(0.05)  # of a velocity: kept by who waits for its body
+_STEEP = 0.9  # as `vectors.across`
+_WAITING = _F(0.05)  # of a velocity: retained by an agent that waits for its body
 
 
-@cache
-def _kernels() -> Any:
-    from antdsl.runtime.moving import tilting_compiled
-
-    return tilting_compiled
-
-
-def limits(now: dict[str, NDArray[Any]], dt: np.float32) -> NDArray[np.float32]:
-    """By what angle (radians) bodies tilt at most in a time: as fast as they turn, and by a right angle while they walk their own
-    length at full speed."""
-    walking = np.maximum(now["max_speed"], _F(0)) / np.where(now["size"] > 0, now["size"], _F(1)) * _RIGHT_ANGLE
-    rate = np.maximum(np.minimum(np.maximum(now["max_turn"], _F(0)), walking), _LEAST)
-    most: NDArray[np.float32] = np.where(np.isfinite(rate), rate, _F(np.pi) / dt) * dt
-    return most
-
-
-@dataclass(frozen=True, slots=True)
-class Paced:
-    """What the bodies of a species are about to do: steps (mm) and velocities, by what angle those may tilt `at_once` that stand
-    as their feet do (0 of others, which `follow` turns), and what a walk is told in float64: steps, headings along the ground and
-    its up (n, 3), and sizes (mm)."""
-
-    step: Vector
-    velocity: Vector
-    at_once: NDArray[np.float32]
-    wish: Floats
-    looking: Floats
-    up: Floats
-    size: Floats
-
-
-@dataclass(slots=True)
-class Bodies:
-    """The bodies of a species as a step begins: `up` and `heading` (3, n) float32 of all, the `most` (radians) that each may
-    tilt, who leans (stands otherwise than its feet), and what rises before whom."""
-
-    population: Population
-    up: NDArray[np.float32]
-    heading: NDArray[np.float32]
-    most: NDArray[np.float32]
-    leaning: Rows
-    rises: Rises
-    looking: NDArray[np.float32]  # (3, n): headings laid along the ground that the feet are on
-
-    def paced(self, step: Vector, velocity: Vector) -> Paced:
-        """What bodies are about to do, with steps (mm) and velocities such that they can follow."""
-        chosen = np.zeros(len(self.most), np.bool_)
-        chosen[self.leaning] = True
-        chosen[self.rises.rows] = True
-        at_once = np.where(chosen, _F(0), self.most)
-        rows = np.flatnonzero(chosen)
-        if len(rows):
-            share = np.ones(len(self.most), np.float64)
-            way = np.stack([component[rows] for component in step]).astype(np.float64)
-            size = np.sqrt(dot(way, way))
-            stood = self.up[:, rows].astype(np.float64)
-            normal = self._feet(rows)
-            wanted = self.rises.tilted(rows, normal, np.zeros((3, len(rows))))
-            free = np.minimum(1.0, 2.0 * np.maximum(dot(stood, wanted), 0.0))  # as a way that leads off the ground by as much
-            far = self.rises.room(rows, stood, way / np.maximum(size, 1e-300), self.most[rows].astype(np.float64))
-            share[rows] = np.minimum(free, np.clip(far / np.maximum(size, 1e-300), 0.0, 1.0))
-            part = share.astype(np.float32)
-            step, velocity = vec.scale(step, part), vec.scale(velocity, np.maximum(part, WAITING))
-        looking = self.looking.T.astype(np.float64, order="K")
-        up = self.population.normal.astype(np.float64)
-        return Paced(step, velocity, at_once, vec.rows(step), looking, up, self.population.now["size"].astype(np.float64))
-
-    def follow(self, hasty: NDArray[np.bool_], before: Floats, dt: np.float32) -> None:
-        """Turn the bodies of those who lean, would tilt too fast or have something rise before them; all others stand as their
-        feet do already. The population's up and heading are those of its feet, which were at places `before` (n, 3)."""
-        chosen = hasty.copy()
-        chosen[self.leaning] = True
-        chosen[self.rises.rows] = True
-        rows = np.flatnonzero(chosen)
-        if not len(rows):
-            return
-        now = self.population.now
-        stood, ahead = self.up[:, rows].astype(np.float64), self.heading[:, rows].astype(np.float64)
-        ahead = _across(ahead, stood)
-        normal = np.stack([now[f"up.{axis}"][rows] for axis in AXES]).astype(np.float64)
-        looking = np.stack([now[f"heading.{axis}"][rows] for axis in AXES]).astype(np.float64)
-        gone = (self.population.position[rows] - before[rows]).T
-        wanted = self.rises.tilted(rows, normal, gone)
-        most = self.most[rows]
-        axis, cosine, sine = _axis(stood, wanted, ahead)
-        whole = elementary.atan2(sine.astype(np.float32), cosine.astype(np.float32))
-        there = whole <= most
-        angle = np.where(there, whole, most)
-        c, s = (np.where(there, exact, part) for exact, part in ((cosine, elementary.cos(most)), (sine, elementary.sin(most))))
-        up = np.where(there, wanted, unit(_rotated(stood, axis, c, s).T).T)
-        one = _across(_rotated(ahead, axis, c, s), up)
-        other = _laid(_laid(looking, normal, wanted), wanted, up)
-        turn = now["max_turn"][rows]
-        room = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, _F(4)).astype(np.float64)
-        room = np.where(np.isfinite(turn), np.sqrt(np.maximum(room * room - angle.astype(np.float64) ** 2, 0.0)), room)
-        room = np.minimum(room, 4.0).astype(np.float32)
-        left = stacked_cross(up, one)
-        yaw = elementary.atan2(dot(left, other).astype(np.float32), dot(one, other).astype(np.float32))
-        part = np.sign(yaw) * np.minimum(np.abs(yaw), room)
-        facing = np.where(np.abs(yaw) <= room, other, unit((one * elementary.cos(part) + left * elementary.sin(part)).T).T)
-        # Who would turn its head into a wall tilts first.
-        into = self.rises.clear(rows, up, facing, gone) < np.minimum(self.rises.clear(rows, up, one, gone), 0)
-        facing = np.where(into, one, facing)
-        for name, value in (("up", up), ("heading", facing)):
-            for axis_name, component in zip(AXES, value, strict=True):
-                now[f"{name}.{axis_name}"][rows] = component
-
-    def _feet(self, rows: Rows) -> Floats:
-        return self.population.normal[rows].T.astype(np.float64)
-
-
-def bodies(world: World, population: Population, step: Vector, dt: np.float32) -> Bodies:
-    """The bodies of a species about to make steps (mm) in a time."""
-    now = population.now
-    up, heading = (np.stack([now[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
-    leaning = _leaning(population)
-    looking = heading
-    if len(leaning):
-        looking = heading.copy()
-        looking[:, leaning] = _laid_down(leaning, heading, up, population.normal)
-    found = rises(world, population, looking, step, reaches(now["size"]))
-    return Bodies(population, up, heading, limits(now, dt), leaning, found, looking)
-
-
-def settle(world: World, population: Population, rows: Rows) -> None:
+def settle(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """Let the bodies of those who begin stand tilted as far as what rises before them asks, their heads out of it, at once."""
-    now, start = population.now, population.start
-    looking, rest = np.stack([now[f"heading.{axis}"] for axis in AXES]), np.zeros(len(population), np.float32)
-    found = rises(world, population, looking, (rest, rest, rest), reaches(now["size"]))
-    who = found.rows
-    if not len(who):
-        return
-    normal = population.normal[who].T.astype(np.float64)
-    up = found.tilted(who, normal, np.zeros((3, len(who))))
-    heading = _laid(looking[:, who].astype(np.float64), normal, up)
-    own = np.isin(who, rows)
-    for name, value in (("up", up), ("heading", heading)):
-        for axis, component in zip(AXES, value, strict=True):
-            now[f"{name}.{axis}"][who[own]] = start[f"{name}.{axis}"][who[own]] = component[own]
-
-
-def _leaning(population: Population) -> Rows:
-    """Rows of those whose body stands otherwise than their feet."""
-    normal, now = population.normal, population.now
-    return np.flatnonzero((now["up.x"] != normal[:, 0]) | (now["up.y"] != normal[:, 1]) | (now["up.z"] != normal[:, 2]))
-
-
-def _laid_down(
-    rows: Rows, heading: NDArray[np.float32], up: NDArray[np.float32], normal: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Headings (3, k) of some rows, laid from across up (3, n) to across the normal (n, 3) of the ground."""
-    return _laid(*(v[:, rows].astype(np.float64) for v in (heading, up, normal.T))).astype(np.float32)
+    n, now = len(population), population.now
+    state, reach, rest = np.full(n, STANDS, np.int32), np.empty(n), np.zeros(n, np.float32)
+    x, y, z = np.empty((3, n), np.float32)
+    reaches(now["size"], reach)
+    *walls, _ = find_walls(world, population, (x, y, z), (rest, rest, rest), reach, state)
+    settled(rows, state, population.normal, (x, y, z), tuple(walls), *_registers(population.start), *_registers(now))
 
 
 def lay(population: Population, threads: int = 1) -> None:
     """Show programs the heading and up of the feet, along the ground, while a step is made: a push ahead leads on, over whatever
     edge the body tilts just then."""
-    start, now = population.start, population.now
-    population.laid = None
-    if compiled.wanted(n := len(population)):
-        (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
-        work = partial(_kernels().lay, population.normal, *_registers(start), *_registers(now), found, *lean)
-        parts = compiled.in_parts(work, n, threads)
-        if any([count for _, count in parts]):
-            population.laid = tuple(compiled.joined(parts, found, *lean))
-        return
-    rows = _leaning(population)
-    if not len(rows):
-        return
-    up, heading = (np.stack([start[f"{name}.{axis}"].take(rows) for axis in AXES]) for name in ("up", "heading"))
-    normal = population.normal.take(rows, axis=0)
-    population.laid = (rows, up, heading, _laid_down(np.arange(len(rows)), heading, up, normal))
-    for name, shown in (("up", normal.T), ("heading", population.laid[3])):
-        for axis, component in zip(AXES, shown, strict=True):
-            start[f"{name}.{axis}"][rows] = now[f"{name}.{axis}"][rows] = component
+    n, start, now = len(population), population.start, population.now
+    (found,), lean = population.room("leaning", 1, (n,), np.int64), population.room("laid", 3, (3, n), np.float32)
+    work = partial(_lay, population.normal, *_registers(start), *_registers(now), found, *lean)
+    parts = parallel.in_parts(work, n, threads)
+    population.laid = tuple(parallel.joined(parts, found, *lean)) if any([count for _, count in parts]) else None
 
 
 def stand_up(population: Population) -> None:
-    """Give the bodies back what `lay` took; who has been told another heading has that."""
-    if population.laid is None:
-        return
-    rows, up, heading, along = population.laid
+    """Give the bodies back what `lay` took; an agent that got another heading meanwhile has that."""
+    if population.laid is not None:
+        _stand_up(*population.laid, *_registers(population.start), *_registers(population.now))
     population.laid = None
-    if compiled.wanted(len(population)):
-        _kernels().stand_up(rows, up, heading, along, *_registers(population.start), *_registers(population.now))
-        return
-    told = np.stack([population.now[f"heading.{axis}"][rows] for axis in AXES])
-    kept = np.where((told == along).all(axis=0), heading, told)
-    for k, axis in enumerate(AXES):
-        population.start[f"up.{axis}"][rows] = population.now[f"up.{axis}"][rows] = up[k]
-        population.start[f"heading.{axis}"][rows], population.now[f"heading.{axis}"][rows] = heading[k], kept[k]
 
 
 def _registers(values: dict[str, NDArray[Any]]) -> tuple[Vector, Vector]:
     return vec.named(values, "up"), vec.named(values, "heading")
 
 
-def _across(v: Floats, up: Floats) -> Floats:
-    """Unit vectors (3, n) across `up`, as near to v as can be; some where v says nothing."""
-    flat = v - up * dot(v, up)
+@inlined
+def _over(a, s):  # type: ignore[no-untyped-def]
+    return a[0] / s, a[1] / s, a[2] / s
+
+
+@inlined
+def _unit(v):  # type: ignore[no-untyped-def]
+    return _over(v, max(np.sqrt(dot(v, v)), 1e-300))
+
+
+@inlined
+def _of(vectors, i):  # type: ignore[no-untyped-def]
+    """One of vectors (3, n), in float64."""
+    return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
+
+
+@inlined
+def _across(v, up):  # type: ignore[no-untyped-def]
+    """A unit vector across `up`, as near to v as can be; some where v says nothing."""
+    flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
-    other = np.stack(vec.across((up[0], up[1], up[2])))
-    return np.where(size > 1e-6, flat / np.where(size > 1e-6, size, 1.0), other)
+    if size > 1e-6:
+        return _over(flat, size)
+    axis = (0.0, 1.0, 0.0) if abs(up[0]) > _STEEP else (1.0, 0.0, 0.0)
+    side = minus(axis, times(up, dot(axis, up)))
+    return times(side, 1 / np.sqrt(dot(side, side)))
 
 
-def _axis(one: Floats, other: Floats, ahead: Floats) -> tuple[Floats, Floats, Floats]:
+@inlined
+def _row(vectors, i):  # type: ignore[no-untyped-def]
+    """One of vectors (n, 3), in float64."""
+    return np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
+
+
+@inlined
+def _column(vectors, i):  # type: ignore[no-untyped-def]
+    """One of vectors (3, n), in float64."""
+    return np.float64(vectors[0, i]), np.float64(vectors[1, i]), np.float64(vectors[2, i])
+
+
+@inlined
+def _leaning(up, normal, i):  # type: ignore[no-untyped-def]
+    x, y, z = three(normal, i)
+    return up[0][i] != x or up[1][i] != y or up[2][i] != z
+
+
+@inlined
+def _maximum(a, b):  # type: ignore[no-untyped-def]
+    """As np.maximum of a number that may be NaN and one that is not."""
+    return b if a <= b else a
+
+
+@called
+def _axis(one, other, ahead):  # type: ignore[no-untyped-def]
     """Axis of the least turn of one unit vector into another, and the cosine and sine of its angle. Near half a turn, whose axis
     is anywhere, it goes over `ahead`."""
-    axis, cosine = stacked_cross(one, other), np.clip(dot(one, other), -1.0, 1.0)
+    axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
-    clear = (sine > _OPPOSITE) | (cosine > 0)
-    axis = np.where(clear, axis / np.maximum(sine, 1e-300), unit(stacked_cross(one, ahead).T).T)
-    return axis, cosine, sine
+    if sine > _OPPOSITE or cosine > 0:
+        return _over(axis, max(sine, 1e-300)), cosine, sine
+    return _unit(cross(one, ahead)), cosine, sine
 
 
-def _rotated(v: Floats, axis: Floats, c: Floats, s: Floats) -> Floats:
-    """Vectors turned about unit axes by an angle of a cosine and a sine (O. Rodrigues, 1840)."""
-    turned: Floats = v * c + stacked_cross(axis, v) * s + axis * (dot(axis, v) * (1.0 - c))
-    return turned
+@inlined
+def _rotated(v, axis, c, s):  # type: ignore[no-untyped-def]
+    """A vector turned about a unit axis by an angle of a cosine and a sine (O. Rodrigues, 1840)."""
+    return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))
 
 
-def _laid(heading: Floats, one: Floats, other: Floats) -> Floats:
-    """Headings across one normal, turned as it is turned into another."""
+@called
+def _laid(heading, one, other):  # type: ignore[no-untyped-def]
+    """A heading across one normal, turned as that is turned into another."""
     axis, cosine, sine = _axis(one, other, heading)
     return _across(_rotated(heading, axis, cosine, sine), other)
+
+
+@inlined
+def _nearer(gone, wall, ahead):  # type: ignore[no-untyped-def]
+    """By how much less a way leads along `ahead` to the wall from a place that is `gone` from the first."""
+    return dot(gone, wall) / min(dot(ahead, wall), -1e-3)
+
+
+@called
+def _tilted(n, wall, ahead, angle, far, over, gone):  # type: ignore[no-untyped-def]
+    """How a body should stand on ground of a normal, when it has `gone` so far: as it does, or before a wall tilted towards that
+    of the wall."""
+    part = min(max(1.0 - (far - _nearer(gone, wall, ahead)) / over, 0.0), 1.0) * angle
+    axis, cosine = cross(n, wall), dot(n, wall)
+    sine = np.sqrt(dot(axis, axis))
+    left = np.float64(atan2(_F(sine), _F(cosine)))
+    least = _F(min(part, left))
+    if not (least > 0 and sine > 1e-6):
+        return n
+    side = cross(_over(axis, max(sine, 1e-300)), n)
+    c, s = cos_sin(least)
+    turned = plus(times(n, np.float64(c)), times(side, np.float64(s)))
+    return _over(turned, np.sqrt(dot(turned, turned)))
+
+
+@inlined
+def stood(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state):  # type: ignore[no-untyped-def]
+    """Body i as a step begins: by how much (radians) it tilts at `most` in a time, its `state` without walls, and if it leans its
+    heading along the ground, into `looking`."""
+    walking = _maximum(max_speed[i], _ZERO) / (size[i] if size[i] > 0 else _ONE) * _RIGHT_ANGLE
+    rate = _maximum(max_turn[i], _ZERO)
+    if not rate < walking and rate == rate:
+        rate = walking
+    if walking != walking:
+        rate = walking
+    rate = _maximum(rate, _LEAST)
+    most[i] = (rate if np.isfinite(rate) else _PI / dt) * dt
+    state[i] = STANDS
+    if _leaning(up, normal, i):
+        state[i] = LEANS
+        found = _laid(_of(heading, i), _of(up, i), _row(normal, i))
+        looking[0][i], looking[1][i], looking[2][i] = _F(found[0]), _F(found[1]), _F(found[2])
+
+
+@kernel
+def settled(
+    rows: Array1[I64],
+    state: Array1[I32],
+    normal: Array2[F32],
+    looking: Three,
+    walls: WallArrays,
+    start_up: Three,
+    start_heading: Three,
+    now_up: Three,
+    now_heading: Three,
+) -> None:
+    """Let bodies of `rows` that have a wall before them by their `state` stand tilted for it."""
+    wall, ahead, angle, far, over = walls
+    for i in rows:
+        j = state[i]
+        if j >= 0:
+            ground = _row(normal, i)
+            up = _tilted(ground, _column(wall, j), _column(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
+            facing = _laid(_of(looking, i), ground, up)
+            for k in range(3):
+                start_up[k][i] = _F(up[k])
+                now_up[k][i] = _F(up[k])
+                start_heading[k][i] = _F(facing[k])
+                now_heading[k][i] = _F(facing[k])
+
+
+@kernel
+def _lay(
+    normal: Array2[F32],
+    start_up: Three,
+    start_heading: Three,
+    now_up: Three,
+    now_heading: Three,
+    rows: Array1[I64],
+    up: Array2[F32],
+    heading: Array2[F32],
+    along: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Lay the headings of agents that lean, of agents from `begin` to before `end`: gives `begin` and how many lean; from
+    `begin` on their rows, and up, heading and the heading shown (3, n) of these in that order."""
+    count = begin
+    for i in range(begin, end):
+        if not _leaning(now_up, normal, i):
+            continue
+        found = _laid(_of(start_heading, i), _of(start_up, i), _row(normal, i))
+        rows[count] = i
+        for k in range(3):
+            up[k, count], heading[k, count], along[k, count] = start_up[k][i], start_heading[k][i], _F(found[k])
+            start_up[k][i] = normal[i, k]
+            now_up[k][i] = normal[i, k]
+            start_heading[k][i] = _F(found[k])
+            now_heading[k][i] = _F(found[k])
+        count += 1
+    return begin, count - begin
+
+
+@kernel
+def _stand_up(
+    rows: Array1[I64],
+    up: Strided2[F32],
+    heading: Strided2[F32],
+    along: Strided2[F32],
+    start_up: Three,
+    start_heading: Three,
+    now_up: Three,
+    now_heading: Three,
+) -> None:
+    """Write back up and heading of some rows; not a heading that is no longer the one `along` the ground, which they were
+    shown."""
+    for j in range(rows.size):
+        i = rows[j]
+        told = now_heading[0][i] != along[0, j] or now_heading[1][i] != along[1, j] or now_heading[2][i] != along[2, j]
+        for k in range(3):
+            start_up[k][i] = up[k, j]
+            now_up[k][i] = up[k, j]
+            start_heading[k][i] = heading[k, j]
+            if not told:
+                now_heading[k][i] = heading[k, j]
+
+
+@kernel
+def pace(
+    state: Array1[I32],
+    step: Three,
+    velocity: Three,
+    up: Three,
+    normal: Array2[F32],
+    most: Array1[F32],
+    walls: WallArrays,
+    begin: I64,
+    end: I64,
+) -> None:
+    """Change steps and velocities of agents from `begin` to before `end` such that bodies can follow: of those who lean or have
+    a wall before them, by their `state`."""
+    wall, ahead, angle, far, over = walls
+    zero = (0.0, 0.0, 0.0)
+    for i in range(begin, end):
+        j = state[i]
+        if j == STANDS:
+            continue
+        way, stands = _of(step, i), _of(up, i)
+        size = np.sqrt(dot(way, way))
+        wanted = _row(normal, i)
+        room = np.inf
+        if j >= 0:
+            w, a = _column(wall, j), _column(ahead, j)
+            wanted = _tilted(wanted, w, a, angle[j], far[j], over[j], zero)
+            towards = _nearer(_over(way, max(size, 1e-300)), w, a)
+            across = cross(stands, w)
+            left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stands, w))))
+            tilt = angle[j] - left + np.float64(most[i])
+            free = max(over[j] * (tilt / angle[j] - 1.0) + far[j], 0.0)
+            room = free / max(towards, 0.05) if towards > 0.05 else np.inf
+        lag = min(1.0, 2.0 * max(dot(stands, wanted), 0.0))
+        part = _F(min(lag, min(max(room / max(size, 1e-300), 0.0), 1.0)))
+        kept = _maximum(part, _WAITING)
+        for k in range(3):
+            step[k][i] = step[k][i] * part
+            velocity[k][i] = velocity[k][i] * kept
+
+
+@kernel
+def follow(
+    state: Array1[I32],
+    before_up: Three,
+    before_heading: Three,
+    before: Strided2[F64],
+    place: Strided2[F64],
+    most: Array1[F32],
+    max_turn: Array1[F32],
+    dt: F32,
+    walls: WallArrays,
+    half: Array1[F64],
+    raised: F64,
+    now_up: Three,
+    now_heading: Three,
+    rows: Array1[I64],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Turn bodies from `begin` to before `end` after their feet, whose up and heading are `now_up` and `now_heading`, which
+    change; by their `state` all but those that stand as their feet do. Feet have come from `before` to `place`. Who would turn
+    its head into a wall tilts first. `rows` is memory for work."""
+    wall, ahead, angle, far, over = walls
+    count = begin
+    for row in range(begin, end):
+        rows[count] = row
+        count += state[row] != STANDS
+    for k in independent(begin, count):
+        i = rows[k]
+        j = state[i]
+        stands = _of(before_up, i)
+        look = _across(_of(before_heading, i), stands)
+        normal, looking = _of(now_up, i), _of(now_heading, i)
+        gone = (place[i, 0] - before[i, 0], place[i, 1] - before[i, 1], place[i, 2] - before[i, 2])
+        wanted = normal
+        if j >= 0:
+            wanted = _tilted(normal, _column(wall, j), _column(ahead, j), angle[j], far[j], over[j], gone)
+        axis, cosine, sine = _axis(stands, wanted, look)
+        whole = atan2(_F(sine), _F(cosine))
+        if whole <= most[i]:
+            tilt, c, s, up = whole, cosine, sine, wanted
+        else:
+            part = cos_sin(most[i])
+            tilt, c, s = most[i], np.float64(part[0]), np.float64(part[1])
+            up = _unit(_rotated(stands, axis, c, s))
+        one = _across(_rotated(look, axis, c, s), up)
+        other = _laid(_laid(looking, normal, wanted), wanted, up)
+        room = 4.0
+        if np.isfinite(max_turn[i]):
+            turn = np.float64(max(max_turn[i], _F(0)) * dt)
+            room = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0))
+        most_yaw = _F(min(room, 4.0))
+        left = cross(up, one)
+        yaw = atan2(_F(dot(left, other)), _F(dot(one, other)))
+        facing = other
+        if not abs(yaw) <= most_yaw:
+            c32, s32 = cos_sin(most_yaw if yaw > 0 else -most_yaw)
+            facing = _unit(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
+        if j >= 0:
+            w, a = _column(wall, j), _column(ahead, j)
+            middle = plus(times(up, 2 * raised * half[j]), times(a, _nearer(gone, w, a) - far[j]))
+            with_turn = dot(plus(middle, times(facing, half[j])), w)
+            without = dot(plus(middle, times(one, half[j])), w)
+            if with_turn < min(without, 0.0):
+                facing = one
+        now_up[0][i], now_up[1][i], now_up[2][i] = _F(up[0]), _F(up[1]), _F(up[2])
+        now_heading[0][i], now_heading[1][i], now_heading[2][i] = _F(facing[0]), _F(facing[1]), _F(facing[2])

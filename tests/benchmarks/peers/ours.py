@@ -10,14 +10,12 @@ from time import process_time
 
 from antdsl.bench.cases import CASES
 from antdsl.bench.measuring import WARM, neighbours, with_code
-from antdsl.numerics import compiled
 from antdsl.runtime import Options, World, bind, step
 
 
 def main() -> None:
     """Take a turn for each line of the standard input."""
     warnings.simplefilter("ignore")
-    compiled.expect_long_runs()  # kernels from the first step on, as in a run that goes on
     name, backend, agents, steps = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
     case = CASES[name]
     shot = case.make(agents)

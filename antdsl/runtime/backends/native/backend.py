@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.lanes import WIDTH
-from antdsl.numerics import compiled
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.native import listing
@@ -24,6 +23,8 @@ from antdsl.runtime.backends.reference import Agent
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import AXES, Population, World
 
+_MANY = 2_000  # agents; a few steps of so many make up for loading a program's code
+_LOADING = 0.2  # s of processor time of the steps before it
 _SAMPLED = 8  # agents whose radius is worked out before the first search, to choose cells by
 _CELL = 8  # agents in a cell, where no radius is known
 
@@ -97,7 +98,7 @@ class NativeBackend(NumpyBackend):
             return  # elsewhere a program may not be allowed to read the counter
         facts = Facts.of(world.setting, timed=self._timed)
         ready = known(world.plan, facts)
-        wanted = waits or (self._begun and compiled.pays(len(world), sum(world.worked.values())))
+        wanted = waits or (self._begun and (len(world) >= _MANY or sum(world.worked.values()) >= _LOADING))
         if ready is None and self._coming is None and wanted:
             self._coming = beside(world.plan, self.blocks, facts)
         if self._coming is not None and (waits or self._coming.done()):

@@ -8,7 +8,7 @@ from antdsl.machine_code.emitter import Emitter
 from antdsl.machine_code.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.block import Writer
 
-SLACK, BEYOND = 1.0 + 1e-6, 1.0 + 1e-5  # as in `senses.neighbours_compiled`
+SLACK, BEYOND = 1.0 + 1e-6, 1.0 + 1e-5  # as in `senses.neighbours`
 
 
 class Cells:

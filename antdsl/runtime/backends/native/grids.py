@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.lanes import WIDTH
 from antdsl.machine_code.memory import address
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.cores import cores
 from antdsl.runtime.backends.native.cell_sort import COLUMNS, KEYS, NAMES
 from antdsl.runtime.backends.native.rooms import Rooms
@@ -191,7 +191,7 @@ class Grids:
         for names, columns in beside:
             if table := found.lay(names, columns, self._step):
                 parts = np.array([(table, *part) for part in _shared(len(other), world.options.threads)], np.int64)
-                compiled.listed(self._beside, parts, world.options.threads)
+                parallel.listed(self._beside, parts, world.options.threads)
         return found.tables
 
     def _sorted(self, world: World, other: Population, size: float) -> _Crowd | None:
@@ -218,10 +218,10 @@ class Grids:
             crowd.shaped(shape)
             crowd.box = box
         crowd.lies(places.lie)
-        compiled.listed(self._number, crowd.turned, threads)
+        parallel.listed(self._number, crowd.turned, threads)
         self._starts(crowd.address, 0, 0)
-        compiled.listed(self._sort, crowd.listed, threads)
-        compiled.listed(self._columns, crowd.listed, threads)
+        parallel.listed(self._sort, crowd.listed, threads)
+        parallel.listed(self._columns, crowd.listed, threads)
         return crowd
 
     def _shape(self, other: Population, places: list[NDArray[np.float32]], box: _Box, size: float) -> Shape | None:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.lanes import WIDTH
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 from antdsl.numerics.cores import EACH, cores
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, Does, Instruction, Scope
+from antdsl.runtime.backends.compile import EFFECTS, PAIRS, POPULATION, THREADS, WORLD, Does, Instruction, Scope
 from antdsl.runtime.backends.metering import Metered
 from antdsl.runtime.backends.native.asking import asked
 from antdsl.runtime.backends.native.lane import Lane
@@ -24,7 +24,6 @@ from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.ready import Ready
 from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.backends.native.tables import Tables
-from antdsl.runtime.pairs import NearbySets
 from antdsl.runtime.requests import FaultEntry
 from antdsl.runtime.sensing import IN_PLACE, SENSES
 from antdsl.runtime.world import Population, World
@@ -110,7 +109,7 @@ def _part(count: int, chunk: int, threads: int) -> int:
     """Rows of a part: as many as a chunk has at most, and where that pays several parts for each thread, to even them out. All
     that a thread has in a round are no more than a chunk, which stays in its memory from stage to stage."""
     most = chunk if threads < 2 else chunk // EACH
-    parts = max(-(-count // max(WIDTH, most)), min(EACH * threads, count // compiled.PART) if threads > 1 else 1)
+    parts = max(-(-count // max(WIDTH, most)), min(EACH * threads, count // parallel.PART) if threads > 1 else 1)
     most = _GRAIN * parts
     return _GRAIN * max(1, -(-count // most))
 
@@ -135,7 +134,7 @@ class Round:
             if timed:
                 self._each(partial(Chunk.stage, function=function))
             else:
-                compiled.listed(function, self._table, self._threads)
+                parallel.listed(function, self._table, self._threads)
             if calls:
                 self._calls(world, population, values, calls)
         return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]
@@ -149,7 +148,7 @@ class Round:
                 work(each)
 
         if len(self.chunks) > 1:
-            compiled.side_by_side(some, min(self._threads, len(self.chunks)))
+            parallel.side_by_side(some, min(self._threads, len(self.chunks)))
         else:
             some(0)
 
@@ -251,7 +250,7 @@ class Chunk:
             compiler = self.block.compiler
             v = self._slots = [None] * compiler.slots
             v[WORLD], v[POPULATION], v[EFFECTS] = self.world, self.population, self.population.effects
-            v[PAIRS], v[NEARBY] = {}, NearbySets(1)
+            v[PAIRS], v[THREADS] = {}, 1
             v[compiler.root.rows] = slice(self.first, self.last)
             for node, slot in compiler.uniforms.items():
                 v[slot] = self.values[node]

@@ -1,0 +1,270 @@
+"""The first face that rays meet in a grid of triangles, see `triangle_grid`: one ray at a time, cube by cube."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.casting.faces import along, towards
+from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, SHORTEST
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    Array3,
+    Strided2,
+    called,
+    fetch_ahead,
+    inlined,
+    kernel,
+    scratch,
+    whole,
+)
+from antdsl.numerics.kernel_vectors import minus, of
+
+# As `TriangleGrid.tables`.
+Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+Felt = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+Seven = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+ONE, SLACK, TINY = np.float32(1), np.float32(FAR_OFF), np.float32(SHORTEST)
+AHEAD = 16  # rays or places whose faces are brought near at once
+_STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its layer
+
+
+@kernel
+def firsts(
+    grid: Grid, origin: Strided2[F64], way: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
+) -> None:
+    """As `TriangleGrid.first`, into `t` and `face`, of rays from `begin` to before `end`."""
+    cells = scratch(2 * AHEAD, I64)
+    for low in range(begin, end, AHEAD):
+        high = min(low + AHEAD, end)
+        _fetch(grid, origin, (0.0, 0.0, 0.0), way, cells, low, high)
+        for i in range(low, high):
+            t[i], face[i] = first_hit(grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (way[i, 0], way[i, 1], way[i, 2]))
+
+
+@kernel
+def faced(
+    grid: Grid,
+    origin: Strided2[F64],
+    way: Strided2[F64],
+    normals: Array2[F64],
+    named: Array1[I64],
+    which: Array1[I64],
+    found: Array2[F64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64, I64]:
+    """As `TriangleGrid.faced` of rays from `begin` to before `end`, from number `begin` on into the last two arrays: which ones;
+    part of the way and normal (x y z), [4, n]. Gives `begin`, how many hit, and of how many the grid cannot tell."""
+    shape, count, left = grid[0], 0, 0
+    zero = shape[6], shape[7], shape[8]
+    cells, faces, many = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), normals.shape[1]
+    for low in range(begin, end, AHEAD):
+        high = min(low + AHEAD, end)
+        _fetch(grid, origin, zero, way, cells, low, high)
+        hit = 0
+        for i in range(low, high):
+            a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
+            t, face = first_hit(grid, a, (way[i, 0], way[i, 1], way[i, 2]))
+            left += 1 if face == FURTHER else 0
+            if face >= 0:
+                k = begin + count + hit
+                which[k], found[0, k], faces[hit] = i, t, face
+                fetch_ahead(named, face)
+                hit += 1
+        for n in range(hit):
+            faces[n] = named[faces[n]]
+            for axis in range(3):
+                fetch_ahead(normals, axis * many + faces[n])
+        for n in range(hit):
+            for axis in range(3):
+                found[1 + axis, begin + count + n] = normals[axis, faces[n]]
+        count += hit
+    return begin, count, left
+
+
+@inlined
+def _fetch(grid, origin, zero, way, cells, low, high):  # type: ignore[no-untyped-def]
+    """Have faces near both ends of rays from `low` to before `high` brought near; origins count from a `zero`."""
+    for i in range(low, high):
+        k, a = 2 * (i - low), minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
+        cells[k] = _look_at(grid, a)
+        cells[k + 1] = _look_at(grid, (a[0] + way[i, 0], a[1] + way[i, 1], a[2] + way[i, 2]))
+    for k in range(0, 2 * (high - low)):
+        _fetch_list(grid, cells[k])
+
+
+@kernel
+def feelers(grid: Grid, rays: Seven, found: Array2[F32]) -> I64:
+    """As `TriangleGrid.feelers`, into the last array: distance, NaN for who has to ask elsewhere, and normal; how many have."""
+    x, y, z, dx, dy, dz, reach = rays
+    count = 0
+    for i in range(reach.size):
+        n, face = feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
+        if face == FURTHER:
+            count += 1
+        found[0, i] = np.float32(n[3])
+        found[1, i], found[2, i], found[3, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+    return count
+
+
+@kernel
+def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt, begin: I64, end: I64) -> I64:
+    """As `TriangleGrid.felt`, for agents from `begin` to before `end`, into the last arrays; the distance is NaN for who has to
+    ask elsewhere; how many have."""
+    x, y, z, clear = places
+    wx, wy, wz, reach = ways
+    hit, t, nx, ny, nz = found
+    count = 0
+    for i in range(begin, end):
+        if not asking[i]:
+            continue
+        far = reach[i]
+        if not (far > 0 and far < np.inf and clear[i] <= far * (ONE + SLACK) + SLACK):
+            continue
+        size = np.sqrt((wx[i] * wx[i] + wy[i] * wy[i]) + wz[i] * wz[i])
+        if not (size > TINY and size < np.inf):
+            continue
+        n, face = feel(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
+        if face == FURTHER:
+            count += 1
+            t[i] = np.float32(n[3])
+        elif face >= 0:
+            hit[i], t[i] = True, np.float32(n[3])
+            nx[i], ny[i], nz[i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+    return count
+
+
+@called
+def feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
+    """The normal of what a feeler touches, towards the asker, and after how many mm (inf = nothing, NaN = the grid cannot tell);
+    and the face."""
+    shape, normals = grid[0], grid[7]
+    far = np.float64(reach)
+    a = np.float64(p[0]) - shape[6], np.float64(p[1]) - shape[7], np.float64(p[2]) - shape[8]
+    w = np.float64(d[0]) * far, np.float64(d[1]) * far, np.float64(d[2]) * far
+    t, face = first_hit(grid, a, w)
+    if face < 0:
+        return (0.0, 0.0, 0.0, np.nan if face == FURTHER else np.inf), face
+    x, y, z = normals[face, 0], normals[face, 1], normals[face, 2]
+    if (x * w[0] + y * w[1]) + z * w[2] > 0:
+        x, y, z = -x, -y, -z
+    return (x, y, z, t * far), face
+
+
+@called
+def first_hit(grid, a, w):  # type: ignore[no-untyped-def]
+    """After what part of its way a ray meets its first face, and which."""
+    shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
+    part = 1.0 / shape[3]
+    px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
+    dx, dy, dz = w[0] * part, w[1] * part, w[2] * part
+    long = (abs(dx) + abs(dy)) + abs(dz)
+    if long > LONGEST:
+        return np.inf, FURTHER
+    if not (abs(px) + abs(py) + abs(pz) < np.inf and long <= LONGEST):
+        return np.inf, NOTHING
+    # A ray that stays in a layer has its borders infinitely far away, and none that is outside enters it.
+    mx, my, mz = abs(dx) > _STILL, abs(dy) > _STILL, abs(dz) > _STILL
+    ix, iy, iz = 1.0 / dx if mx else np.inf, 1.0 / dy if my else np.inf, 1.0 / dz if mz else np.inf
+    bx, ex = _between(px, ix, mx, np.float64(size[0]))
+    by, ey = _between(py, iy, my, np.float64(size[1]))
+    bz, ez = _between(pz, iz, mz, np.float64(size[2]))
+    begin, end = max(max(max(bx, by), bz), 0.0), min(min(min(ex, ey), ez), 1.0)
+    if begin > end:
+        return np.inf, NOTHING
+    x = min(max(np.int64(np.floor(px + dx * begin)), 0), size[0] - 1)
+    y = min(max(np.int64(np.floor(py + dy * begin)), 0), size[1] - 1)
+    z = min(max(np.int64(np.floor(pz + dz * begin)), 0), size[2] - 1)
+    ux, uy, uz = 1 if dx > 0 else 0, 1 if dy > 0 else 0, 1 if dz > 0 else 0
+    square = (w[0] * w[0] + w[1] * w[1]) + w[2] * w[2]
+    h, over, off = shape[5] / np.sqrt(square), 1.0 / square, shape[4]
+    best, face, most = np.inf, NOTHING, 1.0
+    while x >= 0 and x < size[0] and y >= 0 and y < size[1] and z >= 0 and z < size[2]:
+        cell = (x * size[1] + y) * size[2] + z
+        for k in range(first[cell], first[cell + 1]):
+            # Most faces lie with their whole plane on one side of the ray, or with their ball beside it.
+            nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
+            here = ((nx * a[0] + ny * a[1]) + nz * a[2]) + np.float64(bound[k, 3])
+            there = here + ((nx * w[0] + ny * w[1]) + nz * w[2]) * most
+            if abs(here + there) - abs(here - there) > 2.0 * off:
+                continue
+            cx, cy, cz = np.float64(bound[k, 4]) - a[0], np.float64(bound[k, 5]) - a[1], np.float64(bound[k, 6]) - a[2]
+            away = np.float64(bound[k, 7]) + off
+            there = min(max((cx * w[0] + cy * w[1] + cz * w[2]) * over, 0.0), most)
+            cx, cy, cz = cx - there * w[0], cy - there * w[1], cz - there * w[2]
+            if cx * cx + cy * cy + cz * cz > away * away:
+                continue
+            f = listed[k]
+            t = -along(planes, f, 0, a[0], a[1], a[2]) / towards(planes, f, 0, w[0], w[1], w[2])
+            if t > h and t <= most:
+                w1 = along(planes, f, 1, a[0], a[1], a[2]) + t * towards(planes, f, 1, w[0], w[1], w[2])
+                w2 = along(planes, f, 2, a[0], a[1], a[2]) + t * towards(planes, f, 2, w[0], w[1], w[2])
+                if (1.0 - w1) - w2 >= -CLOSED and w1 >= -CLOSED and w2 >= -CLOSED and (t < best or f < face):
+                    best, face, most = t, f, t
+        # Where the ray leaves the cube: what it meets before is listed in it.
+        tx = (np.float64(x + ux) - px) * ix if mx else np.inf
+        ty = (np.float64(y + uy) - py) * iy if my else np.inf
+        tz = (np.float64(z + uz) - pz) * iz if mz else np.inf
+        out = min(min(tx, ty), tz)
+        if best <= out or out > end:
+            break
+        if tx == out:
+            x += 2 * ux - 1
+        elif ty == out:
+            y += 2 * uy - 1
+        else:
+            z += 2 * uz - 1
+    return best, face
+
+
+@inlined
+def fetch_rays(grid, origins, zero, ways, rays, cells, count):  # type: ignore[no-untyped-def]
+    """Prefetch the faces near both ends of rays whose numbers are in `rays`; origins and ways (3, k) count from a `zero`."""
+    for n in range(count):
+        a, w = minus(of(origins, rays[n]), zero), of(ways, rays[n])
+        cells[2 * n] = _look_at(grid, a)
+        cells[2 * n + 1] = _look_at(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
+    for n in range(2 * count):
+        _fetch_list(grid, cells[n])
+
+
+@inlined
+def _look_at(grid, a):  # type: ignore[no-untyped-def]
+    """The cube of a place, or one beside it where there is none, whose beginning is brought near."""
+    shape, size, first = grid[0], grid[1], grid[2]
+    part = 1.0 / shape[3]
+    x = min(max(whole(np.floor((a[0] - shape[0]) * part)), 0), size[0] - 1)
+    y = min(max(whole(np.floor((a[1] - shape[1]) * part)), 0), size[1] - 1)
+    z = min(max(whole(np.floor((a[2] - shape[2]) * part)), 0), size[2] - 1)
+    cell = (x * size[1] + y) * size[2] + z
+    fetch_ahead(first, cell)
+    return cell
+
+
+@inlined
+def _fetch_list(grid, cell):  # type: ignore[no-untyped-def]
+    """Have the first faces of a cube brought near: two lie in a line of memory."""
+    first, listed, bound = grid[2], grid[3], grid[4]
+    k = first[cell]
+    fetch_ahead(listed, k)
+    fetch_ahead(bound, 8 * k)
+    fetch_ahead(bound, 8 * k + 16)
+    fetch_ahead(bound, 8 * k + 32)
+    fetch_ahead(bound, 8 * k + 48)
+
+
+@inlined
+def _between(p, inverse, moves, size):  # type: ignore[no-untyped-def]
+    """After which parts of its way a ray enters and leaves the grid along one axis."""
+    if not moves:
+        return (0.0, 1.0) if p >= 0.0 and p < size else (np.inf, -np.inf)
+    one, two = -p * inverse, (size - p) * inverse
+    return (one, two) if one < two else (two, one)

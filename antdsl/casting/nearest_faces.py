@@ -1,0 +1,207 @@
+"""The nearest face of places in a grid of triangles, and the way out: as `triangle_grid` has it, for one place at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.casting.faces import nearest_on, square_of
+from antdsl.casting.grid_rays import Grid, Three
+from antdsl.casting.tolerances import BEYOND, FURTHER, RINGS, TOUCHING, UNSURE
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, called, fetch_ahead, inlined, kernel, whole
+from antdsl.numerics.kernel_vectors import minus
+
+_FETCHED = 12  # faces of a row of cubes that are brought near
+
+
+@kernel
+def apart(grid: Grid, places: Three, found: Array2[F32], begin: I64, end: I64) -> I64:
+    """As `TriangleGrid.apart` of places from `begin` to before `end`, into `found`: gap, NaN for who has to ask elsewhere, and
+    way out; how many have."""
+    x, y, z = places
+    count = 0
+    for i in range(begin, end):
+        gap, out = way_out(grid, (x[i], y[i], z[i]), np.inf)
+        count += 1 if gap != gap else 0
+        found[0, i], found[1, i], found[2, i], found[3, i] = gap, out[0], out[1], out[2]
+    return count
+
+
+@inlined
+def way_out(grid, place, within):  # type: ignore[no-untyped-def]
+    """As `apart`, of one place: how far it is out of the faces, NaN where the grid cannot tell, and the way out; or that it is
+    infinitely far out, where that is more than `within` mm."""
+    shape, normals = grid[0], grid[7]
+    p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
+    a = p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]
+    square, face, q = _nearest(grid, a, within)
+    if face == UNSURE:
+        square, face, q = _nearest(grid, a, np.inf)
+    gap, x, y, z = np.float32(np.nan), np.float32(0), np.float32(0), np.float32(0)
+    if face >= 0:
+        distance = np.sqrt(square)
+        n = normals[face, 0], normals[face, 1], normals[face, 2]
+        away = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
+        side = -1.0 if (away[0] * n[0] + away[1] * n[1]) + away[2] * n[2] < 0 else 1.0
+        gap = np.float32(distance * side)
+        part = side / max(distance, TOUCHING)
+        if distance < TOUCHING:
+            x, y, z = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
+        else:
+            x, y, z = np.float32(away[0] * part), np.float32(away[1] * part), np.float32(away[2] * part)
+    elif face == BEYOND:
+        gap = np.float32(np.inf)
+    return gap, (x, y, z)
+
+
+@kernel
+def nearests(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
+    """As `TriangleGrid.nearest`, into the last three arrays."""
+    for i in range(face.size):
+        p = (points[i, 0], points[i, 1], points[i, 2])
+        square[i], face[i], q = _nearest(grid, p, np.inf)
+        place[i, 0], place[i, 1], place[i, 2] = q[0], q[1], q[2]
+
+
+@inlined
+def fetch_around(grid, place, rows, k):  # type: ignore[no-untyped-def]
+    """Have where the cubes around a place begin brought near; these, in nine rows of three, from number 9 `k` of `rows` on."""
+    shape, size, first = grid[0], grid[1], grid[2]
+    part = 1.0 / shape[3]
+    mx = _layer(np.float64(place[0]) - shape[6], shape[0], part, size[0])
+    my = _layer(np.float64(place[1]) - shape[7], shape[1], part, size[1])
+    mz = _layer(np.float64(place[2]) - shape[8], shape[2], part, size[2])
+    for x in range(3):
+        for y in range(3):
+            row = min(max(mx + x - 1, 0), size[0] - 1) * size[1] + min(max(my + y - 1, 0), size[1] - 1)
+            cell = row * size[2] + max(mz - 1, 0)
+            rows[9 * k + 3 * x + y] = cell
+            fetch_ahead(first, cell)
+
+
+@inlined
+def fetch_lists(grid, rows, count):  # type: ignore[no-untyped-def]
+    """Have the first faces of so many rows of three cubes brought near."""
+    first, listed, bound = grid[2], grid[3], grid[4]
+    last = first.size - 1
+    for n in range(count):
+        begin, end = first[rows[n]], first[min(rows[n] + 3, last)]
+        for k in range(begin, min(end, begin + _FETCHED), 2):
+            fetch_ahead(bound, 8 * k)
+        if begin < end:
+            fetch_ahead(listed, begin)
+
+
+@inlined
+def _layer(at, low, part, size):  # type: ignore[no-untyped-def]
+    return min(max(whole(np.floor((at - low) * part)), 0), size - 1)
+
+
+@called
+def _nearest(grid, p, within):  # type: ignore[no-untyped-def]
+    """The square distance of a place's nearest face, which one, and the place on it. If that is farther than `within` (mm), it
+    may be BEYOND, with the place before it, or UNSURE.
+
+    A face that is farther than that and has the place before it need not be measured: it is enough to know of one how far it is
+    at most, and that those which have the place behind them are farther."""
+    shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
+    width, off = shape[3], shape[4]
+    part = 1.0 / width
+    ax, ay, az = (p[0] - shape[0]) * part, (p[1] - shape[1]) * part, (p[2] - shape[2]) * part
+    best, face, place, least = np.inf, FURTHER, p, np.inf
+    # How far the nearest that has the place before it is at most, and both; how far faces on either side matter.
+    ahead, until, before_it, behind_it = np.inf, np.inf, within + off, np.inf
+    before, second, third = FURTHER, FURTHER, FURTHER  # faces that were asked about last: neighbouring cubes have them too
+    if not (_around(ax, size[0]) and _around(ay, size[1]) and _around(az, size[2])):
+        return best, face, place
+    mx, my, mz = _middle(ax, size[0]), _middle(ay, size[1]), _middle(az, size[2])
+    ring, looking = 0, True
+    while looking and ring <= RINGS:
+        low, high = max(mz - ring, 0), min(mz + ring, size[2] - 1)
+        for x in range(max(mx - ring, 0), min(mx + ring, size[0] - 1) + 1):
+            for y in range(max(my - ring, 0), min(my + ring, size[1] - 1) + 1):
+                if _off(ax, x) + _off(ay, y) > until * part * part * (1 + 1e-6):
+                    continue
+                # On the sides of the ring all cubes of a row are new, and lie side by side; elsewhere its two ends.
+                side = abs(x - mx) == ring or abs(y - my) == ring
+                row = (x * size[1] + y) * size[2]
+                z = low
+                while z <= high:
+                    last = high if side else z
+                    if side or abs(z - mz) == ring:
+                        for k in range(first[row + z], first[row + last + 1]):
+                            above, from_ball = _apart(bound, k, p)
+                            if above > off:
+                                if from_ball < ahead:
+                                    ahead = from_ball
+                                    limit = np.sqrt(ahead) + off
+                                    until = min(until, limit * limit)
+                                    behind_it = min(behind_it, limit + off)
+                                if _farther(np.float64(bound[k, 7]) + off, above, from_ball, before_it):
+                                    continue
+                            elif _farther(np.float64(bound[k, 7]) + off, above, from_ball, behind_it):
+                                continue
+                            f = listed[k]
+                            if f == face or before == f or second == f or third == f:
+                                continue
+                            before, second, third = f, before, second
+                            q = nearest_on(corners, f, p)
+                            d = square_of(minus(q, p))
+                            if d < best or (d == best and f < face):
+                                best, face, place, least = d, f, q, np.sqrt(d) + off
+                                until, before_it, behind_it = min(until, d), min(before_it, least), min(behind_it, least)
+                    z = last + 1 if side or z == high else high
+        known = _known(ax, mx, ring, size[0])
+        known = min(known, _known(ay, my, ring, size[1]))
+        known = min(known, _known(az, mz, ring, size[2])) * width
+        looking = not until <= known * known
+        ring += 1
+    if within < np.inf and (looking or best > within * within):
+        return np.inf, BEYOND if until < best and not looking else UNSURE, p
+    if looking:
+        best, face, place = np.inf, FURTHER, p
+    return best, face, place
+
+
+@inlined
+def _apart(bound, k, p):  # type: ignore[no-untyped-def]
+    """How far a place is above a face's plane, and the square distance from the middle of its ball."""
+    nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
+    above = ((nx * p[0] + ny * p[1]) + nz * p[2]) + np.float64(bound[k, 3])
+    x, y, z = p[0] - np.float64(bound[k, 4]), p[1] - np.float64(bound[k, 5]), p[2] - np.float64(bound[k, 6])
+    return above, x * x + y * y + z * z
+
+
+@inlined
+def _farther(away, above, square, least):  # type: ignore[no-untyped-def]
+    """Whether a face is farther away than `least` for certain: its plane is, or its ball of radius `away`, along the plane."""
+    if abs(above) > least:
+        return True
+    across = square - above * above
+    # How far it is along the plane at most, if it is no farther than `least`.
+    room = least * least - above * above
+    return across > away * away and across > away * away + room + 2.0 * away * np.sqrt(room)
+
+
+@inlined
+def _around(at, size):  # type: ignore[no-untyped-def]
+    return at >= -RINGS and at <= size + RINGS
+
+
+@inlined
+def _middle(at, size):  # type: ignore[no-untyped-def]
+    return min(np.int64(np.floor(max(at, 0.0))), size - 1)
+
+
+@inlined
+def _known(at, middle, ring, size):  # type: ignore[no-untyped-def]
+    below, above = middle - ring, middle + ring + 1
+    low = np.inf if below <= 0 else at - np.float64(below)
+    high = np.inf if above >= size else np.float64(above) - at
+    return min(low, high)
+
+
+@inlined
+def _off(at, cell):  # type: ignore[no-untyped-def]
+    """The square distance (cubes) of a place from a layer of cubes along one axis, less what their faces may stand out."""
+    off = max(max(np.float64(cell) - at, at - np.float64(cell + 1)) - 1e-5, 0.0)
+    return off * off

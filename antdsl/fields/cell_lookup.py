@@ -1,0 +1,87 @@
+"""The cell of each agent's voxel and side, as one pass over the agents."""
+
+import numpy as np
+
+from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
+from antdsl.numerics.sorting import place_among
+
+_TOGETHER = 64  # points whose cells are brought near at once
+
+
+@inlined
+def _along(place, cell, low, size):  # type: ignore[no-untyped-def]
+    """The number of a voxel along one axis of the box, -1 outside."""
+    step = np.floor(place / cell + 0.5) - np.float64(low)
+    if step >= 0.0 and step < np.float64(size):
+        return np.int64(step)
+    return -1
+
+
+@inlined
+def _found(direct, listed, keys, shift, start, key):  # type: ignore[no-untyped-def]
+    """The cell of a key, -1 for none."""
+    if listed:
+        return np.int64(direct[key])
+    a = place_among(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
+    return a if a < keys.size and keys[a] == key else -1
+
+
+@kernel
+def located(
+    points: tuple[Array1[F64], Array1[F64], Array1[F64]],
+    side: Array1[I8],
+    cell: F64,
+    box: Array1[I64],
+    size: Array1[I64],
+    direct: Array1[I32],
+    keys: Array1[I64],
+    shift: I64,
+    start: Array1[I32],
+    known: Array1[I64],
+    here: Array1[I32],
+    found: Array1[I32],
+    begin: I64,
+    end: I64,
+) -> int:
+    """Write the cell of the voxel and side of each point from `begin` to before `end` into `found` [n]; gives how many have
+    none, which get -1.
+
+    `points`: x, y, z [n] mm, `box` and `size` [3]: the lowest voxel of the box, and how many. Cells stand in `direct` by key, or
+    where that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each.
+    `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are renewed."""
+    listed = direct.size > 0
+    wanted, moved, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
+    missed = 0
+    for low in range(begin, end, _TOGETHER):
+        high = min(low + _TOGETHER, end)
+        for n in independent(low, high):
+            x = _along(points[0][n], cell, box[0], size[0])
+            y = _along(points[1][n], cell, box[1], size[1])
+            z = _along(points[2][n], cell, box[2], size[2])
+            key = -1
+            if x >= 0 and y >= 0 and z >= 0:
+                key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]
+            wanted[n - low] = key
+            moved[n - low] = 1 if key != known[n] or here[n] < 0 else 0
+        count = 0
+        for n in range(low, high):
+            others[count] = n
+            count += moved[n - low]
+        for k in range(count):
+            key = max(wanted[others[k] - low], 0)
+            if listed:
+                fetch_ahead(direct, key)
+            else:
+                fetch_ahead(start, key >> shift)
+        if not listed:
+            for k in range(count):
+                fetch_ahead(keys, start[max(wanted[others[k] - low], 0) >> shift])
+        for k in range(count):
+            n = others[k]
+            key = wanted[n - low]
+            known[n] = key
+            here[n] = _found(direct, listed, keys, shift, start, key) if key >= 0 else -1
+            missed += 1 if here[n] < 0 else 0
+        for n in independent(low, high):
+            found[n] = here[n]
+    return missed

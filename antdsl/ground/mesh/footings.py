@@ -1,0 +1,80 @@
+"""Where footings are in the world and which way their faces point, of many in one pass, and how far agents may look out.
+
+Places are made from vertices, of which neighbours share most, so that less of memory is read than of a table of faces."""
+
+import numpy as np
+
+from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, Array2, fetch_ahead, kernel
+
+_FETCHED = 64  # footings whose vertices are brought near at once
+
+
+@kernel
+def places(
+    vertices: Array1[F64],
+    faces: Array2[I32],
+    normal: Array2[F64],
+    first: Array1[I64],
+    mesh: Array1[I32],
+    face: Array1[I32],
+    b1: Array1[F64],
+    b2: Array1[F64],
+    over: Array1[F64],
+    place: Array2[F64],
+) -> BOOL:
+    """Write the place of each footing, [n,3], 0 for nowhere, and say whether all faces are there: they are `faces`, with a
+    `normal` (3, m), by mesh from `first` on. `vertices`: three numbers of each."""
+    for begin in range(0, mesh.size, _FETCHED):
+        end = min(begin + _FETCHED, mesh.size)
+        for n in range(end, min(end + _FETCHED, mesh.size)):
+            if mesh[n] >= 0 and face[n] >= 0 and mesh[n] < first.size:
+                fetch_ahead(faces, 3 * (first[mesh[n]] + face[n]))
+        for n in range(begin, end):
+            if mesh[n] >= 0 and face[n] >= 0:
+                if mesh[n] >= first.size:
+                    return False
+                f = first[mesh[n]] + face[n]
+                if f >= faces.shape[0]:
+                    return False
+                for corner in range(3):
+                    fetch_ahead(vertices, 3 * faces[f, corner])
+        for n in range(begin, end):
+            x, y, z = 0.0, 0.0, 0.0
+            if mesh[n] >= 0 and face[n] >= 0:
+                f = first[mesh[n]] + face[n]
+                i, j, k = 3 * faces[f, 0], 3 * faces[f, 1], 3 * faces[f, 2]
+                p, q, h = b1[n], b2[n], over[n]
+                x, y, z = vertices[i], vertices[i + 1], vertices[i + 2]
+                x = (x + p * (vertices[j] - x)) + q * (vertices[k] - x)
+                y = (y + p * (vertices[j + 1] - y)) + q * (vertices[k + 1] - y)
+                z = (z + p * (vertices[j + 2] - z)) + q * (vertices[k + 2] - z)
+                if h != 0.0 or x == 0.0 or y == 0.0 or z == 0.0:  # else it changes nothing, not even the sign of nothing
+                    x, y, z = x + h * normal[0, f], y + h * normal[1, f], z + h * normal[2, f]
+            place[n, 0], place[n, 1], place[n, 2] = x, y, z
+    return True
+
+
+@kernel
+def faced(
+    mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], found: Array1[I8], begin: I64, end: I64
+) -> None:
+    """Write the side of each face from `begin` to before `end`, of those of its mesh, which begin at `first`; 0 for nowhere."""
+    for n in range(begin, end):
+        if mesh[n] >= 0 and face[n] >= 0:
+            found[n] = side[first[mesh[n]] + face[n]]
+        else:
+            found[n] = 0
+
+
+@kernel
+def farthest(ways: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
+    """The greatest square of ways (3, n) that are finite, 0 where none is; and the greatest of sizes, NaN where none is a
+    number."""
+    most, widest = 0.0, np.nan
+    for k in range(sizes.size):
+        square = (ways[0, k] * ways[0, k] + ways[1, k] * ways[1, k]) + ways[2, k] * ways[2, k]
+        if square < np.inf:
+            most = max(most, square)
+        if not widest >= sizes[k] and sizes[k] == sizes[k]:
+            widest = sizes[k]
+    return most, widest

@@ -1,0 +1,182 @@
+"""Stretches of a walk, each across one face, until something may be in the way or beyond a border."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
+from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.machine_code.kernels import consecutive, fetch_ahead, inlined, whole
+from antdsl.numerics.kernel_vectors import inside, plus, times
+
+CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
+STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
+GRAIN = 1e-7  # of a face: how far it is moved
+INWARD = 1e-6  # of a direction along a border: off it, or rounding would ask about it again and again
+HOPS = 6  # from surface to surface, or turns along a border, in one step
+AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the border; over one already
+
+
+@inlined
+def frame(table, row):  # type: ignore[no-untyped-def]
+    """Both axes of a face, and its normal."""
+    ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = consecutive(table, row + AXIS1, 12)
+    return (ax, ay, az), (bx, by, bz), (nx, ny, nz)
+
+
+@inlined
+def laid_down(axis1, axis2, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
+    """A vector laid into a face: unit (c, s) in its frame, (c0, s0) where nothing finite is left, and its length (mm)."""
+    c = axis1[0] * x + axis1[1] * y + axis1[2] * z
+    s = axis2[0] * x + axis2[1] * y + axis2[2] * z
+    flat = np.sqrt(c * c + s * s)
+    if not (flat > 1e-150 and flat < np.inf):
+        return c0, s0, 0.0
+    # Up to 60 degrees off the surface the length is kept; beyond, it falls steadily to nothing.
+    return c / flat, s / flat, min(np.sqrt(x * x + y * y + z * z), 2 * flat)
+
+
+@inlined
+def free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-untyped-def]
+    """A distance (mm) within which a place has no other piece, see `Parts`; `reach` being enough."""
+    n = sub_count[f]
+    if n == 0:
+        return reach
+    return clear[sub_first[f] + max(min(whole(np.floor(b1 * n)), n - 1), 0) * n + max(min(whole(np.floor(b2 * n)), n - 1), 0)]
+
+
+@inlined
+def go(  # type: ignore[no-untyped-def]
+    table, link, forked, sub_first, sub_count, clear, reach, high, looked, along_open,
+    f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn,
+):  # fmt: skip
+    """Across faces until the way is used up, or until an event: what the agent is then, the event, and the edge and length of
+    its stretch. On stretches within whose length and `high` there may be another piece it stops, but not on the first if
+    `looked`. Where no stretch may meet another piece and it goes `along_open` borders, it follows those beyond which there is
+    nothing: how often, is what comes last."""
+    event, edge, length, hops = 0, 0, 0.0, 0
+    while turn < CROSSINGS and left > 0:
+        if turn >= STUCK:  # noqa: SIM102  # asked first: hardly anybody comes to it, and the rest of a division is dear
+            if turn % STUCK == 0 and not looked:
+                b1 = b1 * (1 - GRAIN) + GRAIN / 3
+                b2 = b2 * (1 - GRAIN) + GRAIN / 3
+        row = WIDTH * f
+        _, along, across, shear = consecutive(table, row + RATE1 - 1, 4)
+        rate1 = c * along - s * shear
+        rate2 = s * across
+        rate0 = -(rate1 + rate2)
+        b0 = 1.0 - b1 - b2
+        until, edge = np.inf, 0
+        if rate0 < 0:
+            until = max(b0, 0.0) / -rate0
+        if rate1 < 0:
+            way = max(b1, 0.0) / -rate1
+            if way < until:
+                until, edge = way, 1
+        if rate2 < 0:
+            way = max(b2, 0.0) / -rate2
+            if way < until:
+                until, edge = way, 2
+        length = min(until, left)
+        if high > 0 and not looked and free(sub_first, sub_count, clear, reach, f, b1, b2) <= length + high:
+            event = AHEAD
+            break
+        looked = False
+        b1, b2 = inside(b1 + rate1 * length, b2 + rate2 * length)
+        gone += length
+        if until >= left:
+            break
+        left = left - length
+        cosine, sine, linked, _ = consecutive(table, row + EDGES + 4 * edge, 4)
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else whole(linked)
+        if beyond < 0:
+            if beyond == NO_LINK or not along_open or high > 0:
+                event = BORDER
+                break
+            c, s, left = along_border(cosine, sine, c, s, left)
+            hops += 1
+            if hops >= HOPS:
+                left = 0.0
+        else:
+            f, b1, b2, side, c, s, heading_c, heading_s = _cross(
+                table, beyond, edge, cosine, sine, b1, b2, side, c, s, heading_c, heading_s
+            )
+            for line in (0, 24, 32):  # which `finish` reads: all others are read at once
+                fetch_ahead(table, WIDTH * f + line)
+        turn += 1
+    return f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length, hops
+
+
+@inlined
+def along_border(edge_c, edge_s, c, s, left):  # type: ignore[no-untyped-def]
+    """Along an open border, and the way that is left there."""
+    along = c * edge_c + s * edge_s
+    turn = -1.0 if along < 0 else 1.0
+    return turn * edge_c - INWARD * edge_s, turn * edge_s + INWARD * edge_c, left * abs(along)
+
+
+@inlined
+def _cross(table, beyond, edge, c1, s1, b1, b2, side, c, s, heading_c, heading_s):  # type: ignore[no-untyped-def]
+    """Into the face beyond an edge."""
+    f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
+    b0 = 1.0 - b1 - b2
+    first = b1 if edge == 0 else (b2 if edge == 1 else b0)
+    second = b2 if edge == 0 else (b0 if edge == 1 else b1)
+    if not flip:
+        first, second = second, first
+    c2, s2, _, _ = consecutive(table, WIDTH * f + EDGES + 4 * k2, 4)
+    turn = 1.0 if flip else -1.0
+    along, out = turn * (c * c1 + s * s1), c * s1 - s * c1
+    c, s = along * c2 - out * s2, along * s2 + out * c2
+    along, out = turn * (heading_c * c1 + heading_s * s1), heading_c * s1 - heading_s * c1
+    heading_c, heading_s = along * c2 - out * s2, along * s2 + out * c2
+    b1 = max(first if k2 == 0 else (0.0 if k2 == 1 else second), 0.0)
+    b2 = max(second if k2 == 0 else (first if k2 == 1 else 0.0), 0.0)
+    return f, b1, b2, -side if flip else side, c, s, heading_c, heading_s
+
+
+@inlined
+def finish(  # type: ignore[no-untyped-def]
+    table, row, b1, b2, side, c, s, heading_c, heading_s, over
+):
+    """Place, smooth normal, transported heading and direction of travel in space."""
+    b0 = 1.0 - b1 - b2
+    numbers = consecutive(table, row, WIDTH)
+    axis1, axis2, (nx, ny, nz) = numbers[AXIS1:AXIS2], numbers[AXIS2:NORMAL], numbers[NORMAL:RATE1]
+    corner, edge1, edge2 = numbers[CORNER:EDGE1], numbers[EDGE1:EDGE2], numbers[EDGE2:SMOOTH]
+    s0, s1, (s2, s3, s4, s5, s6, s7, s8) = numbers[EDGES + 7], numbers[EDGES + 11], numbers[SMOOTH:WIDTH]
+    sx, sy, sz = s0 * b0 + s3 * b1 + s6 * b2, s1 * b0 + s4 * b1 + s7 * b2, s2 * b0 + s5 * b1 + s8 * b2
+    size = np.sqrt(max(sx * sx + sy * sy + sz * sz, 1e-300))
+    sx, sy, sz = sx / size * side, sy / size * side, sz / size * side
+    nx, ny, nz = nx * side, ny * side, nz * side
+    hx = axis1[0] * heading_c + axis2[0] * heading_s
+    hy = axis1[1] * heading_c + axis2[1] * heading_s
+    hz = axis1[2] * heading_c + axis2[2] * heading_s
+    hx, hy, hz = _turned(hx, hy, hz, nx, ny, nz, sx, sy, sz)
+    off = hx * sx + hy * sy + hz * sz
+    hx, hy, hz = hx - off * sx, hy - off * sy, hz - off * sz
+    size = np.sqrt(hx * hx + hy * hy + hz * hz)
+    place = (
+        corner[0] + b1 * edge1[0] + b2 * edge2[0] + over * nx,
+        corner[1] + b1 * edge1[1] + b2 * edge2[1] + over * ny,
+        corner[2] + b1 * edge1[2] + b2 * edge2[2] + over * nz,
+    )
+    direction = plus(times(axis1, c), times(axis2, s))
+    return place, (sx, sy, sz), (hx / size, hy / size, hz / size), direction
+
+
+@inlined
+def _turned(vx, vy, vz, bx, by, bz, ax, ay, az):  # type: ignore[no-untyped-def]
+    """A vector turned as the unit normal b turns into a; half a turn goes over the vector itself."""
+    cosine = bx * ax + by * ay + bz * az
+    if cosine < -1 + 1e-9:
+        hx, hy, hz = by * vz - bz * vy, bz * vx - bx * vz, bx * vy - by * vx
+        twice = 2 * (hx * vx + hy * vy + hz * vz)
+        return twice * hx - vx, twice * hy - vy, twice * hz - vz
+    x, y, z = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
+    part = (x * vx + y * vy + z * vz) / (1 + cosine)
+    return (
+        cosine * vx + (y * vz - z * vy) + part * x,
+        cosine * vy + (z * vx - x * vz) + part * y,
+        cosine * vz + (x * vy - y * vx) + part * z,
+    )

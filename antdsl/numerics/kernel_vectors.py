@@ -1,0 +1,139 @@
+"""Vectors in kernels: three numbers each, summed in the order of `vectors.dot` and `vectors.cross`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.machine_code.kernels import inlined
+
+_LEAST, _STEEP = 1e-12, 0.9  # as `vectors.unit` and `vectors.across`
+
+
+@inlined
+def at(table, k):  # type: ignore[no-untyped-def]
+    """Three numbers of a table."""
+    return table[k], table[k + 1], table[k + 2]
+
+
+@inlined
+def of(vectors, i):  # type: ignore[no-untyped-def]
+    """One of vectors (3, n)."""
+    return vectors[0, i], vectors[1, i], vectors[2, i]
+
+
+@inlined
+def put(vectors, i, v):  # type: ignore[no-untyped-def]
+    """Write one of vectors (3, n)."""
+    vectors[0, i], vectors[1, i], vectors[2, i] = v
+
+
+@inlined
+def plus(a, b):  # type: ignore[no-untyped-def]
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@inlined
+def minus(a, b):  # type: ignore[no-untyped-def]
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inlined
+def times(a, factor):  # type: ignore[no-untyped-def]
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@inlined
+def dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def cross(a, b):  # type: ignore[no-untyped-def]
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def flat(a, up):  # type: ignore[no-untyped-def]
+    """As `vectors.flat`."""
+    return minus(a, times(up, dot(a, up)))
+
+
+@inlined
+def across(up):  # type: ignore[no-untyped-def]
+    """As `vectors.across`, in float64."""
+    steep = abs(up[0]) > _STEEP
+    side = flat(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
+    return times(side, 1 / np.sqrt(dot(side, side)))
+
+
+@inlined
+def direction(v, up):  # type: ignore[no-untyped-def]
+    """The unit vector along `v`, or one across a unit vector where it has no direction, in float64."""
+    size = np.sqrt(dot(v, v))
+    if size > _LEAST and np.isfinite(size):
+        return times(v, 1 / size)
+    return across(up)
+
+
+@inlined
+def more(a, b):  # type: ignore[no-untyped-def]
+    """As np.fmax of a number that may be NaN and one that is not."""
+    return a if a > b else b
+
+
+@inlined
+def less(a, b):  # type: ignore[no-untyped-def]
+    """As np.fmin of the same."""
+    return a if a < b else b
+
+
+@inlined
+def inside(b1, b2):  # type: ignore[no-untyped-def]
+    """Weights moved to the nearest that are of a point of the triangle, against rounding."""
+    b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
+    total = b1 + b2
+    if total > 1.0:
+        return b1 / total, b2 / total
+    return b1, b2
+
+
+@inlined
+def turned(v, before, after, direction):  # type: ignore[no-untyped-def]
+    """A vector turned by the least turn that takes one unit normal into another; half a turn goes over `direction`."""
+    cosine = dot(before, after)
+    if cosine < -1 + 1e-9:
+        hinge = cross(before, direction)
+        return minus(times(hinge, 2 * dot(hinge, v)), v)
+    axis = cross(before, after)
+    part = dot(axis, v) / (1 + cosine)
+    return plus(plus(times(v, cosine), cross(axis, v)), times(axis, part))
+
+
+@inlined
+def level(c, s):  # type: ignore[no-untyped-def]
+    """A direction in a face of unit length; along its first axis where nothing is left of it."""
+    size = np.sqrt(c * c + s * s)
+    if size > 1e-9:
+        return c / size, s / size
+    return 1.0, 0.0
+
+
+@inlined
+def nearest(edge1, edge2, v):  # type: ignore[no-untyped-def]
+    """Weights of the point of a triangle nearest to a place `v` from its first corner, and how far off it is: above the inside,
+    else on an edge."""
+    edge3 = minus(edge2, edge1)
+    d11, d12, d22, d33 = dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2), dot(edge3, edge3)
+    w1, w2 = dot(v, edge1), dot(v, edge2)
+    size = d11 * d22 - d12 * d12
+    b1, b2 = (d22 * w1 - d12 * w2) / size, (d11 * w2 - d12 * w1) / size
+    if not (size > 0 and b1 >= 0 and b2 >= 0 and b1 + b2 <= 1.0):
+        one, two = min(max(w1 / d11, 0.0), 1.0), min(max(w2 / d22, 0.0), 1.0)
+        three = min(max(dot(minus(v, edge1), edge3) / d33, 0.0), 1.0)
+        best = np.inf
+        for x, y in ((one, 0.0), (0.0, two), (1.0 - three, three)):
+            off = minus(minus(v, times(edge1, x)), times(edge2, y))
+            if dot(off, off) < best:
+                b1, b2, best = x, y, dot(off, off)
+    off = minus(minus(v, times(edge1, b1)), times(edge2, b2))
+    return b1, b2, np.sqrt(dot(off, off))

@@ -1,0 +1,164 @@
+"""Loops of `frames`, `agent_arrays`, `clip_arrays`, `shown_arrays` and `surface_error`: one pass over the agents for an array, or
+for all that a machine plays.
+
+What takes several numbers of an agent goes by rows, as they lie in memory, and writes to the place of the agent's rank by id: one
+such write costs less than several reads here and there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I16,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    Strided2,
+    as_bits,
+    independent,
+    inlined,
+    kernel,
+)  # fmt: skip
+
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+Clips = tuple[Array1[I32], Array1[I32]]
+ClipsOut = tuple[Array1[I16], Array1[I16]]
+Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+
+
+@kernel
+def places(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32]) -> None:
+    """Positions of agents in scene units, each to the place of its rank. A zero has no sign."""
+    for i in range(ranks.size):
+        k = ranks[i]
+        out[k, 0] = np.float32((position[i, 0] + 0.0) * scale)
+        out[k, 1] = np.float32((position[i, 1] + 0.0) * scale)
+        out[k, 2] = np.float32((position[i, 2] + 0.0) * scale)
+
+
+@kernel
+def vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32]) -> None:
+    """Vectors of agents times a factor, each to the place of its rank."""
+    x, y, z = of
+    for i in range(ranks.size):
+        k = ranks[i]
+        out[k, 0] = x[i] * scale
+        out[k, 1] = y[i] * scale
+        out[k, 2] = z[i] * scale
+
+
+@kernel
+def numbers(of: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32]) -> None:
+    """Numbers of agents times a factor, each to the place of its rank."""
+    for i in range(ranks.size):
+        out[ranks[i]] = of[i] * scale
+
+
+@kernel
+def wholes(of: Array1[I32], ranks: Array1[I32], out: Array1[I16]) -> None:
+    """Whole numbers of agents, each to the place of its rank."""
+    for i in range(ranks.size):
+        out[ranks[i]] = of[i]
+
+
+@kernel
+def coloured(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32]) -> BOOL:
+    """Colours of the states of agents, each to the place of its rank; whether all states have one."""
+    for i in range(ranks.size):
+        number, k = state[i], ranks[i]
+        if number < 0 or number >= colours.shape[0]:
+            return False
+        out[k, 0], out[k, 1], out[k, 2] = colours[number, 0], colours[number, 1], colours[number, 2]
+    return True
+
+
+@kernel
+def playing(clips: Clips, shares: Shares, ranks: Array1[I32], clips_out: ClipsOut, shares_out: Shares) -> None:
+    """What a machine of agents plays, each to the place of its rank: clips, and turns, weights and the fade."""
+    clip, before = clips
+    clip_out, before_out = clips_out
+    turns, weight, before_turns, before_weight, fade = shares
+    turns_out, weight_out, before_turns_out, before_weight_out, fade_out = shares_out
+    for i in range(ranks.size):
+        k = ranks[i]
+        clip_out[k], before_out[k] = clip[i], before[i]
+        turns_out[k], weight_out[k], fade_out[k] = turns[i], weight[i], fade[i]
+        before_turns_out[k], before_weight_out[k] = before_turns[i], before_weight[i]
+
+
+@kernel
+def worn(on: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
+    """Put a bit into the masks, by rank, of those who have it on."""
+    for i in range(ranks.size):
+        mask[ranks[i]] |= bit if on[i] else 0
+
+
+@kernel
+def not_zero(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
+    """Write the numbers of the values that are not 0, and these values; how many. Both have room for one more than all."""
+    count = 0
+    for i in range(values.size):
+        value = values[i]
+        cells[count] = i
+        out[count] = np.float32(value)
+        count += 1 if value != 0.0 else 0
+    return count
+
+
+@inlined
+def _signed(size, sign):  # type: ignore[no-untyped-def]
+    """As np.copysign, of a size that has no sign; the sign of what is no number does not count."""
+    return -size if as_bits(sign) < 0 and sign == sign else size
+
+
+@kernel
+def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]) -> None:
+    """Quaternions x, y, z, w that turn +x to the heading and +y to the part of `up` across it, each to the place of its rank.
+
+    A turn of +x to the heading by the shortest way, then one about the heading. A heading of nothing counts as +x, an `up` along
+    the heading as some direction across it."""
+    px, py, pz = heading
+    qx, qy, qz = up
+    for i in independent(0, px.size):
+        hx, hy, hz = np.float64(px[i]), np.float64(py[i]), np.float64(pz[i])
+        ux, uy, uz = np.float64(qx[i]), np.float64(qy[i]), np.float64(qz[i])
+        length = np.sqrt(hx * hx + hy * hy + hz * hz)
+        still = length < 1e-12
+        inverse = 1.0 / (1.0 if still else length)
+        hx, hy, hz = hx * inverse, hy * inverse, hz * inverse
+        hx = np.float64(1.0) if still else hx
+        # The shortest way: half way between +x and the heading; straight back is half a turn about z.
+        back = hx < -1 + 1e-12
+        half = 1.0 / np.sqrt(1.0 if back else 2 * (1 + hx))
+        aw, ay, az = (1 + hx) * half, -hz * half, hy * half
+        aw, ay, az = 0.0 if back else aw, 0.0 if back else ay, 1.0 if back else az
+        # Where that turn brings +y and +z, and how `up` lies between them.
+        above = 2 * -az * aw * ux + (1 - 2 * az * az) * uy + 2 * ay * az * uz
+        beside = 2 * ay * aw * ux + 2 * ay * az * uy + (1 - 2 * ay * ay) * uz
+        size = np.sqrt(above * above + beside * beside)
+        cosine = above / max(size, 1e-30)
+        cosine = cosine if size > 1e-12 else 1.0
+        bw = np.sqrt(max(0.5 + 0.5 * cosine, 0.0))
+        bx = _signed(np.sqrt(max(0.5 - 0.5 * cosine, 0.0)), beside)
+        k = ranks[i]
+        out[k, 0], out[k, 1] = np.float32(aw * bx), np.float32(ay * bw + az * bx)
+        out[k, 2], out[k, 3] = np.float32(az * bw - ay * bx), np.float32(aw * bw)
+
+
+@kernel
+def farthest(position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F32], size: Array1[F32]) -> F64:
+    """The greatest distance of positions, as they are written, from their ground less the clearance, in sizes; NaN if one is."""
+    worst, unknown = 0.0, False
+    for i in range(size.size):
+        x = np.float64(np.float32(position[i, 0])) - ground[i, 0]
+        y = np.float64(np.float32(position[i, 1])) - ground[i, 1]
+        z = np.float64(np.float32(position[i, 2])) - ground[i, 2]
+        share = abs(np.sqrt((x * x + y * y) + z * z) - np.float64(clearance[i])) / max(np.float64(size[i]), 1e-9)
+        worst = share if share > worst else worst
+        unknown = unknown or share != share
+    return np.nan if unknown else worst

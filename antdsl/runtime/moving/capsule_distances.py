@@ -1,0 +1,297 @@
+"""Capsules of bodies, and how near any two are to each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I64,
+    Array1,
+    Array2,
+    Strided2,
+    called,
+    fetch_ahead,
+    independent,
+    inlined,
+    kernel,
+)
+from antdsl.numerics.kernel_vectors import dot, minus, of, plus, times
+from antdsl.numerics.sorting import listed
+
+_SEEN = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
+_ABOUT = 1.5  # widths that two are apart, up to which they may yet meet
+_OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
+_NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
+_ZERO = np.float32(0)
+_TOGETHER = 64  # agents of whom bounds are found side by side
+_NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * _TOGETHER, 4 * _TOGETHER, _TOGETHER]).reshape(9, _TOGETHER)
+_FETCHED = 32  # pairs whose rows are brought near before these are measured
+_KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
+_BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
+
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Capsules = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
+
+
+@inlined
+def _single(vectors, i):  # type: ignore[no-untyped-def]
+    """One of vectors that are three arrays of float32."""
+    return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
+
+
+def nothing_seen() -> NDArray[np.float64]:
+    """Bounds of nothing, for `trunks`: above all, below all, and how many numbers are not finite."""
+    return _NOTHING.copy()
+
+
+@kernel
+def trunks(
+    place: Array2[F64],
+    heading: Three,
+    up: Three,
+    size: Array1[F32],
+    length: F64,
+    width: F64,
+    height: F64,
+    ahead: F64,
+    first: I64,
+    half: Array1[F64],
+    radius: Array1[F64],
+    shift: Array1[F64],
+    reach: Array1[F64],
+    middle: Array2[F64],
+    seen: Array2[F64],
+) -> tuple[F64, F64, F64, F64, F64, F64, F64, F64]:
+    """The capsules of a species whose places are (3, n), from `first` on among all: as `capsules.Crowd`; `shift` is how far ahead
+    of the feet their middles lie (mm). Gives the least x, y and z of middles and reach and then the greatest, of these and the
+    species before, NaN where one is not finite: what is `seen` (9, 64) of every 64th agent, as `nothing_seen` at first."""
+    for begin in range(0, size.size, _TOGETHER):
+        for i in independent(begin, min(begin + _TOGETHER, size.size)):
+            to, column = first + i, i - begin
+            wide = np.float64(_ZERO if size[i] <= 0 else size[i])
+            radius[to] = wide * width * 0.5
+            half[to] = max(wide * length * 0.5 - radius[to], 0.0)
+            reach[to] = half[to] + radius[to] * _SEEN
+            high, shift[to] = wide * height, wide * ahead
+            above, forward = _single(up, i), _single(heading, i)
+            for k in range(3):
+                middle[k, to] = (place[k, i] + above[k] * high) + forward[k] * shift[to]
+            numbers = (middle[0, to], middle[1, to], middle[2, to], reach[to])
+            for k in range(4):
+                seen[k, column] = min(seen[k, column], numbers[k])
+                seen[4 + k, column] = max(seen[4 + k, column], numbers[k])
+                seen[8, column] += numbers[k] - numbers[k]
+    x, y, z, far = seen[0, 0], seen[1, 0], seen[2, 0], seen[3, 0]
+    u, v, w, wide, unknown = seen[4, 0], seen[5, 0], seen[6, 0], seen[7, 0], seen[8, 0]
+    for k in range(1, _TOGETHER):
+        x, y, z, far = min(x, seen[0, k]), min(y, seen[1, k]), min(z, seen[2, k]), min(far, seen[3, k])
+        u, v, w, wide = max(u, seen[4, k]), max(v, seen[5, k]), max(w, seen[6, k]), max(wide, seen[7, k])
+        unknown += seen[8, k]
+    return x + unknown, y + unknown, z + unknown, far + unknown, u, v, w, wide
+
+
+@called
+def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untyped-def]
+    """Gap and way to part of one pair, and whether both stand in one place, and so have none. The nearest points of two segments
+    by C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. Where axes cross, the way is from middle to middle."""
+    between = plus(one, other)
+    factor = 0.0 if dot(one, other) < _OPPOSITE else 1 / np.sqrt(max(dot(between, between), 1e-12))
+    between = times(between, factor)
+    flat = minus(away, times(between, dot(away, between)))
+    one, other = minus(a, times(between, dot(a, between))), minus(b, times(between, dot(b, between)))
+    aa, bb, ab = max(dot(one, one), 1e-9), max(dot(other, other), 1e-9), dot(one, other)
+    c, f = dot(one, flat), dot(other, flat)
+    skew = aa * bb - ab * ab
+    s = (ab * f - c * bb) / skew if skew > 1e-9 else 0.0
+    s = min(max(s, -reach), reach)
+    t = min(max((ab * s + f) / bb, -length), length)
+    s = min(max((ab * t - c) / aa, -reach), reach)
+    apart = minus(plus(away, times(a, s)), times(b, t))
+    over = dot(apart, between)
+    apart = minus(apart, times(between, over))
+    distance = np.sqrt(dot(apart, apart))
+    room = wide * wide - over * over
+    gap = distance - np.sqrt(room) if room > 0 else np.inf
+    lost = False
+    if distance <= wide * _NOWHERE:
+        apart, distance = flat, np.sqrt(dot(flat, flat))
+        lost = distance <= wide * _NOWHERE
+    size = max(distance, 1e-300)
+    return gap, (apart[0] / size, apart[1] / size, apart[2] / size), lost
+
+
+@called
+def measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, count, lost):  # type: ignore[no-untyped-def]
+    """As `measured`, of those pairs that are the first of `some`."""
+    for n in independent(0, count):
+        pair = some[n]
+        p, q = i[pair], j[pair]
+        away = minus(plus(of(middle, p), of(gone, p)), plus(of(middle, q), of(gone, q)))
+        gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+            away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
+        )
+        lost[n] = 1 if nowhere else 0
+    without = listed(lost, count)
+    for n in range(without):
+        lost[n] = some[lost[n]]
+    return without
+
+
+@kernel
+def measured(
+    middle: Strided2[F64],
+    gone: Strided2[F64],
+    ahead: Strided2[F64],
+    up: Strided2[F64],
+    half: Array1[F64],
+    radius: Array1[F64],
+    i: Array1[I64],
+    j: Array1[I64],
+    changed: Array1[BOOL],
+    gap: Array1[F64],
+    way: Array2[F64],
+    some: Array1[I64],
+    lost: Array1[I64],
+) -> I64:
+    """As `capsules.Near.measure`, into `gap` and `way`; gives how many pairs have no way of their own, which are the first of
+    `lost`. `some` is room for work."""
+    for pair in independent(0, i.size):
+        some[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
+    return measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, listed(some, i.size), lost)
+
+
+@kernel
+def before(
+    middle: Strided2[F64],
+    walked: Strided2[F64],
+    ahead: Strided2[F64],
+    up: Strided2[F64],
+    half: Array1[F64],
+    radius: Array1[F64],
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    deep: Array1[F64],
+    lost: Array1[I64],
+) -> I64:
+    """As `capsules.Near.before`, into `gap`, `way` and `deep`; gives how many pairs have no way of their own, which are the first
+    of `lost`."""
+    for some in range(0, i.size, _FETCHED):
+        for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
+            for side in range(2):
+                row = j[pair] if side else i[pair]
+                for axis in range(3):
+                    for vectors in (middle, walked, ahead, up):
+                        fetch_ahead(vectors, axis * deep.size + row)
+                fetch_ahead(half, row)
+                fetch_ahead(radius, row)
+        for pair in independent(some, min(some + _FETCHED, i.size)):
+            p, q = i[pair], j[pair]
+            away = minus(minus(of(middle, p), of(walked, p)), minus(of(middle, q), of(walked, q)))
+            gap[pair], (way[0, pair], way[1, pair], way[2, pair]), nowhere = _gap(
+                away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
+            )
+            lost[pair] = 1 if nowhere else 0
+    deep[:] = 0.0
+    for pair in range(i.size):
+        if gap[pair] < 0:
+            p, q = i[pair], j[pair]
+            deep[p], deep[q] = max(deep[p], -gap[pair]), max(deep[q], -gap[pair])
+    return listed(lost, i.size)
+
+
+@kernel
+def met(
+    middle: Array2[F64],
+    ahead: Three,
+    up: Three,
+    half: Array1[F64],
+    radius: Array1[F64],
+    key: Array1[I64],
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    known: Array1[I64],
+    rows: Array1[I64],
+    number: Array1[I64],
+    every: BOOL,
+    dead: F64,
+) -> tuple[I64, I64, I64, F64]:
+    """Which of pairs `i` and `j` may meet, as `capsules.find`: how many these are, how many `rows` they have and how many no way
+    of their own, and the widest radius. They come first in `i`, `j`, `gap` and `way`, these in `known`; `number` is room for
+    work. `every`: also those of whom nobody is deeper in another than the share `dead` of the room of two."""
+    for some in range(0, i.size, _FETCHED):
+        for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
+            for side in range(2):
+                row = j[pair] if side else i[pair]
+                for axis in range(3):
+                    fetch_ahead(middle, axis * key.size + row)
+                    fetch_ahead(ahead[axis], row)
+                    fetch_ahead(up[axis], row)
+                fetch_ahead(half, row)
+                fetch_ahead(radius, row)
+                fetch_ahead(key, row)
+        for pair in independent(some, min(some + _FETCHED, i.size)):
+            p, q = i[pair], j[pair]
+            if key[p] > key[q]:
+                p, q = j[pair], i[pair]
+            away, wide = minus(of(middle, p), of(middle, q)), radius[p] + radius[q]
+            far, v, nowhere = _gap(
+                away, _single(ahead, p), _single(ahead, q), _single(up, p), _single(up, q), half[p], half[q], wide
+            )
+            i[pair], j[pair], gap[pair], (way[0, pair], way[1, pair], way[2, pair]) = p, q, far, v
+            known[pair] = (_LOST if nowhere else _KEPT) if far < wide * _ABOUT else 0
+    number[:] = 0
+    pairs, lost, widest = 0, 0, 0.0
+    for pair in range(i.size):  # written whatever it is: no branch that is hard to foretell
+        p, q, state = i[pair], j[pair], known[pair]
+        v = of(way, pair)
+        i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
+        way[0, pairs], way[1, pairs], way[2, pairs] = v
+        pairs += 1 if state != 0 else 0
+    for pair in range(pairs):
+        p, q = i[pair], j[pair]
+        widest = max(max(widest, radius[p]), radius[q])
+        if every or gap[pair] < (radius[p] + radius[q]) * -dead:
+            number[p], number[q] = _INSIDE, _INSIDE
+    if not every:
+        near = pairs
+        pairs = 0
+        for pair in range(near):
+            p, q, state = i[pair], j[pair], known[pair]
+            v = of(way, pair)
+            i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
+            way[0, pairs], way[1, pairs], way[2, pairs] = v
+            one, other = number[p], number[q]
+            if one == _INSIDE or other == _INSIDE:
+                number[p], number[q] = max(one, _BESIDE), max(other, _BESIDE)
+                pairs += 1
+    count = 0
+    for k in range(number.size):
+        there = number[k]
+        rows[count], number[k] = k, count
+        count += 1 if there != 0 else 0
+    for pair in range(pairs):
+        i[pair], j[pair] = number[i[pair]], number[j[pair]]
+        nowhere = known[pair] == _LOST
+        known[lost] = pair
+        lost += 1 if nowhere else 0
+    return pairs, count, lost, widest
+
+
+@kernel
+def gathered(
+    rows: Array1[I64], middle: Array2[F64], ahead: Three, up: Three, half: Array1[F64], radius: Array1[F64], to: Capsules
+) -> None:
+    """The capsules of some rows."""
+    for k in independent(0, rows.size):
+        row = rows[k]
+        to[3][k], to[4][k] = half[row], radius[row]
+        for axis in range(3):
+            to[0][axis, k], to[1][axis, k], to[2][axis, k] = middle[axis, row], ahead[axis][row], up[axis][row]

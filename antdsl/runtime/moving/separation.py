@@ -1,0 +1,354 @@
+"""Loops over pairs of bodies that part them; sums over pairs are exact, so that no order counts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I64,
+    Array1,
+    Array2,
+    Array3,
+    Strided2,
+    called,
+    independent,
+    inlined,
+    kernel,
+)
+from antdsl.numerics.kernel_vectors import dot, minus, of, plus, put, times
+from antdsl.numerics.sorting import listed
+from antdsl.runtime.moving.capsule_distances import measured_some
+from antdsl.runtime.moving.cutting import add, negative
+
+DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
+FINE = 40  # digits of a term in a sum, below the widest overlap
+_SHARES = 1 << 20  # a share is a multiple of one in so many
+_SPREADS = 3  # contacts along which it is told how locked in agents are
+_OUTWARD = 10.0  # times the difference of two, by which the outer one makes room in a heap
+_PRESSED = 1.0  # the same among those who are hardly in each other: there a crowd that presses must not be thrown about
+_LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
+_EAGER = 1.5  # times the mean of its contacts, by which one in a heap is moved
+_STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
+_HEAP = 0.4  # radii: who was half as deep in another begins to be in a heap, who was one and a half times as deep is
+_RESTS = 0.01  # of the way that it may walk: who goes less rests, and presses nobody
+_YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
+_ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
+_MAGIC = 1.5 * 2.0 ** (52 - FINE)
+
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Bodies = tuple[Strided2[F64], Strided2[F64], Strided2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
+Pairs = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]  # i, j, gap, way, and which count
+# Masses, yields, reaches, depths and who is held; normals of the ground, walked and cut, as `contacts` has them
+Stand = tuple[
+    Array1[F64], Array1[F64], Array1[F64], Array1[F64], Array1[BOOL], Strided2[F64], Strided2[F64], Strided2[F64]
+]  # fmt: skip
+# Room for work, of rows: two vectors, seven numbers, three whole numbers and a condition; of pairs: six numbers, two vectors and
+# four whole numbers; and the pairs about each row, of all, with where those of each start, below 0 until they are asked for
+Room = tuple[
+    Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64], Array1[I64],
+    Array1[I64],
+]  # fmt: skip
+
+_WEIGHT, _LOCKED, _SPREAD, _LIGHT, _HEAPED, _MOST, _ROOM = range(7)  # numbers of rows
+_NUMBER, _SOME, _CONTACTS = 0, 1, 2  # whole numbers of rows
+_NONE = -1  # number of a row that is in no pair of a look
+_DEAD_ZONE, _DEEP, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
+_CHOSEN, _FIRST, _SECOND, _TOUCHING = range(4)  # whole numbers of pairs
+
+
+def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
+    """Arrays for `parted` to work in, of one crowd and its pairs."""
+    return (
+        np.empty((3, rows)), np.empty((3, rows)), np.empty((7, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
+        np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((4, pairs), np.int64), np.full(rows + 1, -1, np.int64),
+        np.empty(2 * pairs, np.int64),
+    )  # fmt: skip
+
+
+@inlined
+def _rounded(term):  # type: ignore[no-untyped-def]
+    return (term + _MAGIC) - _MAGIC
+
+
+@kernel
+def faced(
+    rows: Array1[I64],
+    stopped: Array1[I64],
+    whole: Array1[I64],
+    before: Three,
+    up: Three,
+    heading: Three,
+    shift: Array1[F64],
+    ahead: Array2[F64],
+    middle: Array2[F64],
+) -> None:
+    """Let rows of a species face as before the substep, with their trunks; they are `stopped` among those in pairs and `whole`
+    among all."""
+    for n in independent(0, rows.size):
+        row, k = rows[n], stopped[n]
+        above = (up[0][row], up[1][row], up[2][row])
+        way = (before[0][row], before[1][row], before[2][row])
+        way = minus(way, times(above, dot(way, above)))
+        size = np.sqrt(dot(way, way))
+        if size > _TINY and np.isfinite(size):
+            way = times(way, _ONE / size)
+        else:
+            way = (heading[0][row], heading[1][row], heading[2][row])
+        for axis in range(3):
+            facing = np.float64(way[axis])
+            middle[axis, k] += (facing - ahead[axis, k]) * shift[whole[n]]
+            ahead[axis, k], heading[axis][row] = facing, way[axis]
+
+
+@inlined
+def _greatest(numbers, count):  # type: ignore[no-untyped-def]
+    most = numbers[0]
+    for k in range(1, count):
+        most = max(most, numbers[k])
+    return most
+
+
+@called
+def _share(m, count, room, light, heap):  # type: ignore[no-untyped-def]
+    """What of their overlap the first and the second of each pair make room for, together 1: the lighter more, and the one that
+    is less locked in; for the first `m` pairs of `room`, among the first `count` rows.
+
+    Locked in is who is deep in others that are deep in others: the overlaps of each, added up along contacts again and again
+    (power iteration to the first eigenvector of the contact graph, whose values fall from the middle of a heap to its rim)."""
+    locked, spread = room[2][_LOCKED], room[2][_SPREAD]
+    numbers, first, second = room[5], room[7][_FIRST], room[7][_SECOND]
+    deep = numbers[_DEEP]
+    deepest = _greatest(deep, m)
+    for k in range(count):
+        locked[k] = 0.0
+    for n in range(m):
+        if deep[n] > 0:
+            part = _rounded(deep[n] / deepest)
+            locked[first[n]] += part
+            locked[second[n]] += part
+    for _ in range(_SPREADS):
+        for k in range(count):
+            spread[k] = locked[k]
+        for n in range(m):
+            if deep[n] > 0:
+                spread[first[n]] += locked[second[n]]
+                spread[second[n]] += locked[first[n]]
+        highest = _greatest(spread, count)
+        for k in range(count):
+            locked[k] = _rounded(spread[k] / highest)
+    for n in range(m):
+        p, q = first[n], second[n]
+        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap[p], heap[q])
+        outer = 0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300)
+        outer = min(max(outer, _LEAST), 1 - _LEAST)
+        one = light[p] * outer * numbers[_LEVEL, n]
+        total = one + light[q] * (1 - outer) * numbers[_LEVEL + 1, n]
+        part = np.rint(one / max(total, 1e-300) * _SHARES) / _SHARES
+        numbers[_SHARE, n], numbers[_SHARE + 1, n] = part, 1 - part if total > 0 else 0.0
+
+
+@inlined
+def _within(gone, middle, room):  # type: ignore[no-untyped-def]
+    """A correction cut so that it ends no farther than its `room` from a place that lies `middle` before where the walk led."""
+    way = plus(middle, gone)
+    size = np.sqrt(dot(way, way))
+    if size > room:
+        return minus(times(way, room / size), middle)
+    return gone
+
+
+@kernel
+def parted(
+    bodies: Bodies,
+    pairs: Pairs,
+    stand: Stand,
+    gone: Array2[F64],
+    magic: F64,
+    looks: I64,
+    sweeps: I64,
+    slow: F64,
+    lost: Array1[I64],
+    room: Room,
+) -> tuple[I64, I64]:
+    """Looks at pairs, each with its sweeps, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`.
+    Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
+    middle, ahead, up, half, radius = bodies
+    i, j, gap, way, which = pairs
+    number, some, changed = room[3][_NUMBER], room[3][_SOME], room[4]
+    chosen, touching, starts, about = room[7][_CHOSEN], room[7][_TOUCHING], room[8], room[9]
+    for pair in independent(0, i.size):
+        touching[pair] = 1 if which[pair] and gap[pair] < _dead(radius, i, j, pair) else 0
+    touch = listed(touching, i.size)
+    number[:] = _NONE
+    changed[:] = False
+    alone = looks == 1 and sweeps == 1  # then nobody is moved but who touches another
+    if touch and not alone and starts[0] < 0:
+        _group(i, j, starts, about)
+    for left in range(looks - 1, -1, -1):
+        moved, rows = _look(radius, pairs, touch, stand, gone, magic, sweeps, slow, alone, room)
+        if not moved or not left:
+            break
+        count, kept = 0, 0
+        for k in range(rows):
+            row = some[k]
+            if changed[row]:
+                for at in range(starts[row], starts[row + 1]):
+                    pair = about[at]
+                    if i[pair] == row or not changed[i[pair]]:
+                        chosen[count] = pair
+                        count += 1
+        without = measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, chosen, count, lost)
+        for n in range(touch):
+            pair = touching[n]
+            touching[kept] = pair
+            kept += 0 if changed[i[pair]] | changed[j[pair]] else 1
+        for n in range(count):
+            pair = chosen[n]
+            which[pair], touching[kept] = True, pair
+            kept += 1 if gap[pair] < _dead(radius, i, j, pair) else 0
+        touch = kept
+        if without:
+            return left, without
+        for k in range(rows):
+            changed[some[k]] = False
+    return 0, 0
+
+
+@inlined
+def _dead(radius, i, j, pair):  # type: ignore[no-untyped-def]
+    """The gap of a pair below which it counts."""
+    return -((radius[i[pair]] + radius[j[pair]]) * DEAD)
+
+
+@called
+def _group(i, j, starts, about):  # type: ignore[no-untyped-def]
+    """The pairs `about` each row: those of row k from `starts[k]` to before `starts[k + 1]`."""
+    starts[:] = 0
+    for pair in range(i.size):
+        starts[i[pair]] += 1
+        starts[j[pair]] += 1
+    total = 0
+    for k in range(starts.size):
+        total += starts[k]
+        starts[k] = total
+    for pair in range(i.size):
+        one, other = starts[i[pair]] - 1, starts[j[pair]] - 1
+        about[one], about[other] = pair, pair
+        starts[i[pair]], starts[j[pair]] = one, other
+
+
+@called
+def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
+    """How easily each of some rows is moved, how much it is in a heap, how far it may get and how far be
+    pushed."""
+    mass, yields, reach, deep, held, _, walked, _ = stand
+    light, heap, most, room = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
+    for k in independent(0, count):
+        row = some[k]
+        way = of(walked, row)
+        size = np.sqrt(dot(way, way))
+        far = max(reach[row], size)
+        most[k], room[k] = far, min(far * _YIELD + deep[row], far) * yields[row]
+        heap[k] = 1.0 if size <= _RESTS * far else min(max(deep[row] / (radius[row] * _HEAP) - 0.5, 0.0), 1.0)
+        light[k] = 0.0 if held[row] else 1 / mass[row]
+
+
+@called
+def _look(radius, pairs, touch, stand, gone, magic, sweeps, slow, alone, room):  # type: ignore[no-untyped-def]
+    """One look and its sweeps, where so many pairs `touch`, for all about their rows or for these `alone`; says who has changed,
+    and whether anybody has; and how many rows it has looked at, which are the first of `some`."""
+    i, j, gap, way, which = pairs
+    normal, walked, cut = stand[5], stand[6], stand[7]
+    led, sums, of_rows, wholes, changed, numbers, ways, indices, starts, about = room
+    light, heap, most, far = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_ROOM]
+    number, some, contacts = wholes[_NUMBER], wholes[_SOME], wholes[_CONTACTS]
+    weight, least = of_rows[_WEIGHT], numbers[_DEAD_ZONE]
+    chosen, first, second, those = indices[_CHOSEN], indices[_FIRST], indices[_SECOND], indices[_TOUCHING]
+    m, count = 0, 0
+    if not touch:
+        return False, count
+    for n in range(touch):
+        for side in range(2):
+            k = j[those[n]] if side else i[those[n]]
+            if number[k] < 0:
+                number[k], some[count] = count, k
+                count += 1
+    if alone:
+        for n in range(touch):
+            chosen[n] = those[n]
+        m = touch
+    else:
+        met = count
+        for k in range(met):
+            row = some[k]
+            for at in range(starts[row], starts[row + 1]):
+                pair = about[at]
+                beside = i[pair] + j[pair] - row
+                there = number[beside]
+                if which[pair] and (there < 0 or there >= met or beside > row):  # a pair of two that touch is met twice
+                    if there < 0:
+                        number[beside], some[count] = count, beside
+                        count += 1
+                    chosen[m] = pair
+                    m += 1
+    for n in range(m):
+        pair = chosen[n]
+        least[n] = -_dead(radius, i, j, pair)
+        first[n], second[n] = number[i[pair]], number[j[pair]]
+    for k in range(count):
+        number[some[k]] = _NONE
+    _limit(radius, stand, some, count, of_rows)
+    for n in range(m):
+        pair = chosen[n]
+        numbers[_DEEP, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
+        v = of(way, pair)
+        for side in range(2):
+            up = of(normal, j[pair] if side else i[pair])
+            along = minus(v, times(up, dot(v, up)))
+            ways[side, n, 0], ways[side, n, 1], ways[side, n, 2] = along
+            numbers[_LEVEL + side, n] = dot(along, along)
+            v = negative(v)
+    _share(m, count, room, light, heap)
+    for side in range(2):
+        for n in range(m):
+            factor = numbers[_SHARE + side, n] / max(numbers[_LEVEL + side, n], _STEEPEST)
+            for axis in range(3):
+                ways[side, n, axis] *= factor
+    for k in range(count):
+        put(led, k, of(gone, some[k]))
+    for _ in range(sweeps):
+        for k in range(count):
+            sums[0, k], sums[1, k], sums[2, k], weight[k], contacts[k] = 0.0, 0.0, 0.0, 0.0, 0
+        touching = False
+        for n in range(m):
+            pair, p, q = chosen[n], first[n], second[n]
+            one, other = minus(of(led, p), of(gone, i[pair])), minus(of(led, q), of(gone, j[pair]))
+            left = gap[pair] + dot(of(way, pair), minus(one, other))
+            if left < -least[n]:
+                touching = True
+                for side in range(2):
+                    k = q if side else p
+                    add(sums, k, times((ways[side, n, 0], ways[side, n, 1], ways[side, n, 2]), left * -slow), magic)
+                    weight[k] += numbers[_SHARE + side, n]
+                    contacts[k] += 1
+        if not touching:
+            break
+        for k in range(count):
+            at = some[k]
+            part = (1 + (_EAGER - 1) * heap[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
+            asked = plus(of(led, k), times(of(sums, k), part))
+            asked = _within(asked, negative(of(cut, at)), far[k])
+            put(led, k, _within(asked, of(walked, at), most[k]))
+    moved = False
+    for k in range(count):
+        for axis in range(3):
+            changed[some[k]] |= led[axis, k] != gone[axis, some[k]]
+        moved |= changed[some[k]]
+        put(gone, some[k], of(led, k))
+    return moved, count

@@ -1,0 +1,264 @@
+"""Velocities after a push, and velocities and headings where a walk has led, for one agent at a time in float32."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel, put_three
+from antdsl.numerics.elementary_loops import atan2, cos_sin
+from antdsl.numerics.kernel_vectors import cross, dot, flat, minus, plus, times
+from antdsl.runtime.moving.headings import (
+    BEYOND,
+    BOUNCE,
+    HASTENS,
+    LEAST_TURN,
+    LEVEL,
+    NINETIETH,
+    SLOW,
+    STANDS,
+    TWELFTH,
+)
+
+Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
+# `max_speed`, `max_turn` and `response`.
+Limits = tuple[Array1[F32], Array1[F32], Array1[F32]]
+# The longest response of who faces at once where it goes, the time, and the share of a turn that is done in it.
+Times = tuple[F32, F32, F32]
+# Whether there are ways to face, these, and whether all bodies have to follow their feet.
+Facing = tuple[BOOL, Three, BOOL]
+# By what angle each may tilt, its state, and room for up and heading from before.
+Bodies = tuple[Array1[F32], Array1[I32], Three, Three]
+_F = np.float32
+_ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
+_TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
+_PI = _F(np.pi)
+_SURELY = _F(1e-3)  # of a cosine: an angle that is less by as much needs no inverse tangent
+
+
+@inlined
+def pushed(push, velocity, up, heading, limits, keeps, min_speed, times_of, i):  # type: ignore[no-untyped-def]
+    """The velocity of agent i after its push along the ground, whose `up` is given, within the limits of speed and turn: see
+    `strides.set_out`."""
+    max_speed, max_force, mass, response, max_turn = limits
+    at_once, first, dt = times_of
+    wish = flat((push[0][i], push[1][i], push[2][i]), up)
+    wish = times(wish, _ONE / maximum(length(wish), _ONE))
+    before = flat((velocity[0][i], velocity[1][i], velocity[2][i]), up)
+    time = first if response[i] <= at_once else dt
+    gain = max_force[i] / mass[i]
+    gain = (gain if np.isfinite(gain) else _ZERO) * time
+    v = plus(before, times(wish, gain))
+    speed, most = length(v), maximum(max_speed[i], _ZERO)
+    if speed > most:
+        v = times(v, most / (speed if speed > 0 else _ONE))
+    v = (v[0] if np.isfinite(v[0]) else _ZERO, v[1] if np.isfinite(v[1]) else _ZERO, v[2] if np.isfinite(v[2]) else _ZERO)
+    if keeps:
+        least = _minimum(maximum(min_speed[i], _ZERO), maximum(max_speed[i], _ZERO))
+        v = _quickened(v, before, flat((heading[0][i], heading[1][i], heading[2][i]), up), least)
+    if np.isfinite(max_turn[i]):
+        most = maximum(max_turn[i], _ZERO) * time
+        turn = min(most, _PI)
+        both = length(v) * length(before)
+        if not (dot(v, before) > (cos_sin(turn)[0] + _SURELY) * both and both > _TINY):
+            v = _turned(v, before, up, most)
+    return v
+
+
+@inlined
+def _quickened(velocity, before, heading, least):  # type: ignore[no-untyped-def]
+    """Velocity of at least a speed: an agent that would be slower continues the way that it went `before`, from a stand along its
+    heading, by as much as makes up for it. A sideways push turns it, and braking never turns it round."""
+    square = dot(velocity, velocity)
+    if not square < least * least:
+        return velocity
+    ahead, good = _unit(before)
+    if not good:
+        ahead, good = _unit(heading)
+        if not good:
+            ahead = (_ZERO * least, _ZERO * least, _ZERO * least)
+    along = dot(velocity, ahead)
+    more = np.sqrt(maximum((least * least - square) + along * along, _ZERO)) - along
+    return plus(velocity, times(ahead, more))
+
+
+@called
+def _turned(velocity, before, up, most):  # type: ignore[no-untyped-def]
+    """The velocity turned by at most `most` (radians) from before, at its own speed; from a stand it may have any direction."""
+    if not length(before) > 0:
+        most = _F(4.0)
+    ahead, good = _unit(before)
+    if not good:
+        ahead, good = _unit(velocity)
+        if not good:
+            ahead = _across(up)
+    direction, good = _unit(velocity)
+    if not good:
+        direction = ahead
+    left = cross(up, ahead)
+    side, good = _unit(flat(direction, ahead))
+    if not good:
+        side = left
+    sine, cosine = length(cross(ahead, direction)), dot(ahead, direction)
+    if not (np.isfinite(sine) and np.isfinite(cosine)) or not atan2(sine, cosine) > most:
+        return velocity
+    c, s = cos_sin(most)
+    return times(plus(times(ahead, c), times(side, s)), length(velocity))
+
+
+@inlined
+def arrived(  # type: ignore[no-untyped-def]
+    i, found, blocked, old, step, velocity, limits, bodies, times_of, facing, registers, normals
+):
+    """Gives agent i the place, up, heading and direction that its walk has `found`, in float64: see `arrive`."""
+    place, above, ahead, direction = found
+    max_speed, max_turn, response = limits
+    most, state, to_up, to_heading = bodies
+    at_once, dt, part = times_of
+    faces, face, everyone = facing
+    position, to, heading, up = registers
+    u = (_F(above[0]), _F(above[1]), _F(above[2]))
+    v = (velocity[0][i], velocity[1][i], velocity[2][i])
+    v = times((_F(direction[0]), _F(direction[1]), _F(direction[2])), length(v))
+    if blocked:
+        rate = _ONE / dt
+        gone = (_F(place[0] - old[i, 0]), _F(place[1] - old[i, 1]), _F(place[2] - old[i, 2]))
+        gone = times(gone, rate)
+        lost = minus(times((step[0][i], step[1][i], step[2][i]), rate), gone)
+        v = minus(gone, times(lost, BOUNCE))
+    v = flat(v, u)
+    h = (_F(ahead[0]), _F(ahead[1]), _F(ahead[2]))
+    before, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
+    chord = minus(u, was)
+    free = most[i] if state[i] == STANDS else _ZERO
+    square, limit = dot(chord, chord), free * free
+    tilt = _squared_angle(square)
+    hasty = tilt > limit
+    wish = (face[0][i], face[1][i], face[2][i])
+    h = _faced(h, v, u, faces, wish, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, part)
+    bent, aside = minus(h, before), minus(cross(u, h), cross(was, before))
+    square = (dot(bent, bent) + dot(chord, chord) + dot(aside, aside)) * _HALF
+    limit = maximum(max_turn[i], _ZERO) * dt * BEYOND
+    hasty = hasty or _squared_angle(square) > limit * limit + LEAST_TURN
+    if (hasty or everyone) and state[i] == STANDS:
+        state[i] = HASTENS
+    if state[i] != STANDS:
+        for k in range(3):
+            to_up[k][i], to_heading[k][i] = was[k], before[k]
+    for k in range(3):
+        to[k][i], heading[k][i], up[k][i], position[k][i] = v[k], h[k], u[k], _F(place[k])
+    put_three(normals, i, u)
+
+
+@kernel
+def arrive(
+    rows: Array1[I64],
+    velocity: Three,
+    step: Three,
+    old: Strided2[F64],
+    walked: tuple[Strided2[F64], Strided2[F64], Strided2[F64], Strided2[F64], Array1[BOOL]],
+    limits: Limits,
+    bodies: Bodies,
+    times_of: Times,
+    facing: Facing,
+    registers: tuple[Three, Three, Three, Three],
+    normals: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Velocity and heading of `rows` from `begin` to before `end` where the walk has led, with place and up, into `registers`:
+    position, velocity, heading, up; and the up also into `normals` (n, 3). `bodies` whose up turns by more than `most` (radians),
+    or that turn by more than `max_turn` allows and `BEYOND` that, get a `state` that says so, and of who does not stand as its
+    feet do the up and heading from before are kept there.
+
+    `velocity`, `step`: before the walk, float32; `old` the place before it, (n, 3); `walked`: place, up, heading and direction of
+    the walk, (3, n), and who is blocked.
+    """
+    place, above, ahead, direction, blocked = walked
+    for j in range(begin, end):
+        i = rows[j]
+        found = (
+            (place[0, i], place[1, i], place[2, i]),
+            (above[0, i], above[1, i], above[2, i]),
+            (ahead[0, i], ahead[1, i], ahead[2, i]),
+            (direction[0, i], direction[1, i], direction[2, i]),
+        )
+        arrived(i, found, blocked[i], old, step, velocity, limits, bodies, times_of, facing, registers, normals)
+
+
+@inlined
+def _squared_angle(square):  # type: ignore[no-untyped-def]
+    """The square of an angle, by the first terms of its series in the squared chord of unit vectors: less beyond 1 rad."""
+    return square * (_ONE + square * (TWELFTH + square * NINETIETH))
+
+
+@inlined
+def _faced(heading, velocity, up, faces, wish, max_speed, max_turn, at_once, tilt, dt, part):  # type: ignore[no-untyped-def]
+    """The heading turned towards the movement or the direction to face: by a `part` of the turn or at once, and with the body's
+    tilt, whose squared angle is given, no faster than max_turn. Over a right angle it turns towards its side first."""
+    heading, good = _unit(flat(heading, up))
+    if not good:
+        heading = _across(up)
+    direction, good = _unit(velocity)
+    if not good:
+        direction = heading
+    faced = False
+    if faces:
+        way, good = _unit(wish)
+        along = flat(way if good else up, up)
+        faced = length(along) > LEVEL
+        way, good = _unit(along)
+        if faced and good:
+            direction = way
+    if dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
+        left = cross(up, heading)
+        side, good = _unit(flat(direction, heading))
+        if not good:
+            side = left
+        direction, good = _unit(flat(side, up))
+        if not good:
+            direction = left
+    eager = _minimum(length(velocity) / maximum(max_speed * SLOW, _F(1e-6)), _ONE)
+    if faced:
+        eager = _ONE
+    change = times(minus(direction, heading), _ONE if at_once else part * eager)
+    if np.isfinite(max_turn):
+        size, most = length(change), maximum(max_turn, _ZERO) * dt
+        most = np.sqrt(maximum(most * most - tilt, _ZERO))
+        if size > most:
+            change = times(change, most / (size if size > 0 else _ONE))
+    turned, good = _unit(flat(plus(heading, change), up))
+    if not good:
+        return heading
+    return turned
+
+
+@inlined
+def maximum(a, b):  # type: ignore[no-untyped-def]
+    """The first number's NaN is kept, as NumPy does."""
+    return b if a <= b else a
+
+
+@inlined
+def _minimum(a, b):  # type: ignore[no-untyped-def]
+    """NaN where either is, as NumPy does."""
+    return a if a < b or a != a else b
+
+
+@inlined
+def length(a):  # type: ignore[no-untyped-def]
+    return np.sqrt(dot(a, a))
+
+
+@inlined
+def _unit(a):  # type: ignore[no-untyped-def]
+    """Length 1, and whether there is a direction."""
+    size = length(a)
+    good = size > _TINY and np.isfinite(size)
+    return times(a, _ONE / (size if good else _ONE)), good
+
+
+@inlined
+def _across(up):  # type: ignore[no-untyped-def]
+    steep = abs(up[0]) > _STEEP
+    side = flat((_ZERO if steep else _ONE, _ONE if steep else _ZERO, _ZERO), up)
+    return times(side, _ONE / length(side))

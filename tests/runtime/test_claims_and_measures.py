@@ -1,0 +1,232 @@
+"""Claims on amounts, served one after the other; measures of motion against plain NumPy; parallel parts of a step."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from antdsl.bench.cases import case_of
+from antdsl.machine_code.memory import has_room, roomy, roomy_rows
+from antdsl.numerics import parallel, randomness
+from antdsl.plan import ir
+from antdsl.runtime import Options, bind, claims, motion_measures, state_hash, step
+from antdsl.runtime.requests import ClaimEntry
+from antdsl.runtime.world import select_rows
+from antdsl.senses.overlaps import worst_overlaps
+
+
+def test_every_half_chord_near_a_bin_is_counted_where_numpy_counts_it():
+    least, first = motion_measures._bins()
+    near = least[1:-1].view(np.int32).astype(np.int64)[:, None] + np.arange(-32, 33)
+    half = np.clip(near, 0, np.float32(1).view(np.int32)).astype(np.int32).ravel().view(np.float32)
+    half = np.concatenate([half, np.random.default_rng(1).random(100_000, np.float32), np.float32([0, 1])])
+    wanted = motion_measures._bin_of(motion_measures._angle(half))
+    assert np.array_equal(np.searchsorted(least[1:-1], half, side="right"), wanted)
+    assert (first[(half * np.float32(4096)).astype(np.int64)] <= wanted).all()
+
+
+def serve(rest, item, asks):
+    """What each claim gets, one after the other, and what is left; changes are whole quarters, so that sums are exact."""
+    got, closed = np.full(len(item), -1.0), set()
+    for k, which in enumerate(item.tolist()):
+        part = asks.change[k]
+        if asks.everything[k]:
+            part = float(asks.all_of(np.array([k]), rest[[which]])[0])
+        if which in closed or not part <= rest[which] or (asks.everything[k] and not part > 0):
+            closed.add(which)
+            continue
+        got[k] = part
+        rest[which] -= part
+    return got
+
+
+@pytest.mark.parametrize("share", [0.0, 0.15, 0.7])
+@pytest.mark.parametrize("count", [0, 1, 2, 9, 300])
+def test_claims_are_served_one_after_the_other(count, share):
+    rng = np.random.default_rng(4)
+    item = np.sort(rng.integers(0, 40 if share < 0.5 else 300, count))
+    change = rng.choice([0.0, 0.25, 1.0, 3.0, np.nan, np.inf], count, p=[0.1, 0.3, 0.4, 0.16, 0.02, 0.02])
+    every, rest = rng.random(count) < share, np.round(rng.random(300) * 32) / 4
+    had, kept = np.round(rng.random(count) * 8).astype(np.float32), rng.random(count) < 0.5
+    asks, left = claims._Asks(change, every, had, kept, 0.25), rest.copy()
+    wanted = serve(left, item, asks)
+    got = claims._served(rest, item, asks)
+    assert np.array_equal(got, wanted) and np.array_equal(rest, left)
+    assert count < 300 or ((got >= 0).any() and (got < 0).any() and (share == 0 or (got[every] > 0).any()))
+
+
+def claim(rng, count):
+    """A population of so many agents and claims of two thirds of them on 40 things, of which some are not there."""
+    rows = np.sort(rng.permutation(count)[: 2 * count // 3 + 1])
+    statement = ir.Claim(
+        "food", "load", None, ir.Node("const", (), (1.0,), ir.Kind.F32, ir.Rate.CONST, None, 0), "won", "load", "site", None
+    )
+    now = {"load": rng.random(count, np.float32) * 3, "won": np.zeros(count, np.bool_)}
+    population = SimpleNamespace(name="a", ids=rng.permutation(count), now=now)
+    amount = rng.choice(np.float32([0, 0.1, 0.25, 1, 3, np.nan, -1]), len(rows))
+    return population, ClaimEntry(statement, 0, rows, rng.integers(-1, 41, len(rows)).astype(np.int32), amount)
+
+
+@pytest.mark.parametrize("all_of_it", [False, True])
+@pytest.mark.parametrize("count", [1, 2, 9, 300])
+def test_claims_of_one_statement_are_settled_by_draw_and_id(count, all_of_it):
+    world = SimpleNamespace(setting=SimpleNamespace(seed=3), frame=5)
+    rng = np.random.default_rng(count)
+    population, entry = claim(rng, count)
+    population.all_taken, population.now["load"] = {}, np.round(population.now["load"] * 4) / np.float32(4)
+    entry.amount[entry.amount == np.float32(0.1)] = np.float32(0.5)
+    if all_of_it:
+        entry.amount[len(entry.amount) // 2] = np.inf
+    rest, load = np.round(rng.random(40) * 32) / 4, population.now["load"].copy()
+    ids = population.ids[entry.rows]
+    draw = randomness.word(3, 5, "a", "site", 0, ids)
+    order = [n for n in np.lexsort((ids, draw, entry.item)) if 0 <= entry.item[n] < 40 and entry.amount[n] >= 0]
+    at = np.array(order, int)
+    asks = claims._Asks(
+        entry.amount[at].astype(float), np.isinf(entry.amount[at]), load[entry.rows[at]], np.ones(len(at), bool), 0
+    )
+    left = rest.copy()
+    got = serve(left, entry.item[at], asks)
+    claims._settle_one(world, rest, entry.item, entry.amount, 0.0, [(population, entry)])
+    load[entry.rows[at[got >= 0]]] += entry.amount[at[got >= 0]]
+    won = np.zeros(count, bool)
+    won[entry.rows[at[got >= 0]]] = True
+    assert (
+        np.array_equal(rest, left) and np.array_equal(population.now["load"], load) and np.array_equal(population.now["won"], won)
+    )
+    assert count < 300 or (won.any() and (got < 0).any())
+
+
+def flock(count):
+    """Boids before their first step."""
+    shot = case_of("boids").make(count)
+    return bind(shot.plan, shot.setting, Options(backend="numpy"))
+
+
+def wander(population, rng):
+    """Registers as a step may leave them: turned, tilted, some standing that wish to walk."""
+    n = len(population)
+    for name, spread in (("position", 3.0), ("velocity", 30.0), ("heading", 0.3), ("up", 0.2), ("push", 0.5)):
+        for k, axis in enumerate("xyz"):
+            register = f"{name}.{axis}"
+            population.start[register][:] = population.now[register]
+            population.now[register][:] = rng.normal(0, spread, n) * (rng.random(n) < 0.7)
+            if name == "position":
+                population.now[register] += population.start[register]
+                population.position[:, k] = population.now[register]
+
+
+def observe(found, population, window, dt, steps):
+    """Add a step to plain counts."""
+    now, start = population.now, population.start
+
+    def length(registers, name, less=None):
+        v = [registers[f"{name}.{axis}"] - (0 if less is None else less[f"{name}.{axis}"]) for axis in "xyz"]
+        return np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2])
+
+    for name, of in (("turns", "heading"), ("tilts", "up")):
+        angle = motion_measures._angle(np.minimum(length(now, of, start) * np.float32(0.5), np.float32(1)))
+        found[name] += np.bincount(motion_measures._bin_of(angle), minlength=1801)
+    found["tilt_max"] = max(found["tilt_max"], float(angle.max()))
+    longest = now["max_speed"] * dt
+    share = length(now, "position", start)[longest > 0] / longest[longest > 0]
+    found["step_max"] = max(found["step_max"], float(np.fmax.reduce(share, initial=0.0)))
+    speed = length(now, "velocity")
+    found["standing"] += int(((length(now, "push") > 0.2) & (speed < now["max_speed"] * np.float32(0.03))).sum())
+    for row, name in enumerate(population.ids.tolist()):
+        way = window.setdefault(name, [population.position[row].copy(), 0.0, 0])
+        way[1] += float(np.float32(speed[row]) * dt)
+        way[2] += 1
+        if way[2] >= steps:
+            if way[1] > 3 * now["size"][row]:
+                straight = min(np.linalg.norm(population.position[row] - way[0]) / way[1], 1.0)
+                found["ways"] += 1
+                found["circling"] += int(straight < 0.15)
+                found["straightness"] += straight
+            window[name] = [population.position[row].copy(), 0.0, 0]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_measures_of_motion_are_those_of_plain_numpy(threads, monkeypatch):
+    monkeypatch.setattr(parallel, "LIGHT", 100)
+    world, rng = flock(700), np.random.default_rng(8)
+    world.options = Options(backend="numpy", threads=threads)
+    population, window, found = world.populations["boid"], {}, {"turns": np.zeros(1801, int), "tilts": np.zeros(1801, int)}
+    found |= dict.fromkeys(("tilt_max", "step_max", "standing", "ways", "circling", "straightness"), 0)
+    population.now["max_speed"][::50] = rng.choice([0, -1, np.nan], len(population.now["max_speed"][::50]))
+    for frame in range(110):
+        wander(population, rng)
+        if frame == 0:
+            for row, name in enumerate(population.ids.tolist()):
+                window[name] = [population.position[row].copy(), 0.0, 0]
+        with np.errstate(all="ignore"):
+            observe(found, population, window, np.float32(world.dt), round(2 / world.dt))
+            world.motion._step(world, population)
+        if frame % 10 == 5:
+            select_rows(population, rng.permutation(len(population)))
+    measured = world.motion.arrays()
+    for name, own in found.items():
+        assert np.allclose(measured[name], own, rtol=1e-9), name
+    assert found["ways"] > 100 and found["standing"] > 0 and found["circling"] > 0
+
+
+def test_ways_go_with_their_agents_when_rows_change():
+    world, rng = flock(60), np.random.default_rng(4)
+    population, motion = world.populations["boid"], world.motion
+    for _ in range(3):
+        wander(population, rng)
+        motion._step(world, population)
+    for kept in (60, 60, 41, 41):
+        before = dict(zip(population.ids.tolist(), motion._window(population).path.tolist(), strict=True))
+        select_rows(population, rng.permutation(len(population))[:kept])
+        window = motion._window(population)
+        assert window.ids is population.ids and window.path.tolist() == [before[i] for i in population.ids.tolist()]
+    before = dict(zip(population.ids.tolist(), window.path.tolist(), strict=True))
+    for kept in (41, 30):  # two changes since it was last looked at
+        select_rows(population, rng.permutation(len(population))[:kept])
+    assert motion._window(population).path.tolist() == [before[i] for i in population.ids.tolist()]
+
+
+@pytest.mark.parametrize("count, box", [(1500, 60), (1500, 8), (3, 1), (1500, 2e5), (900, 1e15)])
+def test_overlaps_are_those_of_all_pairs(count, box):
+    rng = np.random.default_rng(count)
+    x, y, z = (rng.random((3, count)) * box).astype(np.float32)
+    radius = (2 * rng.random(count)).astype(np.float32)
+    x[0], z[1], radius[2] = np.nan, np.inf, 0
+    with np.errstate(all="ignore"):
+        way = [axis[:, None] - axis for axis in (x, y, z)]
+        distance = np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
+        part = np.float32(1) - distance / np.maximum(radius[:, None] + radius, np.float32(1e-9))
+    np.fill_diagonal(part, 0)
+    wanted = np.maximum(np.where(np.isfinite(part), part, 0).max(axis=1), 0)
+    assert np.array_equal(worst_overlaps(x, y, z, radius), wanted) and (box == 60) <= (0 < wanted.max() < 1)
+
+
+def test_rows_are_put_in_order_in_arrays_with_room():
+    array = np.arange(100, dtype=np.float32)
+    rows = np.random.default_rng(0).permutation(100)[:70]
+    found = roomy_rows(array, rows)
+    assert np.array_equal(found, array[rows]) and has_room(found) and has_room(roomy(array))
+    assert not found.base[70:].any()
+    assert not any(map(has_room, (array, array[:95], array[4:50], np.zeros((3, 50), np.float32)[0])))
+
+
+def test_parts_on_threads_give_the_same_bits_as_one(monkeypatch):
+    shot, whole, parts, split = case_of("foraging").make(1_500), parallel.in_parts, parallel.parts, []
+
+    def parted(work, count, threads, least=0):
+        split.append(min(threads, count // 50) > 1)
+        return whole(work, count, threads, 50)
+
+    def stepped(threads):
+        world = bind(shot.plan, shot.setting, Options(backend="native", threads=threads, wait_for_code=True))
+        for _ in range(3):
+            step(world)
+        return state_hash(world), world.motion.arrays()
+
+    alone, counted = stepped(1)
+    monkeypatch.setattr(parallel, "in_parts", parted)
+    monkeypatch.setattr(parallel, "parts", lambda count, threads, least=0: parts(count, threads, 50))
+    found, other = stepped(3)
+    assert found == alone and sum(split) > 15
+    assert counted.keys() == other.keys() and all(np.array_equal(counted[name], other[name]) for name in counted)

@@ -1,0 +1,447 @@
+"""Loops over pairs of bodies against one pair after another in float64, and closest points of segments that are searched for."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from antdsl.runtime.moving import capsule_distances, capsules, contacts, corrections, cutting, rounds, separation
+from antdsl.runtime.moving.capsules import Crowd, Near, depths, find
+from tests.runtime.test_contacts import CrowdData, heap, world
+
+ROWS = 60
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=0)
+
+
+def closest(away: np.ndarray, a: np.ndarray, b: np.ndarray, reach: float, length: float) -> tuple[float, float]:
+    """Where s and t of away + a s - b t give the least length: in the middle, or on one of four borders."""
+    inner = np.linalg.lstsq(np.stack([a, -b], axis=1), -away, rcond=1e-9)[0]
+    if abs(inner[0]) <= reach and abs(inner[1]) <= length:
+        return float(inner[0]), float(inner[1])
+    found = []
+    for s in (-reach, reach):
+        found.append((s, float(np.clip((away + a * s) @ b / (b @ b), -length, length))))
+    for t in (-length, length):
+        found.append((float(np.clip(-(away - b * t) @ a / (a @ a), -reach, reach)), t))
+    return min(found, key=lambda each: float(np.linalg.norm(away + a * each[0] - b * each[1])))
+
+
+def gap_of(near: SimpleNamespace | Near, middle: np.ndarray, p: int, q: int) -> tuple[float, np.ndarray]:
+    """The gap of two capsules and the way to part, across the direction between the two ways that they stand."""
+    up, other = near.up[:, p], near.up[:, q]
+    between = 0 * up if up @ other < -0.5 else unit(up + other)
+    a, b, away = near.ahead[:, p], near.ahead[:, q], middle[:, p] - middle[:, q]
+    flat = [v - between * (v @ between) for v in (away, a, b)]
+    s, t = closest(*flat, near.half[p], near.half[q])
+    apart = away + a * s - b * t
+    over = apart @ between
+    apart = apart - between * over
+    wide = near.radius[p] + near.radius[q]
+    room = wide**2 - over**2
+    if np.linalg.norm(apart) <= wide * 1e-6:
+        apart = flat[0]
+        return (-np.sqrt(room) if room > 0 else np.inf), apart / max(np.linalg.norm(apart), 1e-9)
+    return (np.linalg.norm(apart) - np.sqrt(room) if room > 0 else np.inf), unit(apart)
+
+
+def bodies(seed: int, spread: float = 6.0, tilt: float = 0.25) -> SimpleNamespace:
+    """Capsules near each other, some on two sides of a sheet, and all their pairs."""
+    rng = np.random.default_rng(seed)
+    up = rng.normal(0, tilt, (3, ROWS)) + np.array([[0.0], [1], [0]]) * rng.choice([1, 1, 1, -1], ROWS)
+    up = unit(up)
+    ahead = rng.normal(size=(3, ROWS))
+    ahead = unit(ahead - up * (ahead * up).sum(axis=0))
+    middle = rng.random((3, ROWS)) * [[spread], [0.6], [spread]]
+    half, radius = rng.uniform(0, 1.2, ROWS), rng.uniform(0.2, 0.6, ROWS)
+    ahead[:, 1], up[:, 1], middle[:, 1] = ahead[:, 0], up[:, 0], middle[:, 0] + 0.3 * np.cross(up[:, 0], ahead[:, 0])  # parallel
+    i, j = (np.array(each) for each in zip(*combinations(range(ROWS), 2), strict=True))
+    return SimpleNamespace(middle=middle, ahead=ahead, up=up, half=half, radius=radius, i=i, j=j)
+
+
+def near_of(made: SimpleNamespace) -> Near:
+    gap, way = np.empty(len(made.i)), np.empty((3, len(made.i)))
+    stand = (made.middle.copy(), made.ahead, made.up, made.half, made.radius)
+    near = Near(None, np.arange(ROWS), made.i, made.j, *stand, 0.6, gap, way)  # type: ignore[arg-type]
+    near.measure(np.zeros_like(made.middle), np.ones(ROWS, np.bool_))
+    return near
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gaps_of_capsules_are_those_of_their_closest_points(seed: int) -> None:
+    made, rng = bodies(seed), np.random.default_rng(seed)
+    near, gone = near_of(made), rng.normal(0, 0.4, (3, ROWS))
+    changed = rng.random(ROWS) < 0.4
+    before = near.gap.copy(), near.way.copy()
+    wanted = [gap_of(near, near.middle, p, q) for p, q in zip(near.i, near.j, strict=True)]
+    assert np.allclose(near.gap, [gap for gap, _ in wanted], atol=1e-9)
+    assert np.allclose(near.way.T, [way for _, way in wanted], atol=1e-7)
+    assert np.isinf(near.gap).any() and (near.gap < 0).sum() > 20
+    near.measure(gone, changed)
+    again = changed[near.i] | changed[near.j]
+    wanted = [gap_of(near, near.middle + gone, p, q) for p, q in zip(near.i, near.j, strict=True)]
+    assert np.allclose(near.gap[again], np.array([gap for gap, _ in wanted])[again], atol=1e-9)
+    assert np.allclose(near.way[:, again].T, np.array([way for _, way in wanted])[again], atol=1e-7)
+    assert np.array_equal(near.gap[~again], before[0][~again]) and np.array_equal(near.way[:, ~again], before[1][:, ~again])
+    gap, way, deep = near.before(gone)
+    wanted = [gap_of(near, near.middle - gone, p, q) for p, q in zip(near.i, near.j, strict=True)]
+    assert np.allclose(gap, [each for each, _ in wanted], atol=1e-9)
+    assert np.allclose(way.T, [each for _, each in wanted], atol=1e-7)
+    assert np.allclose(deep, [max(0.0, *-gap[(near.i == k) | (near.j == k)]) for k in range(ROWS)])
+
+
+def crowds(spread: float):
+    made = world(CrowdData("ant", 90, heap(90, spread)), CrowdData("ball", 3, heap(3, spread), 1, body="ball"))
+    rng = np.random.default_rng(7)
+    for population in made.populations.values():
+        for name in ("up", "heading"):
+            for axis in "xyz":
+                population.now[f"{name}.{axis}"] += rng.normal(0, 0.1, len(population)).astype(np.float32)
+        population.now["size"][::11] *= -1
+    return made
+
+
+def test_capsules_lie_where_the_shape_of_a_body_puts_them() -> None:
+    made = crowds(8.0)
+    crowd, k = Crowd(made), 0
+    for population in made.populations.values():
+        shape = capsules.capsule_of(made, population.name)
+        for row in range(len(population)):
+            size = max(float(population.now["size"][row]), 0.0)
+            stands = [population.now[f"{name}.{axis}"][row] for name in ("up", "heading") for axis in "xyz"]
+            up, heading = np.float64(stands).reshape(2, 3)
+            middle = population.position[row] + up * (size * shape.height) + heading * (size * shape.ahead)
+            assert np.allclose(crowd.middle[:, k], middle, atol=1e-12)
+            assert np.isclose(crowd.radius[k], size * shape.width / 2) and np.isclose(crowd.ahead[k], size * shape.ahead)
+            assert np.isclose(crowd.half[k], max(size * (shape.length - shape.width) / 2, 0.0))
+            assert np.isclose(crowd.reach[k], crowd.half[k] + 1.6 * crowd.radius[k])
+            k += 1
+    assert k == len(crowd) == 93 and crowd.bounds == [(each.min(), each.max()) for each in (*crowd.middle, crowd.reach)]
+
+
+@pytest.mark.parametrize("place", [np.nan, np.inf, -np.inf])
+def test_one_without_a_place_is_near_nobody(place: float) -> None:
+    made = crowds(8.0)
+    others = {(p, q) for p, q in pairs_of(find(Crowd(made))) if 70 not in (p, q)}
+    made.populations["ant"].position[70, 1] = place
+    with np.errstate(invalid="ignore"):
+        crowd = Crowd(made)
+        near = find(crowd)
+    assert not np.isfinite(sum(crowd.bounds[1])) and set(pairs_of(near)) == others and len(others) > 100
+
+
+def pairs_of(near: Near) -> list[tuple[int, int]]:
+    return list(zip(near.rows[near.i].tolist(), near.rows[near.j].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("dead", [None, 5e-4, 0.2])
+def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
+    made = crowds(9.0)
+    made.populations["ant"].position[5] = made.populations["ant"].position[4]  # two in one place
+    for axis in "xyz":
+        for name in ("up", "heading"):
+            made.populations["ant"].now[f"{name}.{axis}"][5] = made.populations["ant"].now[f"{name}.{axis}"][4]
+        made.populations["ant"].now["size"][5] = made.populations["ant"].now["size"][4]
+    crowd = Crowd(made)
+    near = find(crowd, dead)
+    whole = SimpleNamespace(half=crowd.half, radius=crowd.radius)
+    whole.ahead, whole.up = (np.stack(crowd.vector(name)).astype(float) for name in ("heading", "up"))
+    wide = crowd.radius[:, None] + crowd.radius[None]
+    gaps = {(p, q): gap_of(whole, crowd.middle, p, q) for p, q in combinations(range(len(crowd)), 2)}
+    far = np.linalg.norm(crowd.middle[:, :, None] - crowd.middle[:, None], axis=0) > crowd.reach[:, None] + crowd.reach[None]
+    far |= (crowd.reach <= 0)[:, None] | (crowd.reach <= 0)[None]
+    about = {pair: each for pair, each in gaps.items() if each[0] < 1.5 * wide[pair] and not far[pair]}
+    deep = {k for pair, each in about.items() if dead is None or each[0] < -dead * wide[pair] for k in pair}
+    wanted = {(p, q): each for (p, q), each in about.items() if p in deep or q in deep}
+    keys = crowd.key
+    found = {tuple(sorted(pair)): k for k, pair in enumerate(pairs_of(near))}
+    assert found.keys() == wanted.keys() and len(found) == len(near.i)
+    assert all(keys[p] < keys[q] for p, q in pairs_of(near))
+    for pair, k in found.items():
+        sign = 1 if keys[pair[0]] < keys[pair[1]] else -1
+        assert np.isclose(near.gap[k], wanted[pair][0], atol=1e-9)
+        if pair != (4, 5):
+            assert np.allclose(near.way[:, k], sign * wanted[pair][1], atol=1e-7)
+    assert np.isclose(near.widest, max(crowd.radius[list(pair)].max() for pair in about))
+    assert np.array_equal(near.rows, np.unique(list(wanted)))
+    for name in ("middle", "half", "radius"):
+        assert np.array_equal(getattr(near, name), getattr(crowd, name)[..., near.rows])
+    assert np.array_equal(near.ahead, whole.ahead[:, near.rows]) and np.array_equal(near.up, whole.up[:, near.rows])
+    if dead is None:
+        way, up = near.way[:, found[4, 5]], near.up[:, near.i[found[4, 5]]]
+        assert np.isclose(np.linalg.norm(way), 1, atol=0.1) and abs(way @ up) < 0.1
+        worst = [max([0.0, *(-gap for pair, (gap, _) in about.items() if k in pair)]) for k in range(len(crowd))]
+        assert np.allclose(depths(made), worst / np.maximum(2 * crowd.radius, 1e-9), atol=1e-9)
+
+
+# --- how far who goes -------------------------------------------------------------------------------------------------
+
+
+def level(v: np.ndarray, up: np.ndarray) -> np.ndarray:
+    return v - up * (v @ up)
+
+
+def within(gone: np.ndarray, middle: np.ndarray, room: float) -> np.ndarray:
+    size = np.linalg.norm(middle + gone)
+    return (middle + gone) * (room / size) - middle if size > room else gone
+
+
+def shares(near, pairs, deep, light, heap, normal) -> dict[tuple[int, int], float]:
+    """What of its overlap each of a pair makes room for, by pair and row."""
+    locked = {k: sum(deep[n] for n in pairs if k in (near.i[n], near.j[n])) for k in range(ROWS)}
+    most = max(deep.values())
+    locked = {k: each / most for k, each in locked.items()}
+    for _ in range(3):
+        spread = dict(locked)
+        for n in pairs:
+            if deep[n] > 0:
+                spread[near.i[n]] += locked[near.j[n]]
+                spread[near.j[n]] += locked[near.i[n]]
+        locked = {k: each / max(spread.values()) for k, each in spread.items()}
+    found = {}
+    for n in pairs:
+        p, q = near.i[n], near.j[n]
+        outward = 1 + 9 * max(heap[p], heap[q])
+        outer = np.clip(0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300), 1 / 64, 63 / 64)
+        one = light[p] * outer * np.sum(level(near.way[:, n], normal[:, p]) ** 2)
+        two = light[q] * (1 - outer) * np.sum(level(near.way[:, n], normal[:, q]) ** 2)
+        part = round(one / (one + two) * 2**20) / 2**20 if one + two > 0 else 0.0
+        found[n, p], found[n, q] = part, 1 - part if one + two > 0 else 0.0
+    return found
+
+
+def part_bodies(near: Near, agents, which, held, walked, deep, looks, sweeps, share, cut) -> np.ndarray:
+    """As `contacts._apart` gives, from one pair after another."""
+    size = np.linalg.norm(walked, axis=0)
+    most = np.maximum(agents.reach, size)
+    room = np.minimum(most * 0.3 + deep, most) * agents.yields
+    heap = np.where(size <= 0.01 * most, 1.0, np.clip(deep / (near.radius * 0.4) - 0.5, 0, 1))
+    light, gone, which = np.where(held, 0.0, 1 / agents.mass), cut.copy(), which.copy()
+    dead = (near.radius[near.i] + near.radius[near.j]) * 5e-4
+    for _ in range(looks):
+        touching = np.flatnonzero(which & (near.gap < -dead))
+        met = {*near.i[touching], *near.j[touching]}
+        pairs = [n for n in np.flatnonzero(which) if near.i[n] in met or near.j[n] in met]
+        if not pairs:
+            break
+        overlap = {n: -near.gap[n] if near.gap[n] < -dead[n] else 0.0 for n in pairs}
+        part, led = shares(near, pairs, overlap, light, heap, agents.normal), gone.copy()
+        for _ in range(sweeps):
+            sums, weight, contacts = np.zeros((3, ROWS)), np.zeros(ROWS), np.zeros(ROWS)
+            for n in pairs:
+                p, q = near.i[n], near.j[n]
+                left = near.gap[n] + near.way[:, n] @ ((led - gone)[:, p] - (led - gone)[:, q])
+                if left < -dead[n]:
+                    for k, way in ((p, near.way[:, n]), (q, -near.way[:, n])):
+                        flat = level(way, agents.normal[:, k])
+                        sums[:, k] -= flat * (part[n, k] / max(flat @ flat, 0.1) * left * share)
+                        weight[k] += part[n, k]
+                        contacts[k] += 1
+            if not contacts.any():
+                break
+            sums *= np.where(contacts > 1, 1 + 0.5 * heap, 1.0) / np.maximum(weight, 1.0)
+            for k in np.flatnonzero(contacts):
+                led[:, k] = within(within(led[:, k] + sums[:, k], -cut[:, k], room[k]), walked[:, k], most[k])
+        changed = np.abs(led - gone).max(axis=0) > 0
+        gone = led
+        for n in np.flatnonzero(changed[near.i] | changed[near.j]):
+            near.gap[n], near.way[:, n] = gap_of(near, near.middle + gone, near.i[n], near.j[n])
+            which[n] = True
+    return gone
+
+
+def agents_of(seed: int) -> tuple[contacts._Agents, dict[str, np.ndarray]]:
+    rng = np.random.default_rng(seed)
+    normal = unit(rng.normal(0, 0.2, (3, ROWS)) + np.array([[0.0], [1], [0]]))
+    mass, still = rng.choice([1.0, 1.0, 5.0], ROWS), rng.random(ROWS) < 0.2
+    walked = rng.normal(0, 0.3, (3, ROWS)) * ~still
+    reach = rng.uniform(0, 0.8, ROWS)
+    stand = {"held": rng.random(ROWS) < 0.15, "walked": walked, "deep": rng.uniform(0, 0.4, ROWS) * (rng.random(ROWS) < 0.6)}
+    stand["cut"] = rng.normal(0, 0.05, (3, ROWS)) * (rng.random(ROWS) < 0.3)
+    return contacts._Agents(0 * walked, reach, mass, rng.choice([1.0, 0.4], ROWS), normal, still), stand
+
+
+@pytest.mark.parametrize("looks, sweeps, share", [(1, 1, 0.4), (1, 4, 1.0), (5, 3, 1.0)])
+@pytest.mark.parametrize("seed", range(2))
+def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, share: float, seed: int) -> None:
+    made, (agents, stand) = bodies(seed, 7.0), agents_of(seed)
+    near, again = near_of(made), near_of(made)
+    which = np.random.default_rng(seed).random(len(near.i)) < (0.8 if looks > 1 else 1.1)
+    which[near.gap == np.inf] = True
+    effort, work = contacts.Effort(looks, sweeps, 1), separation.arrays(ROWS, len(near.i))
+    for each in (near, again):
+        each.measure(stand["cut"], np.ones(ROWS, np.bool_))
+    given = (stand["held"], stand["walked"], stand["deep"])
+    wanted = part_bodies(again, agents, which, *given, looks, sweeps, share, stand["cut"])
+    kept = which.copy()
+    found = contacts._apart(near, agents, which, *given, effort, share, stand["cut"], work)
+    assert np.allclose(found, wanted, atol=1e-7) and np.array_equal(which, kept)
+    assert (np.abs(found - stand["cut"]).max(axis=0) > 1e-4).sum() > 20
+
+
+def cut_steps(near: Near, came, mass, walked, gap, way) -> np.ndarray:
+    """Steps that are bent along what is in their way, and cut."""
+    free = {}
+    for n, (p, q) in enumerate(zip(near.i, near.j, strict=True)):
+        for own, other, ways in ((p, q, way[:, n]), (q, p, -way[:, n])):
+            far = max(gap[n], 0.0) / 2 + max(-ways @ came[:, other], 0.0)
+            heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
+            free[n, own] = (far + heavier * max(-ways @ walked[:, own] - far, 0.0), ways)
+    step = walked.copy()
+    for _ in range(3):
+        over: dict[int, list[np.ndarray]] = {}
+        for (_, own), (far, ways) in free.items():
+            if -ways @ step[:, own] > far:
+                over.setdefault(own, []).append(ways * (-ways @ step[:, own] - far))
+        for own, terms in over.items():
+            step[:, own] += np.mean(terms, axis=0)
+    part = np.ones(ROWS)
+    for (_, own), (far, ways) in free.items():
+        if -ways @ step[:, own] > far:
+            part[own] = min(part[own], far / (-ways @ step[:, own]))
+    return step * part
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_steps_into_others_are_bent_and_cut(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    near, (agents, stand) = near_of(bodies(seed, 9.0)), agents_of(seed)
+    walked, came = 3 * stand["walked"], rng.normal(0, 0.2, (3, ROWS))
+    gap, way, _ = near.before(walked)
+    short, stopped, changed = cutting.cut(near, came, agents.mass, walked, gap, way)
+    step = cut_steps(near, came, agents.mass, walked, gap, way)
+    off = np.abs(walked + short - step).max(axis=0) > 1e-9
+    assert off.sum() <= 2  # a step that is bent along something exactly is over it by rounding
+    halted = (step**2).sum(axis=0) < 0.25 * (walked**2).sum(axis=0)
+    was = np.isin(np.arange(ROWS), stopped)
+    assert np.array_equal(was[~off], halted[~off]) and 5 < len(stopped) < ROWS
+    assert np.array_equal(changed, was | (short != 0).any(axis=0)) and 5 < changed.sum() < ROWS
+
+
+# --- what rounds and corrections do with it ---------------------------------------------------------------------------
+
+
+def test_rounds_look_again_at_those_who_did_not_get_there() -> None:
+    near, rng = near_of(bodies(3)), np.random.default_rng(3)
+    asked = rng.normal(0, 0.1, (3, ROWS)) * (rng.random(ROWS) < 0.7)
+    asked[:2, 5], asked[1:, 6], asked[::2, 7] = 0.0, 0.0, 0.0
+    some, wanted = rounds.led(asked)
+    assert np.array_equal(some, np.flatnonzero(asked.any(axis=0))) and np.array_equal(wanted, asked[:, some])
+    got = wanted * rng.choice([1.0, 0.99, 0.6, 0.4, 0.0], len(some))
+    before, held = near.middle.copy(), rng.random(ROWS) < 0.1
+    was = held.copy()
+    touched = rounds.missed(near, some, wanted, got, held)
+    again = np.linalg.norm(wanted - got, axis=0) > 0.05 * near.radius[some]
+    assert np.array_equal(np.flatnonzero(touched), some[again]) and 5 < again.sum() < len(some) - 5
+    little = again & ((got * wanted).sum(axis=0) < 0.5 * (wanted**2).sum(axis=0))
+    assert np.array_equal(held, was | np.isin(np.arange(ROWS), some[little])) and little.sum() > 3
+    before[:, some] += got
+    assert np.array_equal(near.middle, before)
+    which = rounds.visible(near, touched)
+    assert np.array_equal(which, touched[near.i] | touched[near.j])
+    for k in (1, -1):  # the least overlap that counts
+        near.gap[:] = (near.radius[near.i] + near.radius[near.j]) * -0.05 * (1 + k * 1e-9)
+        assert (rounds.visible(near, touched) is None) == (k < 0)
+    near.gap[which] = 0.0
+    assert rounds.visible(near, touched) is None
+
+
+def registers(rng: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
+    return tuple(rng.normal(size=(3, n)).astype(np.float32))
+
+
+def test_a_crowd_stands_and_came_as_its_registers_say() -> None:
+    rng, n, rows = np.random.default_rng(4), 30, np.array([2, 3, 11, 29])
+    began, place, feet = rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), rng.normal(size=(n, 3)).astype(np.float32)
+    speed, weight = rng.choice(np.float32([-1, 0, 7]), n), rng.choice(np.float32([0, -2, 3]), n)
+    speed[rows[:3]], weight[rows[:3]] = [-1, 7, 9], [0, 3, -2]
+    start, walked, normal = np.full((3, 3, 9), -7.0)
+    reach, mass = np.full((2, 9), -7.0)
+    corrections.stands(rows, 4, began, place, feet, speed, weight, 0.25, start, walked, normal, reach, mass)
+    to = slice(4, 8)
+    assert np.array_equal(start[:, to], began[rows].T) and np.array_equal(walked[:, to], (place - began)[rows].T)
+    assert np.array_equal(normal[:, to], feet[rows].T) and np.array_equal(reach[to], np.maximum(speed[rows], 0) * 0.25)
+    assert np.array_equal(mass[to], np.maximum(weight[rows].astype(float), 1e-30))
+    assert all((each[..., 8:] == -7).all() and (each[..., :4] == -7).all() for each in (start, walked, normal, reach, mass))
+    velocity, way = registers(rng, n), np.full((3, 9), -7.0)
+    corrections.came(rows, 4, velocity, np.float32(0.3), way)
+    assert np.array_equal(way[:, to], (np.stack(velocity)[:, rows] * np.float32(0.3)).astype(float))
+    assert (way[:, 8:] == -7).all() and (way[:, :4] == -7).all()
+
+
+def test_corrections_go_no_farther_than_agents_may_walk_and_take_velocity_that_led_against_them() -> None:
+    rng, n = np.random.default_rng(5), 40
+    rows = np.sort(rng.permutation(n)[:25])
+    began, place, to = rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), rng.normal(size=(25, 3))
+    speed, (far, most) = rng.choice(np.float32([0, 40]), n), np.empty((2, 25))
+    assert corrections._too_far(rows, to, began, place, speed, 0.1, far, most)
+    assert np.allclose(far, np.linalg.norm(to - began[rows], axis=1))
+    assert np.allclose(most, np.maximum(speed[rows] * 0.1, np.linalg.norm((place - began)[rows], axis=1)))
+    for part, over in ((1.0049, False), (1.0051, True)):
+        end = began[rows] + (to - began[rows]) * (most / far * part)[:, None]
+        assert corrections._too_far(rows, end, began, place, speed, 0.1, far.copy(), most.copy()) == over
+    end[7] = np.nan
+    assert corrections._too_far(rows, end, began, place, speed, 0.1, far, most)
+    velocity, at, up = registers(rng, n), registers(rng, n), unit(rng.normal(size=(3, 25))).T
+    to[3] = place[rows[3]]  # goes nowhere
+    old, was, feet = place.copy(), np.stack(velocity).astype(float), rng.normal(size=(n, 3)).astype(np.float32)
+    got = np.empty((3, 25))
+    corrections._arrived(rows, to, np.ascontiguousarray(up), np.float32(0.1), at, velocity, place, feet, got)
+    assert np.array_equal(got.T, to - old[rows]) and np.array_equal(place[rows], to)
+    assert np.array_equal(np.stack(at)[:, rows].T, to.astype(np.float32)) and np.array_equal(feet[rows], up.astype(np.float32))
+    lost = 0
+    for k, row in enumerate(rows):
+        v, far = was[:, row], np.linalg.norm(got[:, k])
+        if far > 0:
+            against = got[:, k] / far
+            back = min(max(-v @ against, 0.0), far / 0.1)
+            v, lost = v + against * back, lost + (back > 0)
+        assert np.allclose(np.stack(velocity)[:, row], level(v, up[k]), atol=1e-5)
+    others = np.setdiff1d(np.arange(n), rows)
+    assert np.array_equal(np.stack(velocity)[:, others], was[:, others])
+    assert np.array_equal(place[others], old[others]) and lost > 5
+
+
+def test_a_walk_is_asked_with_the_way_the_ground_and_how_agents_stand() -> None:
+    rng, n, rows = np.random.default_rng(6), 20, np.array([1, 5, 19])
+    gone, feet, facing = rng.normal(size=(3, 3)), rng.normal(size=(n, 3)).astype(np.float32), registers(rng, n)
+    long, (way, normal) = rng.random(n).astype(np.float32), np.empty((2, 3, 3), np.float32)
+    (up, heading), size = np.empty((2, 3, 3)), np.empty(3)
+    corrections._asked(rows, gone, feet, facing, long, way, normal, up, heading, size)
+    assert np.array_equal(way, gone.astype(np.float32)) and np.array_equal(normal, feet[rows].T)
+    assert np.array_equal(up, feet[rows].T.astype(float)) and np.array_equal(heading, np.stack(facing)[:, rows].astype(float))
+    assert np.array_equal(size, long[rows].astype(float))
+
+
+def test_who_is_stopped_faces_as_before_with_its_trunk() -> None:
+    rng, n, rows, stopped, whole = np.random.default_rng(8), 20, np.array([1, 5, 19]), np.array([0, 2, 3]), np.array([11, 15, 29])
+    up = unit(rng.normal(size=(3, n))).astype(np.float32)
+    before, heading, shift = registers(rng, n), registers(rng, n), rng.random(30)
+    for axis in range(3):
+        before[axis][5] = 2 * up[axis][5]  # straight up: it keeps its heading
+    was, (ahead, middle) = np.stack(heading), rng.normal(size=(2, 3, 4))
+    old = ahead.copy(), middle.copy()
+    separation.faced(rows, stopped, whole, before, tuple(up), heading, shift, ahead, middle)
+    for row, k, all_of_them in zip(rows, stopped, whole, strict=True):
+        wanted = unit(level(np.stack(before)[:, row].astype(float), up[:, row])) if row != 5 else was[:, 5]
+        assert np.allclose(np.stack(heading)[:, row], wanted, atol=1e-5) and np.array_equal(
+            ahead[:, k], np.stack(heading)[:, row]
+        )
+        assert np.allclose(middle[:, k], old[1][:, k] + (ahead[:, k] - old[0][:, k]) * shift[all_of_them])
+    assert np.array_equal(ahead[:, 1], old[0][:, 1]) and np.array_equal(
+        np.delete(np.stack(heading), rows, 1), np.delete(was, rows, 1)
+    )
+
+
+def test_rows_are_gathered() -> None:
+    made, rows = bodies(4), np.array([3, 4, 50])
+    to = (*np.empty((3, 3, 3)), *np.empty((2, 3)))
+    single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (made.ahead, made.up)]
+    capsule_distances.gathered(rows, made.middle, *single, made.half, made.radius, to)
+    for found, wanted in zip(to, (made.middle, *map(np.stack, single), made.half, made.radius), strict=True):
+        assert np.array_equal(found, wanted[..., rows])

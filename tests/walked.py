@@ -1,0 +1,516 @@
+"""A step of one agent over triangles, in space and against all of them: what the loops of `antdsl.ground.mesh` are held against.
+
+It shares the tables of a ground with them (normals, links, pieces, cuts), but no frame, no weights that are carried along, no
+tree of boxes and no distance to other pieces: places and directions are vectors, and each look goes over all triangles nearby."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.boxes import EDGE, FARTHEST, LEVEL
+from antdsl.ground.mesh.crossings import LEANING, OFF, STEEP
+from antdsl.ground.mesh.stretches import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.mesh.surroundings import DEEP, GAP, HIGH, LIFT, STEEPEST, TURNED
+from antdsl.ground.mesh.topology import NO_LINK
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Hop:
+    """Where a walker steps over to: the face, and places (3) with the normals that they are on, from above or below the border in
+    the direction of travel to there."""
+
+    face: int
+    start: Floats
+    up: Floats
+    way: Floats
+    end: Floats
+    above: Floats
+
+
+@dataclass(frozen=True)
+class Landing:
+    """The face that is stepped over to, the place there, the side, the way gone, how far above the own face that is, and whether
+    the way ends there."""
+
+    face: int
+    place: Floats
+    side: float
+    gone: float
+    rise: float = 0.0
+    shut: bool = False
+
+
+@dataclass
+class Walker:
+    """An agent on its way: face, place on it, side, unit direction and heading in its plane, way left and gone, and so far over
+    a border."""
+
+    face: int
+    place: Floats
+    side: float
+    way: Floats
+    heading: Floats
+    left: float
+    body: float
+    over: float
+    straight: bool
+    gone: float = 0.0
+    blocked: bool = False
+    spent: int = 0
+    hops: list[Hop] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Step:
+    """What becomes of an agent."""
+
+    face: int
+    position: Floats
+    up: Floats
+    heading: Floats
+    direction: Floats
+    travelled: float
+    blocked: bool
+    over: float
+    hops: list[Hop]
+
+
+class Reference:
+    """Steps over the surfaces of a ground as they lie now."""
+
+    def __init__(self, ground: MeshGround) -> None:
+        vertices, faces, _, self.table = ground.triangles
+        self.corners = vertices[faces]
+        self.normal = self.table.normal.T
+        self.scale = ground._scale
+        # Along the normal, and what gives the weights of the second and third corner; how long two sides are.
+        one, two = self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]
+        self.across = np.cross(one, two)
+        with np.errstate(all="ignore"):
+            square = (self.across * self.across).sum(axis=1)[:, None]
+            self.second, self.third = np.cross(two, self.across) / square, np.cross(self.across, one) / square
+        self.sides = np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
+        self.low, self.high = self.corners.min(axis=1), self.corners.max(axis=1)
+        self.near = np.flatnonzero(self.table.live)
+
+    # ---- what is where
+
+    def look_around(self, place: Floats, reach: float) -> None:
+        """Take into account the faces within `reach` of a place along each axis."""
+        found = (self.low <= place + reach).all(axis=1) & (self.high >= place - reach).all(axis=1)
+        self.near = np.flatnonzero(found & self.table.live)
+
+    def first(self, origin: Floats, step: Floats, further: float, own: int = -1, piece: int = -1) -> tuple[int, float, Floats]:
+        """The first face that a way meets, but `own` and those of a `piece`; after what part of it (which may be `further` mm
+        more than all), and the place there."""
+        size = np.sqrt(step @ step)
+        most = 1 + min(further / max(size, 1e-300), FARTHEST)
+        end = origin + step * most
+        low, high = np.minimum(origin, end), np.maximum(origin, end)
+        near = self.near[(self.low[self.near] <= high).all(axis=1) & (self.high[self.near] >= low).all(axis=1)]
+        near = near[(near != own) & (self.table.piece[near] != piece)]
+        off, across = origin - self.corners[near, 0], self.across[near]
+        down = -(across @ step)
+        level = np.abs(down) <= LEVEL * size * self.sides[near]
+        with np.errstate(all="ignore"):
+            part = (off * across).sum(axis=1) / down
+            there = off + part[:, None] * step
+            one, two = (there * self.second[near]).sum(axis=1), (there * self.third[near]).sum(axis=1)
+            met = ~level & (one >= -EDGE) & (two >= -EDGE) & (one + two <= 1 + EDGE) & (part >= 0) & (part <= most)
+        if not met.any():
+            return -1, np.inf, origin
+        k = np.flatnonzero(met)[np.argmin(part[met])]
+        return int(near[k]), float(part[k]), origin + part[k] * step
+
+    def onto(self, face: int, place: Floats) -> Floats:
+        """The point of a face that belongs to a place near its plane: with weights of the corners between 0 and 1."""
+        a, b, c = self.corners[face]
+        one, two = np.clip(self.weights(face, place), 0.0, 1.0)
+        total = max(one + two, 1.0)
+        return a + (b - a) * (one / total) + (c - a) * (two / total)
+
+    def weights(self, face: int, place: Floats) -> tuple[float, float]:
+        """The weights of the second and third corner."""
+        off = place - self.corners[face, 0]
+        return float(off @ self.second[face]), float(off @ self.third[face])
+
+    def side_of(self, face: int, towards: Floats) -> float:
+        return -1.0 if self.normal[face] @ towards > 0 else 1.0
+
+    def beyond_edge(self, face: int, side: float, edge: int) -> int:
+        return int(self.table.link[1 if side < 0 else 0, 3 * face + edge])
+
+    def together(self, face: int, side: float, other: int, there: float) -> bool:
+        """Whether sides of faces are of two pieces, or may be come to from each other in one."""
+        way, piece = self.table.way, self.table.piece
+        return bool(piece[face] != piece[other] or way[int(side < 0), face] == way[int(there < 0), other])
+
+    def edge(self, face: int, k: int) -> tuple[Floats, Floats, Floats]:
+        """Where the edge opposite a corner begins, its direction, and that across it out of the face."""
+        one, two = self.corners[face, (k + 1) % 3], self.corners[face, (k + 2) % 3]
+        along = (two - one) / _length(two - one)
+        return one, along, _cross(along, self.normal[face])
+
+    # ---- a step
+
+    def step(
+        self,
+        face: int,
+        place: Floats,
+        over: float,
+        wish: Floats,
+        heading: Floats,
+        up: Floats,
+        body: float,
+        straight: bool = False,
+    ) -> Step:
+        normal = self.normal[face]
+        side = -1.0 if up @ normal < 0 else 1.0
+        way, left = self._laid(face, wish, self.table.axis1[:, face])
+        w = Walker(face, place, side, way, self._laid(face, heading, way)[0], left, body, over * side, straight)
+        self.look_around(place, 2 * left + 2 * body + 1e3 * self.scale.noise)
+        if w.over != 0 and w.left > 0:
+            self._hang(w)
+        turn = 0
+        while w.left > 0 and w.over == 0 and turn < CROSSINGS:
+            if turn >= STUCK and turn % STUCK == 0:
+                w.place = w.place * (1 - GRAIN) + self.corners[w.face].mean(axis=0) * GRAIN
+            self._stretch(w)
+            turn += 1
+        up, weights = self.normal[w.face] * w.side, self.weights(w.face, w.place)
+        smooth = self.table.smooth[:, w.face].reshape(3, 3).T @ np.array([1 - weights[0] - weights[1], *weights])
+        smooth = smooth / _length(smooth) * w.side
+        ahead = _turned(w.heading, up, smooth, w.heading)
+        ahead = ahead - (ahead @ smooth) * smooth
+        position = w.place + w.over * up
+        ahead = ahead / _length(ahead)
+        return Step(w.face, position, smooth, ahead, w.way, w.gone, w.blocked, w.over * w.side, w.hops)
+
+    def _laid(self, face: int, v: Floats, otherwise: Floats) -> tuple[Floats, float]:
+        """The direction of a vector in a face, and its length there: its own up to 60 degrees off the face, then less."""
+        flat = v - (v @ self.normal[face]) * self.normal[face]
+        size = _length(flat)
+        if not (1e-150 < size < np.inf):
+            return otherwise, 0.0
+        return flat / size, min(_length(v), 2 * size)
+
+    def _stretch(self, w: Walker) -> None:
+        """To the edge of the face, and over it; or to where the way ends or something is in it."""
+        until, out = np.inf, 0
+        for k in range(3):
+            one, _, across = self.edge(w.face, k)
+            if across @ w.way > 0:
+                far = max(float((one - w.place) @ across), 0.0) / float(across @ w.way)
+                if far < until:
+                    until, out = far, k
+        length = min(until, w.left)
+        landing = self.ahead(w, length) if length > 0 else None
+        if landing is not None:
+            self._land(w, landing)
+            return
+        w.place = self.onto(w.face, w.place + w.way * length)
+        w.gone += length
+        if until >= w.left:
+            w.left = 0.0
+            return
+        w.left -= length
+        link = self.beyond_edge(w.face, w.side, out)
+        if link == NO_LINK:
+            self._border(w, out)
+            return
+        start, along, across = self.edge(w.face, out)
+        there, other = link >> 3, (link >> 1) & 3
+        begin, onward, outward = self.edge(there, other)
+        if onward @ along < 0:
+            begin, onward = self.corners[there, (other + 2) % 3], -onward
+        turned = [(v @ along) * onward - (v @ across) * outward for v in (w.way, w.heading)]
+        w.place = self.onto(there, begin + onward * float((w.place - start) @ along))
+        w.face, w.way, w.heading = there, *turned
+        w.side = -w.side if link & 1 else w.side
+
+    def _land(self, w: Walker, to: Landing) -> None:
+        before, after, way = self.normal[w.face] * w.side, self.normal[to.face] * to.side, w.way
+        w.hops.append(Hop(to.face, w.place + before * to.rise, before, way, to.place, after))
+        turned = []
+        for v in (w.way, w.heading):
+            v = _turned(v, before, after, way)
+            flat = v - (v @ after) * after
+            size = _length(flat)
+            turned.append(flat / size if size > 1e-9 else self.table.axis1[:, to.face])
+        w.way, w.heading = turned
+        w.face, w.place, w.side = to.face, to.place, to.side
+        w.left, w.gone = max(w.left - to.gone, 0.0), w.gone + to.gone
+        if to.shut:
+            w.left, w.blocked = 0.0, True
+        self._spend(w)
+
+    def _spend(self, w: Walker) -> None:
+        w.spent += 1
+        if w.spent >= HOPS:
+            w.left, w.blocked = 0.0, True
+
+    def _rise(self, w: Walker, level: float) -> bool:
+        most = level - w.over
+        climb = min(abs(most), w.left)
+        there = climb >= abs(most)
+        w.over = level if there else w.over + np.copysign(climb, most)
+        w.left, w.gone = w.left - climb, w.gone + climb
+        return there
+
+    def _hang(self, w: Walker) -> None:
+        """Go on over the border that is stepped over, or back."""
+        one, two = self.weights(w.face, w.place)
+        weights = [
+            np.inf if self.beyond_edge(w.face, w.side, k) != NO_LINK else v for k, v in enumerate((1 - one - two, one, two))
+        ]
+        edge = int(np.argmin(weights))
+        if w.way @ self.edge(w.face, edge)[2] > 0:
+            self._border(w, edge)
+        elif not self._rise(w, 0.0):
+            w.left = 0.0
+
+    def _border(self, w: Walker, edge: int) -> None:
+        landing = self.beyond(w.face, w.place, w.side, w.body, edge)
+        there = self._rise(w, 0.0 if landing is None else landing.rise)
+        if landing is not None and there and w.left >= landing.gone:
+            w.over = 0.0
+            self._land(w, landing)
+        elif landing is not None or not there:
+            w.blocked |= w.gone == 0
+            w.left = 0.0
+        else:
+            _, along, across = self.edge(w.face, edge)
+            part = float(w.way @ along)
+            w.way = (-along if part < 0 else along) - INWARD * across
+            w.left = 0.0 if w.straight else w.left * abs(part)
+            w.blocked = True
+            self._spend(w)
+
+    # ---- what is in the way
+
+    def ahead(self, w: Walker, length: float) -> Landing | None:
+        """What cuts the own face, or another piece that is nearer."""
+        met = self.crossed(w, length)
+        if self.table.pieces > 1:
+            other = self._other(w, length if met is None else met.gone)
+            met = met if other is None else other
+        return met
+
+    def crossed(self, w: Walker, length: float) -> Landing | None:
+        """The first face of the own piece that cuts the own face across the way."""
+        touch, own, up, cuts = self.scale.touch, w.face, self.normal[w.face] * w.side, self.table.cuts
+        found = []
+        for other in cuts.other[cuts.first[own] : cuts.first[own + 1]].tolist():
+            n, a = self.normal[other], self.corners[other, 0]
+            begins = float(n @ (w.place - a))
+            ends = begins + float(n @ w.way) * length
+            through = (begins >= 0) != (ends >= 0) or begins * ends == 0 or (abs(ends) <= touch and abs(ends) < abs(begins))
+            if not through or abs(begins) <= touch or float(((self.corners[other] - w.place) @ up).max()) <= touch:
+                continue
+            before = float(np.clip(begins / (begins - ends) if begins != ends else begins, 0, 1)) * length
+            there = w.place + w.way * before
+            if self._within(other, there, 4 * touch) and self._leads_through(w, other, begins, there):
+                leans = -float(up @ n) / (float(n @ w.way) or 1.0)
+                found.append((before + OFF * touch * float(np.clip(leans, -LEANING, LEANING)), other, before, there))
+        if not found:
+            return None
+        _, other, before, there = min(found, key=lambda each: each[:2])
+        n, towards = self.normal[other], float(self.normal[other] @ w.way)
+        steep = up - (up @ n) * n
+        off = steep * (OFF * touch / max(float(steep @ steep), STEEP))
+        back = not self.together(own, w.side, other, -1.0 if towards > 0 else 1.0)
+        if back or self._tight(other, own, there, off):
+            soonest = min(each[2] for each in found)
+            near = max(soonest - OFF * touch / max(abs(towards), 1 / LEANING), 0.0) if back else 0.0
+            return Landing(own, self.onto(own, w.place + w.way * near), self.side_of(own, -up), near, shut=True)
+        return Landing(other, self.onto(other, there + off), -1.0 if towards > 0 else 1.0, before)
+
+    def _within(self, face: int, place: Floats, touch: float) -> bool:
+        t = self.table
+        over = touch * (abs(t.rate1[face]) + abs(t.rate2[face]) + abs(t.shear[face]))
+        one, two = self.weights(face, place)
+        return bool(one >= -over and two >= -over and one + two <= 1 + over)
+
+    def _leads_through(self, w: Walker, other: int, begins: float, there: Floats) -> bool:
+        """Whether the way goes on behind a face that it comes to: where the own face only touches it, the next may fold back."""
+
+        def lowest(face: int) -> float:
+            up = self.normal[other] * (-1.0 if begins < 0 else 1.0)
+            return float(((self.corners[face] - self.corners[other, 0]) @ up).min())
+
+        if lowest(w.face) < -self.scale.touch:
+            return True
+        one, two = self.weights(w.face, self.onto(w.face, there))
+        link = self.beyond_edge(w.face, w.side, int(np.argmin([1 - one - two, one, two])))
+        return link == NO_LINK or lowest(link >> 3) < -self.scale.touch
+
+    def _tight(self, face: int, own: int, place: Floats, off: Floats) -> bool:
+        """Whether feet put upon a face at a place, and off another, would be through a third one or touch it."""
+        touch, cuts = self.scale.touch, self.table.cuts
+        for third in cuts.other[cuts.first[face] : cuts.first[face + 1]].tolist():
+            begins = float(self.normal[third] @ (place - self.corners[third, 0]))
+            ends = begins + float(self.normal[third] @ off)
+            met = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
+            if third != own and met and self._within(third, place, 2 * OFF * touch):
+                return True
+        return False
+
+    def _other(self, w: Walker, length: float) -> Landing | None:
+        """Another piece within the way, seen from above the ground; where the own piece lies before it, from a grain above."""
+        least = self.scale.least
+        for high in (max(min(LIFT * w.body, w.left / STEEPEST), least), least):
+            landing, hidden = self._seen(w, length, high)
+            if landing is None or not hidden:
+                return landing
+        return landing
+
+    def _seen(self, w: Walker, length: float, high: float) -> tuple[Landing | None, bool]:
+        """Another piece seen from so high, below a low ceiling from half its height, or at the way's end from there down; and
+        whether the own piece lies before it."""
+        up, piece, fine = self.normal[w.face] * w.side, int(self.table.piece[w.face]), self.scale.fine
+        roof, part, _ = self.first(w.place, up * high, fine, piece=piece)
+        if roof >= 0 and (self.normal[roof] @ up < 0 or high * part > self.scale.under):
+            high = high * part / 2
+        eye, step, down = w.place + up * high, w.way * length, -up * high
+        towards = step
+        face, part, there = self.first(eye, step, fine, piece=piece)
+        gone = min(part, 1.0) * length
+        if face < 0:
+            towards, gone = down, length
+            face, _, there = self.first(eye + step, down, 0.0, piece=piece)
+        if face < 0:
+            return None, False
+        legs = [(w.place + up * fine, up * (high - fine), 0.0), (eye, step, fine)]
+        if towards is down:
+            legs.append((eye + step, down, 0.0))
+        first = [self.first(*leg, own=w.face)[0] for leg in legs]
+        hidden = any(each >= 0 and self.table.piece[each] == piece for each in first)
+        way = min(float(np.hypot(gone, high)), w.left)
+        return Landing(face, self.onto(face, there), self.side_of(face, towards), way), hidden
+
+    # ---- what is beyond a border
+
+    def beyond(self, own: int, place: Floats, side: float, body: float, edge: int) -> Landing | None:
+        """What a way meets that leads up off the own face, out over the border, down beyond it and back towards it."""
+        scale, up, out = self.scale, self.normal[own] * side, self.edge(own, edge)[2]
+        body, fine = max(body, scale.least / LIFT) if body == body else scale.least / LIFT, scale.fine
+        gap, high = GAP * body, HIGH * body
+        hair = out * (2 * fine)
+        roof, part, _ = self.first(place - hair + up * fine, up * (high - fine), 0.0, own=own)
+        if roof >= 0:
+            high = (fine + part * (high - fine)) / 2
+        if self.first(place + up * high, out * gap, 0.0, own=own)[0] >= 0:
+            high = min(high, LIFT * body)
+        face, part, there = self.first(place + up * high, out * gap, 0.0, own=own)
+        if face >= 0:
+            return self._led(own, side, face, there, out, part * gap, high, gap)
+        over, fall = place + out * gap, -up * (high + HIGH * body)
+        face, part, there = self.first(over + up * high, fall, 0.0, own=own)
+        lowest = -HIGH * body if face < 0 else high - part * (high + HIGH * body)
+        if face >= 0 and self._leads(own, side, face, fall):
+            face, there, gone, rise, fall = self._nearest(own, place, up, face, lowest, high, gap, fall)
+            return self._down(own, side, place, hair, up, face, there, fall, gone, rise, gap)
+        for deep in (GAP * body, DEEP * body):
+            if lowest < -deep:
+                face, part, there = self.first(over - up * deep, -2 * gap * out, 0.0, own=own)
+                if face >= 0:
+                    if not self._leads(own, side, face, -out):
+                        return None
+                    gone = abs(gap - part * 2 * gap)
+                    return self._down(own, side, place, hair, up, face, there, -out, gone, -deep, gap)
+        return None
+
+    def _nearest(
+        self, own: int, place: Floats, up: Floats, face: int, lowest: float, high: float, gap: float, fall: Floats
+    ) -> tuple[int, Floats, float, float, Floats]:
+        """The point of a face, or of what lies before it, that is nearest to a place over the border no lower than its plane."""
+        plane = float((self.corners[face, 0] - place) @ self.normal[face] / (up @ self.normal[face]))
+        level = min(plane, high) if plane > lowest else lowest
+        level = 0.0 if abs(level) <= gap else level
+        above = place + up * level
+        there = _nearest_of(self.corners[face], above)
+        away = _length(there - above)
+        first, part, before = self.first(above, there - above, 0.0, own=own)
+        if part * away < away - self.scale.fine:
+            return first, before, part * away, level, there - above
+        return face, there, away, level, fall
+
+    def _down(
+        self,
+        own: int,
+        side: float,
+        place: Floats,
+        hair: Floats,
+        up: Floats,
+        face: int,
+        there: Floats,
+        towards: Floats,
+        gone: float,
+        rise: float,
+        gap: float,
+    ) -> Landing | None:
+        """What is deep below may be met sooner at the border itself."""
+        fine = self.scale.fine
+        if rise < -gap:
+            fall = up * (rise + fine)
+            sooner, part, met = self.first(place + hair - up * fine, fall, 0.0, own=own)
+            if sooner >= 0:
+                return self._led(own, side, sooner, met, fall, 0.0, part * (rise + fine) - fine, gap)
+        return self._led(own, side, face, there, towards, gone, rise, gap)
+
+    def _led(
+        self, own: int, side: float, face: int, there: Floats, towards: Floats, gone: float, rise: float, gap: float
+    ) -> Landing | None:
+        if not self._leads(own, side, face, towards):
+            return None
+        if abs(rise) <= gap:
+            gone, rise = float(np.hypot(gone, rise)), 0.0
+        return Landing(face, self.onto(face, there), self.side_of(face, towards), gone, rise)
+
+    def _leads(self, own: int, side: float, face: int, towards: Floats) -> bool:
+        """Nothing leads to the other side of what is walked on, nor to what turns back below it as that side does."""
+        there = self.side_of(face, towards)
+        level = float((self.normal[face] * there) @ (self.normal[own] * side))
+        return level > TURNED and self.together(own, side, face, there)
+
+
+def _turned(v: Floats, before: Floats, after: Floats, way: Floats) -> Floats:
+    """A vector turned by the least turn that takes one unit vector into another (Rodrigues); half a turn goes over a way."""
+    axis, cosine = _cross(before, after), float(before @ after)
+    if cosine < -1 + 1e-9:
+        hinge = _cross(before, way)
+        return 2 * (hinge @ v) * hinge - v
+    sine = _length(axis)
+    if sine == 0:
+        return v
+    k = axis / sine
+    return v * cosine + _cross(k, v) * sine + k * (k @ v) * (1 - cosine)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    x, y, z = a.tolist()
+    u, v, w = b.tolist()
+    return np.array((y * w - z * v, z * u - x * w, x * v - y * u))
+
+
+def _length(v: Floats) -> float:
+    return float(np.sqrt(v @ v))
+
+
+def _nearest_of(corners: Floats, place: Floats) -> Floats:
+    """The point of a triangle nearest to a place."""
+    a, b, c = corners
+    normal = _cross(b - a, c - a)
+    inside = place - (normal @ (place - a)) / (normal @ normal) * normal
+    if all(_cross(q - p, inside - p) @ normal >= 0 for p, q in ((a, b), (b, c), (c, a))):
+        return inside
+    found = []
+    for p, q in ((a, b), (b, c), (c, a)):
+        found.append(p + (q - p) * float(np.clip((place - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)))
+    return min(found, key=lambda each: _length(each - place))
