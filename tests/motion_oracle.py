@@ -93,38 +93,38 @@ class Agent(SimpleNamespace):
         agent.wall = None
         return agent
 
-    def push_on(self, whole: float, dt: float, first: bool) -> None:
+    def push_on(self, total: float, dt: float, first: bool) -> None:
         """Set `velocity` after the push, `step` and `tilts`, the most that the body tilts."""
-        up, self.at_once = self.normal, self.response <= whole * AT_ONCE
-        time = (whole if first else 0.0) if self.at_once else dt
-        before, wish = flat(self.velocity, up), flat(self.push, up)
+        up, self.at_once = self.normal, self.response <= total * AT_ONCE
+        time = (total if first else 0.0) if self.at_once else dt
+        previous, wish = flat(self.velocity, up), flat(self.push, up)
         wish = wish / max(length(wish), 1.0)
         gain = self.max_force / self.mass if self.mass else math.inf
-        v = before + wish * ((gain if math.isfinite(gain) else 0.0) * time)
+        v = previous + wish * ((gain if math.isfinite(gain) else 0.0) * time)
         fastest = at_least(self.max_speed)
         if length(v) > fastest:
             v = v * (fastest / length(v))
         v = np.where(np.isfinite(v), v, 0.0)
         if hasattr(self, "min_speed"):
-            v = self.hasten(v, before, float(np.minimum(at_least(self.min_speed), fastest)))
+            v = self.hasten(v, previous, float(np.minimum(at_least(self.min_speed), fastest)))
         if math.isfinite(self.max_turn):
-            v = self.turn_at_most(v, before, at_least(self.max_turn) * time)
+            v = self.turn_at_most(v, previous, at_least(self.max_turn) * time)
         self.velocity, self.step = v * (not self.alone), v * dt * (not self.alone)
         walking = at_least(self.max_speed) / (self.size if self.size > 0 else 1.0) * math.pi / 2
         rate = float(np.maximum(np.minimum(at_least(self.max_turn), walking), math.pi / 4))
         self.tilts = rate * dt if math.isfinite(rate) else math.pi
 
-    def hasten(self, v: np.ndarray, before: np.ndarray, least: float) -> np.ndarray:
+    def hasten(self, v: np.ndarray, previous: np.ndarray, least: float) -> np.ndarray:
         if not length(v) < least or math.isnan(self.max_speed):
             return v
-        ahead = unit(before, unit(flat(self.heading, self.normal), 0 * v))
+        ahead = unit(previous, unit(flat(self.heading, self.normal), 0 * v))
         along = v @ ahead
         return v + ahead * (math.sqrt(max(least**2 - v @ v + along**2, 0.0)) - along)
 
-    def turn_at_most(self, v: np.ndarray, before: np.ndarray, most: float) -> np.ndarray:
-        if length(before) == 0:
+    def turn_at_most(self, v: np.ndarray, previous: np.ndarray, most: float) -> np.ndarray:
+        if length(previous) == 0:
             most = 4.0
-        ahead = unit(before, unit(v, across(self.normal)))
+        ahead = unit(previous, unit(v, across(self.normal)))
         direction = unit(v, ahead)
         if not angle_between(ahead, direction) > most:
             return v
@@ -135,10 +135,10 @@ class Agent(SimpleNamespace):
         """The directions in which it looks for walls."""
         along = flat(self.step, self.normal)
         self.long = length(along)
-        way = along / self.long if self.long > 1e-9 else self.looking
-        same = way @ self.looking
+        path = along / self.long if self.long > 1e-9 else self.looking
+        same = path @ self.looking
         backward = self.wish is not None and same < 0 and self.wish.any()
-        return [self.looking, way] if same < 0.97 and not backward else [self.looking]
+        return [self.looking, path] if same < 0.97 and not backward else [self.looking]
 
     def meet(self, ahead: np.ndarray, part: float, normal: np.ndarray) -> None:
         """Note a wall that a look has met, if the body tilts further for it."""
@@ -217,11 +217,11 @@ class Agent(SimpleNamespace):
         if not self.follows:
             return
         (stands, look), normal = self.before, self.up
-        look, wanted = level(look, stands), self.tilted(normal, self.gone)
-        axis, tilt = axis_of(stands, wanted, look), min(angle_between(stands, wanted), self.tilts)
-        up = wanted if tilt < self.tilts else turned(stands, axis, tilt)
+        look, expected = level(look, stands), self.tilted(normal, self.gone)
+        axis, tilt = axis_of(stands, expected, look), min(angle_between(stands, expected), self.tilts)
+        up = expected if tilt < self.tilts else turned(stands, axis, tilt)
         one = level(turned(look, axis, tilt), up)
-        other = laid(laid(self.heading, normal, wanted), wanted, up)
+        other = laid(laid(self.heading, normal, expected), expected, up)
         most = 4.0
         if math.isfinite(self.max_turn):
             most = math.sqrt(max((at_least(self.max_turn) * dt) ** 2 - tilt**2, 0.0))
@@ -253,17 +253,17 @@ def find_walls(ground, crowd, agents: list[Agent]) -> None:
     looks = [(agents[i], ahead) for i in rows for ahead in agents[i].looks()]
     if looks:
         origins = np.array([agent.place + agent.normal * (0.06 * agent.half) for agent, _ in looks])
-        met, parts, normals = ground.meshes.faced(origins, np.array([ahead * (3 * agent.half) for agent, ahead in looks]), 1)
-        for k, part, normal in zip(met, parts, normals.T, strict=True):
+        hit, parts, normals = ground.meshes.faced(origins, np.array([ahead * (3 * agent.half) for agent, ahead in looks]), 1)
+        for k, part, normal in zip(hit, parts, normals.T, strict=True):
             looks[k][0].meet(looks[k][1], part, normal)
 
 
-def substep(ground, crowd, whole: float, dt: float, first: bool) -> list[Agent]:
+def substep(ground, crowd, total: float, dt: float, first: bool) -> list[Agent]:
     """All agents of a crowd after a substep without obstacles."""
     agents = [Agent.of(crowd, i) for i in range(len(crowd))]
     for agent, alone in zip(agents, crowd.quarantined, strict=True):
         agent.alone = alone
-        agent.push_on(whole, dt, first)
+        agent.push_on(total, dt, first)
     find_walls(ground, crowd, agents)
     for agent in agents:
         agent.wait()

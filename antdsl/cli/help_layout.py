@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import click
+from typing import Any
+
 from typer.core import TyperGroup
 
 GROUPS: dict[str, tuple[str, ...]] = {
@@ -16,7 +17,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 class GroupedHelp(TyperGroup):
     """A group of commands that lists them under headings. No line is cut."""
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands of each group."""
         width = max(map(len, self.commands))
         for heading, names in GROUPS.items():
@@ -24,6 +25,6 @@ class GroupedHelp(TyperGroup):
                 formatter.write_dl([(name.ljust(width), _first_sentence(self.commands[name])) for name in names])
 
 
-def _first_sentence(command: click.Command) -> str:
+def _first_sentence(command: Any) -> str:
     text = " ".join((command.help or "").split())
     return text.partition(". ")[0].rstrip(".") + "."

@@ -250,7 +250,7 @@ BAD = """
 from functools import partial
 import numpy as np
 from antdsl.machine_code.kernels import F64, I64, Array1, KernelFault, called, independent, kernel
-from antdsl.numerics import compiled
+from antdsl.numerics import parallel
 
 @called
 def element(a, k):
@@ -278,7 +278,7 @@ for wrong in (40, -1, 10**12, 5):
     print(outcome(lambda: one(a, rows, np.zeros(40), 0, 40)))
 many = np.zeros(100_000, np.int64)
 many[77_777] = 40
-print(outcome(lambda: compiled.in_parts(partial(one, a, many, np.zeros(len(many))), len(many), 2)))
+print(outcome(lambda: parallel.in_parts(partial(one, a, many, np.zeros(len(many))), len(many), 2)))
 rows[23] = 99
 print(outcome(lambda: one(a, rows, np.zeros(9), 0, 9)), outcome(lambda: one(a, rows, np.zeros(9), 0, 16)))
 print(outcome(lambda: divide(7, 0)), outcome(lambda: divide(7, 2)))

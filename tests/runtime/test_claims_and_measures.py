@@ -20,9 +20,9 @@ def test_every_half_chord_near_a_bin_is_counted_where_numpy_counts_it():
     near = least[1:-1].view(np.int32).astype(np.int64)[:, None] + np.arange(-32, 33)
     half = np.clip(near, 0, np.float32(1).view(np.int32)).astype(np.int32).ravel().view(np.float32)
     half = np.concatenate([half, np.random.default_rng(1).random(100_000, np.float32), np.float32([0, 1])])
-    wanted = motion_measures._bin_of(motion_measures._angle(half))
-    assert np.array_equal(np.searchsorted(least[1:-1], half, side="right"), wanted)
-    assert (first[(half * np.float32(4096)).astype(np.int64)] <= wanted).all()
+    expected = motion_measures._bin_of(motion_measures._angle(half))
+    assert np.array_equal(np.searchsorted(least[1:-1], half, side="right"), expected)
+    assert (first[(half * np.float32(4096)).astype(np.int64)] <= expected).all()
 
 
 def serve(rest, item, asks):
@@ -47,11 +47,11 @@ def test_claims_are_served_one_after_the_other(count, share):
     item = np.sort(rng.integers(0, 40 if share < 0.5 else 300, count))
     change = rng.choice([0.0, 0.25, 1.0, 3.0, np.nan, np.inf], count, p=[0.1, 0.3, 0.4, 0.16, 0.02, 0.02])
     every, rest = rng.random(count) < share, np.round(rng.random(300) * 32) / 4
-    had, kept = np.round(rng.random(count) * 8).astype(np.float32), rng.random(count) < 0.5
-    asks, left = claims._Asks(change, every, had, kept, 0.25), rest.copy()
-    wanted = serve(left, item, asks)
+    had, cached = np.round(rng.random(count) * 8).astype(np.float32), rng.random(count) < 0.5
+    asks, left = claims._Asks(change, every, had, cached, 0.25), rest.copy()
+    expected = serve(left, item, asks)
     got = claims._served(rest, item, asks)
-    assert np.array_equal(got, wanted) and np.array_equal(rest, left)
+    assert np.array_equal(got, expected) and np.array_equal(rest, left)
     assert count < 300 or ((got >= 0).any() and (got < 0).any() and (share == 0 or (got[every] > 0).any()))
 
 
@@ -116,23 +116,23 @@ def wander(population, rng):
                 population.position[:, k] = population.now[register]
 
 
-def observe(found, population, window, dt, steps):
+def observe(result, population, window, dt, steps):
     """Add a step to plain counts."""
     now, start = population.now, population.start
 
-    def length(registers, name, less=None):
-        v = [registers[f"{name}.{axis}"] - (0 if less is None else less[f"{name}.{axis}"]) for axis in "xyz"]
+    def length(registers, name, smaller=None):
+        v = [registers[f"{name}.{axis}"] - (0 if smaller is None else smaller[f"{name}.{axis}"]) for axis in "xyz"]
         return np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2])
 
     for name, of in (("turns", "heading"), ("tilts", "up")):
         angle = motion_measures._angle(np.minimum(length(now, of, start) * np.float32(0.5), np.float32(1)))
-        found[name] += np.bincount(motion_measures._bin_of(angle), minlength=1801)
-    found["tilt_max"] = max(found["tilt_max"], float(angle.max()))
+        result[name] += np.bincount(motion_measures._bin_of(angle), minlength=1801)
+    result["tilt_max"] = max(result["tilt_max"], float(angle.max()))
     longest = now["max_speed"] * dt
     share = length(now, "position", start)[longest > 0] / longest[longest > 0]
-    found["step_max"] = max(found["step_max"], float(np.fmax.reduce(share, initial=0.0)))
+    result["step_max"] = max(result["step_max"], float(np.fmax.reduce(share, initial=0.0)))
     speed = length(now, "velocity")
-    found["standing"] += int(((length(now, "push") > 0.2) & (speed < now["max_speed"] * np.float32(0.03))).sum())
+    result["standing"] += int(((length(now, "push") > 0.2) & (speed < now["max_speed"] * np.float32(0.03))).sum())
     for row, name in enumerate(population.ids.tolist()):
         way = window.setdefault(name, [population.position[row].copy(), 0.0, 0])
         way[1] += float(np.float32(speed[row]) * dt)
@@ -140,9 +140,9 @@ def observe(found, population, window, dt, steps):
         if way[2] >= steps:
             if way[1] > 3 * now["size"][row]:
                 straight = min(np.linalg.norm(population.position[row] - way[0]) / way[1], 1.0)
-                found["ways"] += 1
-                found["circling"] += int(straight < 0.15)
-                found["straightness"] += straight
+                result["ways"] += 1
+                result["circling"] += int(straight < 0.15)
+                result["straightness"] += straight
             window[name] = [population.position[row].copy(), 0.0, 0]
 
 
@@ -151,8 +151,8 @@ def test_measures_of_motion_are_those_of_plain_numpy(threads, monkeypatch):
     monkeypatch.setattr(parallel, "LIGHT", 100)
     world, rng = flock(700), np.random.default_rng(8)
     world.options = Options(backend="numpy", threads=threads)
-    population, window, found = world.populations["boid"], {}, {"turns": np.zeros(1801, int), "tilts": np.zeros(1801, int)}
-    found |= dict.fromkeys(("tilt_max", "step_max", "standing", "ways", "circling", "straightness"), 0)
+    population, window, result = world.populations["boid"], {}, {"turns": np.zeros(1801, int), "tilts": np.zeros(1801, int)}
+    result |= dict.fromkeys(("tilt_max", "step_max", "standing", "ways", "circling", "straightness"), 0)
     population.now["max_speed"][::50] = rng.choice([0, -1, np.nan], len(population.now["max_speed"][::50]))
     for frame in range(110):
         wander(population, rng)
@@ -160,14 +160,14 @@ def test_measures_of_motion_are_those_of_plain_numpy(threads, monkeypatch):
             for row, name in enumerate(population.ids.tolist()):
                 window[name] = [population.position[row].copy(), 0.0, 0]
         with np.errstate(all="ignore"):
-            observe(found, population, window, np.float32(world.dt), round(2 / world.dt))
+            observe(result, population, window, np.float32(world.dt), round(2 / world.dt))
             world.motion._step(world, population)
         if frame % 10 == 5:
             select_rows(population, rng.permutation(len(population)))
     measured = world.motion.arrays()
-    for name, own in found.items():
+    for name, own in result.items():
         assert np.allclose(measured[name], own, rtol=1e-9), name
-    assert found["ways"] > 100 and found["standing"] > 0 and found["circling"] > 0
+    assert result["ways"] > 100 and result["standing"] > 0 and result["circling"] > 0
 
 
 def test_ways_go_with_their_agents_when_rows_change():
@@ -176,15 +176,15 @@ def test_ways_go_with_their_agents_when_rows_change():
     for _ in range(3):
         wander(population, rng)
         motion._step(world, population)
-    for kept in (60, 60, 41, 41):
-        before = dict(zip(population.ids.tolist(), motion._window(population).path.tolist(), strict=True))
-        select_rows(population, rng.permutation(len(population))[:kept])
+    for cached in (60, 60, 41, 41):
+        previous = dict(zip(population.ids.tolist(), motion._window(population).path.tolist(), strict=True))
+        select_rows(population, rng.permutation(len(population))[:cached])
         window = motion._window(population)
-        assert window.ids is population.ids and window.path.tolist() == [before[i] for i in population.ids.tolist()]
-    before = dict(zip(population.ids.tolist(), window.path.tolist(), strict=True))
-    for kept in (41, 30):  # two changes since it was last looked at
-        select_rows(population, rng.permutation(len(population))[:kept])
-    assert motion._window(population).path.tolist() == [before[i] for i in population.ids.tolist()]
+        assert window.ids is population.ids and window.path.tolist() == [previous[i] for i in population.ids.tolist()]
+    previous = dict(zip(population.ids.tolist(), window.path.tolist(), strict=True))
+    for cached in (41, 30):  # two changes since it was last looked at
+        select_rows(population, rng.permutation(len(population))[:cached])
+    assert motion._window(population).path.tolist() == [previous[i] for i in population.ids.tolist()]
 
 
 @pytest.mark.parametrize("count, box", [(1500, 60), (1500, 8), (3, 1), (1500, 2e5), (900, 1e15)])
@@ -198,25 +198,25 @@ def test_overlaps_are_those_of_all_pairs(count, box):
         distance = np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
         part = np.float32(1) - distance / np.maximum(radius[:, None] + radius, np.float32(1e-9))
     np.fill_diagonal(part, 0)
-    wanted = np.maximum(np.where(np.isfinite(part), part, 0).max(axis=1), 0)
-    assert np.array_equal(worst_overlaps(x, y, z, radius), wanted) and (box == 60) <= (0 < wanted.max() < 1)
+    expected = np.maximum(np.where(np.isfinite(part), part, 0).max(axis=1), 0)
+    assert np.array_equal(worst_overlaps(x, y, z, radius), expected) and (box == 60) <= (0 < expected.max() < 1)
 
 
 def test_rows_are_put_in_order_in_arrays_with_room():
     array = np.arange(100, dtype=np.float32)
     rows = np.random.default_rng(0).permutation(100)[:70]
-    found = roomy_rows(array, rows)
-    assert np.array_equal(found, array[rows]) and has_room(found) and has_room(roomy(array))
-    assert not found.base[70:].any()
+    result = roomy_rows(array, rows)
+    assert np.array_equal(result, array[rows]) and has_room(result) and has_room(roomy(array))
+    assert not result.base[70:].any()
     assert not any(map(has_room, (array, array[:95], array[4:50], np.zeros((3, 50), np.float32)[0])))
 
 
 def test_parts_on_threads_give_the_same_bits_as_one(monkeypatch):
-    shot, whole, parts, split = case_of("foraging").make(1_500), parallel.in_parts, parallel.parts, []
+    shot, total, parts, split = case_of("foraging").make(1_500), parallel.in_parts, parallel.parts, []
 
     def parted(work, count, threads, least=0):
         split.append(min(threads, count // 50) > 1)
-        return whole(work, count, threads, 50)
+        return total(work, count, threads, 50)
 
     def stepped(threads):
         world = bind(shot.plan, shot.setting, Options(backend="native", threads=threads, wait_for_code=True))
@@ -227,6 +227,6 @@ def test_parts_on_threads_give_the_same_bits_as_one(monkeypatch):
     alone, counted = stepped(1)
     monkeypatch.setattr(parallel, "in_parts", parted)
     monkeypatch.setattr(parallel, "parts", lambda count, threads, least=0: parts(count, threads, 50))
-    found, other = stepped(3)
-    assert found == alone and sum(split) > 15
+    result, other = stepped(3)
+    assert result == alone and sum(split) > 15
     assert counted.keys() == other.keys() and all(np.array_equal(counted[name], other[name]) for name in counted)

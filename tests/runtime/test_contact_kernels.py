@@ -24,12 +24,12 @@ def closest(away: np.ndarray, a: np.ndarray, b: np.ndarray, reach: float, length
     inner = np.linalg.lstsq(np.stack([a, -b], axis=1), -away, rcond=1e-9)[0]
     if abs(inner[0]) <= reach and abs(inner[1]) <= length:
         return float(inner[0]), float(inner[1])
-    found = []
+    result = []
     for s in (-reach, reach):
-        found.append((s, float(np.clip((away + a * s) @ b / (b @ b), -length, length))))
+        result.append((s, float(np.clip((away + a * s) @ b / (b @ b), -length, length))))
     for t in (-length, length):
-        found.append((float(np.clip(-(away - b * t) @ a / (a @ a), -reach, reach)), t))
-    return min(found, key=lambda each: float(np.linalg.norm(away + a * each[0] - b * each[1])))
+        result.append((float(np.clip(-(away - b * t) @ a / (a @ a), -reach, reach)), t))
+    return min(result, key=lambda each: float(np.linalg.norm(away + a * each[0] - b * each[1])))
 
 
 def gap_of(near: SimpleNamespace | Near, middle: np.ndarray, p: int, q: int) -> tuple[float, np.ndarray]:
@@ -43,11 +43,11 @@ def gap_of(near: SimpleNamespace | Near, middle: np.ndarray, p: int, q: int) -> 
     over = apart @ between
     apart = apart - between * over
     wide = near.radius[p] + near.radius[q]
-    room = wide**2 - over**2
+    extent = wide**2 - over**2
     if np.linalg.norm(apart) <= wide * 1e-6:
         apart = flat[0]
-        return (-np.sqrt(room) if room > 0 else np.inf), apart / max(np.linalg.norm(apart), 1e-9)
-    return (np.linalg.norm(apart) - np.sqrt(room) if room > 0 else np.inf), unit(apart)
+        return (-np.sqrt(extent) if extent > 0 else np.inf), apart / max(np.linalg.norm(apart), 1e-9)
+    return (np.linalg.norm(apart) - np.sqrt(extent) if extent > 0 else np.inf), unit(apart)
 
 
 def bodies(seed: int, spread: float = 6.0, tilt: float = 0.25) -> SimpleNamespace:
@@ -64,53 +64,53 @@ def bodies(seed: int, spread: float = 6.0, tilt: float = 0.25) -> SimpleNamespac
     return SimpleNamespace(middle=middle, ahead=ahead, up=up, half=half, radius=radius, i=i, j=j)
 
 
-def near_of(made: SimpleNamespace) -> Near:
-    gap, way = np.empty(len(made.i)), np.empty((3, len(made.i)))
-    stand = (made.middle.copy(), made.ahead, made.up, made.half, made.radius)
-    near = Near(None, np.arange(ROWS), made.i, made.j, *stand, 0.6, gap, way)  # type: ignore[arg-type]
-    near.measure(np.zeros_like(made.middle), np.ones(ROWS, np.bool_))
+def near_of(built: SimpleNamespace) -> Near:
+    gap, path = np.empty(len(built.i)), np.empty((3, len(built.i)))
+    stand = (built.middle.copy(), built.ahead, built.up, built.half, built.radius)
+    near = Near(None, np.arange(ROWS), built.i, built.j, *stand, 0.6, gap, path)  # type: ignore[arg-type]
+    near.measure(np.zeros_like(built.middle), np.ones(ROWS, np.bool_))
     return near
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_gaps_of_capsules_are_those_of_their_closest_points(seed: int) -> None:
-    made, rng = bodies(seed), np.random.default_rng(seed)
-    near, gone = near_of(made), rng.normal(0, 0.4, (3, ROWS))
+    built, rng = bodies(seed), np.random.default_rng(seed)
+    near, moved = near_of(built), rng.normal(0, 0.4, (3, ROWS))
     changed = rng.random(ROWS) < 0.4
-    before = near.gap.copy(), near.way.copy()
-    wanted = [gap_of(near, near.middle, p, q) for p, q in zip(near.i, near.j, strict=True)]
-    assert np.allclose(near.gap, [gap for gap, _ in wanted], atol=1e-9)
-    assert np.allclose(near.way.T, [way for _, way in wanted], atol=1e-7)
+    previous = near.gap.copy(), near.way.copy()
+    expected = [gap_of(near, near.middle, p, q) for p, q in zip(near.i, near.j, strict=True)]
+    assert np.allclose(near.gap, [gap for gap, _ in expected], atol=1e-9)
+    assert np.allclose(near.way.T, [path for _, path in expected], atol=1e-7)
     assert np.isinf(near.gap).any() and (near.gap < 0).sum() > 20
-    near.measure(gone, changed)
+    near.measure(moved, changed)
     again = changed[near.i] | changed[near.j]
-    wanted = [gap_of(near, near.middle + gone, p, q) for p, q in zip(near.i, near.j, strict=True)]
-    assert np.allclose(near.gap[again], np.array([gap for gap, _ in wanted])[again], atol=1e-9)
-    assert np.allclose(near.way[:, again].T, np.array([way for _, way in wanted])[again], atol=1e-7)
-    assert np.array_equal(near.gap[~again], before[0][~again]) and np.array_equal(near.way[:, ~again], before[1][:, ~again])
-    gap, way, deep = near.before(gone)
-    wanted = [gap_of(near, near.middle - gone, p, q) for p, q in zip(near.i, near.j, strict=True)]
-    assert np.allclose(gap, [each for each, _ in wanted], atol=1e-9)
-    assert np.allclose(way.T, [each for _, each in wanted], atol=1e-7)
-    assert np.allclose(deep, [max(0.0, *-gap[(near.i == k) | (near.j == k)]) for k in range(ROWS)])
+    expected = [gap_of(near, near.middle + moved, p, q) for p, q in zip(near.i, near.j, strict=True)]
+    assert np.allclose(near.gap[again], np.array([gap for gap, _ in expected])[again], atol=1e-9)
+    assert np.allclose(near.way[:, again].T, np.array([path for _, path in expected])[again], atol=1e-7)
+    assert np.array_equal(near.gap[~again], previous[0][~again]) and np.array_equal(near.way[:, ~again], previous[1][:, ~again])
+    gap, path, depth = near.before(moved)
+    expected = [gap_of(near, near.middle - moved, p, q) for p, q in zip(near.i, near.j, strict=True)]
+    assert np.allclose(gap, [each for each, _ in expected], atol=1e-9)
+    assert np.allclose(path.T, [each for _, each in expected], atol=1e-7)
+    assert np.allclose(depth, [max(0.0, *-gap[(near.i == k) | (near.j == k)]) for k in range(ROWS)])
 
 
 def crowds(spread: float):
-    made = world(CrowdData("ant", 90, heap(90, spread)), CrowdData("ball", 3, heap(3, spread), 1, body="ball"))
+    built = world(CrowdData("ant", 90, heap(90, spread)), CrowdData("ball", 3, heap(3, spread), 1, body="ball"))
     rng = np.random.default_rng(7)
-    for population in made.populations.values():
+    for population in built.populations.values():
         for name in ("up", "heading"):
             for axis in "xyz":
                 population.now[f"{name}.{axis}"] += rng.normal(0, 0.1, len(population)).astype(np.float32)
         population.now["size"][::11] *= -1
-    return made
+    return built
 
 
 def test_capsules_lie_where_the_shape_of_a_body_puts_them() -> None:
-    made = crowds(8.0)
-    crowd, k = Crowd(made), 0
-    for population in made.populations.values():
-        shape = capsules.capsule_of(made, population.name)
+    built = crowds(8.0)
+    crowd, k = Crowd(built), 0
+    for population in built.populations.values():
+        shape = capsules.capsule_of(built, population.name)
         for row in range(len(population)):
             size = max(float(population.now["size"][row]), 0.0)
             stands = [population.now[f"{name}.{axis}"][row] for name in ("up", "heading") for axis in "xyz"]
@@ -126,11 +126,11 @@ def test_capsules_lie_where_the_shape_of_a_body_puts_them() -> None:
 
 @pytest.mark.parametrize("place", [np.nan, np.inf, -np.inf])
 def test_one_without_a_place_is_near_nobody(place: float) -> None:
-    made = crowds(8.0)
-    others = {(p, q) for p, q in pairs_of(find(Crowd(made))) if 70 not in (p, q)}
-    made.populations["ant"].position[70, 1] = place
+    built = crowds(8.0)
+    others = {(p, q) for p, q in pairs_of(find(Crowd(built))) if 70 not in (p, q)}
+    built.populations["ant"].position[70, 1] = place
     with np.errstate(invalid="ignore"):
-        crowd = Crowd(made)
+        crowd = Crowd(built)
         near = find(crowd)
     assert not np.isfinite(sum(crowd.bounds[1])) and set(pairs_of(near)) == others and len(others) > 100
 
@@ -141,42 +141,42 @@ def pairs_of(near: Near) -> list[tuple[int, int]]:
 
 @pytest.mark.parametrize("dead", [None, 5e-4, 0.2])
 def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
-    made = crowds(9.0)
-    made.populations["ant"].position[5] = made.populations["ant"].position[4]  # two in one place
+    built = crowds(9.0)
+    built.populations["ant"].position[5] = built.populations["ant"].position[4]  # two in one place
     for axis in "xyz":
         for name in ("up", "heading"):
-            made.populations["ant"].now[f"{name}.{axis}"][5] = made.populations["ant"].now[f"{name}.{axis}"][4]
-        made.populations["ant"].now["size"][5] = made.populations["ant"].now["size"][4]
-    crowd = Crowd(made)
+            built.populations["ant"].now[f"{name}.{axis}"][5] = built.populations["ant"].now[f"{name}.{axis}"][4]
+        built.populations["ant"].now["size"][5] = built.populations["ant"].now["size"][4]
+    crowd = Crowd(built)
     near = find(crowd, dead)
-    whole = SimpleNamespace(half=crowd.half, radius=crowd.radius)
-    whole.ahead, whole.up = (np.stack(crowd.vector(name)).astype(float) for name in ("heading", "up"))
+    total = SimpleNamespace(half=crowd.half, radius=crowd.radius)
+    total.ahead, total.up = (np.stack(crowd.vector(name)).astype(float) for name in ("heading", "up"))
     wide = crowd.radius[:, None] + crowd.radius[None]
-    gaps = {(p, q): gap_of(whole, crowd.middle, p, q) for p, q in combinations(range(len(crowd)), 2)}
+    gaps = {(p, q): gap_of(total, crowd.middle, p, q) for p, q in combinations(range(len(crowd)), 2)}
     far = np.linalg.norm(crowd.middle[:, :, None] - crowd.middle[:, None], axis=0) > crowd.reach[:, None] + crowd.reach[None]
     far |= (crowd.reach <= 0)[:, None] | (crowd.reach <= 0)[None]
-    about = {pair: each for pair, each in gaps.items() if each[0] < 1.5 * wide[pair] and not far[pair]}
-    deep = {k for pair, each in about.items() if dead is None or each[0] < -dead * wide[pair] for k in pair}
-    wanted = {(p, q): each for (p, q), each in about.items() if p in deep or q in deep}
+    summary = {pair: each for pair, each in gaps.items() if each[0] < 1.5 * wide[pair] and not far[pair]}
+    depth = {k for pair, each in summary.items() if dead is None or each[0] < -dead * wide[pair] for k in pair}
+    expected = {(p, q): each for (p, q), each in summary.items() if p in depth or q in depth}
     keys = crowd.key
-    found = {tuple(sorted(pair)): k for k, pair in enumerate(pairs_of(near))}
-    assert found.keys() == wanted.keys() and len(found) == len(near.i)
+    result = {tuple(sorted(pair)): k for k, pair in enumerate(pairs_of(near))}
+    assert result.keys() == expected.keys() and len(result) == len(near.i)
     assert all(keys[p] < keys[q] for p, q in pairs_of(near))
-    for pair, k in found.items():
+    for pair, k in result.items():
         sign = 1 if keys[pair[0]] < keys[pair[1]] else -1
-        assert np.isclose(near.gap[k], wanted[pair][0], atol=1e-9)
+        assert np.isclose(near.gap[k], expected[pair][0], atol=1e-9)
         if pair != (4, 5):
-            assert np.allclose(near.way[:, k], sign * wanted[pair][1], atol=1e-7)
-    assert np.isclose(near.widest, max(crowd.radius[list(pair)].max() for pair in about))
-    assert np.array_equal(near.rows, np.unique(list(wanted)))
+            assert np.allclose(near.way[:, k], sign * expected[pair][1], atol=1e-7)
+    assert np.isclose(near.widest, max(crowd.radius[list(pair)].max() for pair in summary))
+    assert np.array_equal(near.rows, np.unique(list(expected)))
     for name in ("middle", "half", "radius"):
         assert np.array_equal(getattr(near, name), getattr(crowd, name)[..., near.rows])
-    assert np.array_equal(near.ahead, whole.ahead[:, near.rows]) and np.array_equal(near.up, whole.up[:, near.rows])
+    assert np.array_equal(near.ahead, total.ahead[:, near.rows]) and np.array_equal(near.up, total.up[:, near.rows])
     if dead is None:
-        way, up = near.way[:, found[4, 5]], near.up[:, near.i[found[4, 5]]]
-        assert np.isclose(np.linalg.norm(way), 1, atol=0.1) and abs(way @ up) < 0.1
-        worst = [max([0.0, *(-gap for pair, (gap, _) in about.items() if k in pair)]) for k in range(len(crowd))]
-        assert np.allclose(depths(made), worst / np.maximum(2 * crowd.radius, 1e-9), atol=1e-9)
+        path, up = near.way[:, result[4, 5]], near.up[:, near.i[result[4, 5]]]
+        assert np.isclose(np.linalg.norm(path), 1, atol=0.1) and abs(path @ up) < 0.1
+        worst = [max([0.0, *(-gap for pair, (gap, _) in summary.items() if k in pair)]) for k in range(len(crowd))]
+        assert np.allclose(depths(built), worst / np.maximum(2 * crowd.radius, 1e-9), atol=1e-9)
 
 
 # --- how far who goes -------------------------------------------------------------------------------------------------
@@ -186,24 +186,24 @@ def level(v: np.ndarray, up: np.ndarray) -> np.ndarray:
     return v - up * (v @ up)
 
 
-def within(gone: np.ndarray, middle: np.ndarray, room: float) -> np.ndarray:
-    size = np.linalg.norm(middle + gone)
-    return (middle + gone) * (room / size) - middle if size > room else gone
+def within(moved: np.ndarray, middle: np.ndarray, extent: float) -> np.ndarray:
+    size = np.linalg.norm(middle + moved)
+    return (middle + moved) * (extent / size) - middle if size > extent else moved
 
 
-def shares(near, pairs, deep, light, heap, normal) -> dict[tuple[int, int], float]:
+def shares(near, pairs, depth, light, heap, normal) -> dict[tuple[int, int], float]:
     """What of its overlap each of a pair makes room for, by pair and row."""
-    locked = {k: sum(deep[n] for n in pairs if k in (near.i[n], near.j[n])) for k in range(ROWS)}
-    most = max(deep.values())
+    locked = {k: sum(depth[n] for n in pairs if k in (near.i[n], near.j[n])) for k in range(ROWS)}
+    most = max(depth.values())
     locked = {k: each / most for k, each in locked.items()}
     for _ in range(3):
         spread = dict(locked)
         for n in pairs:
-            if deep[n] > 0:
+            if depth[n] > 0:
                 spread[near.i[n]] += locked[near.j[n]]
                 spread[near.j[n]] += locked[near.i[n]]
         locked = {k: each / max(spread.values()) for k, each in spread.items()}
-    found = {}
+    result = {}
     for n in pairs:
         p, q = near.i[n], near.j[n]
         outward = 1 + 9 * max(heap[p], heap[q])
@@ -211,34 +211,34 @@ def shares(near, pairs, deep, light, heap, normal) -> dict[tuple[int, int], floa
         one = light[p] * outer * np.sum(level(near.way[:, n], normal[:, p]) ** 2)
         two = light[q] * (1 - outer) * np.sum(level(near.way[:, n], normal[:, q]) ** 2)
         part = round(one / (one + two) * 2**20) / 2**20 if one + two > 0 else 0.0
-        found[n, p], found[n, q] = part, 1 - part if one + two > 0 else 0.0
-    return found
+        result[n, p], result[n, q] = part, 1 - part if one + two > 0 else 0.0
+    return result
 
 
-def part_bodies(near: Near, agents, which, held, walked, deep, looks, sweeps, share, cut) -> np.ndarray:
+def part_bodies(near: Near, agents, which, held, walked, depth, looks, sweeps, share, cut) -> np.ndarray:
     """As `contacts._apart` gives, from one pair after another."""
     size = np.linalg.norm(walked, axis=0)
     most = np.maximum(agents.reach, size)
-    room = np.minimum(most * 0.3 + deep, most) * agents.yields
-    heap = np.where(size <= 0.01 * most, 1.0, np.clip(deep / (near.radius * 0.4) - 0.5, 0, 1))
-    light, gone, which = np.where(held, 0.0, 1 / agents.mass), cut.copy(), which.copy()
+    extent = np.minimum(most * 0.3 + depth, most) * agents.yields
+    heap = np.where(size <= 0.01 * most, 1.0, np.clip(depth / (near.radius * 0.4) - 0.5, 0, 1))
+    light, moved, which = np.where(held, 0.0, 1 / agents.mass), cut.copy(), which.copy()
     dead = (near.radius[near.i] + near.radius[near.j]) * 5e-4
     for _ in range(looks):
         touching = np.flatnonzero(which & (near.gap < -dead))
-        met = {*near.i[touching], *near.j[touching]}
-        pairs = [n for n in np.flatnonzero(which) if near.i[n] in met or near.j[n] in met]
+        hit = {*near.i[touching], *near.j[touching]}
+        pairs = [n for n in np.flatnonzero(which) if near.i[n] in hit or near.j[n] in hit]
         if not pairs:
             break
         overlap = {n: -near.gap[n] if near.gap[n] < -dead[n] else 0.0 for n in pairs}
-        part, led = shares(near, pairs, overlap, light, heap, agents.normal), gone.copy()
+        part, led = shares(near, pairs, overlap, light, heap, agents.normal), moved.copy()
         for _ in range(sweeps):
             sums, weight, contacts = np.zeros((3, ROWS)), np.zeros(ROWS), np.zeros(ROWS)
             for n in pairs:
                 p, q = near.i[n], near.j[n]
-                left = near.gap[n] + near.way[:, n] @ ((led - gone)[:, p] - (led - gone)[:, q])
+                left = near.gap[n] + near.way[:, n] @ ((led - moved)[:, p] - (led - moved)[:, q])
                 if left < -dead[n]:
-                    for k, way in ((p, near.way[:, n]), (q, -near.way[:, n])):
-                        flat = level(way, agents.normal[:, k])
+                    for k, path in ((p, near.way[:, n]), (q, -near.way[:, n])):
+                        flat = level(path, agents.normal[:, k])
                         sums[:, k] -= flat * (part[n, k] / max(flat @ flat, 0.1) * left * share)
                         weight[k] += part[n, k]
                         contacts[k] += 1
@@ -246,13 +246,13 @@ def part_bodies(near: Near, agents, which, held, walked, deep, looks, sweeps, sh
                 break
             sums *= np.where(contacts > 1, 1 + 0.5 * heap, 1.0) / np.maximum(weight, 1.0)
             for k in np.flatnonzero(contacts):
-                led[:, k] = within(within(led[:, k] + sums[:, k], -cut[:, k], room[k]), walked[:, k], most[k])
-        changed = np.abs(led - gone).max(axis=0) > 0
-        gone = led
+                led[:, k] = within(within(led[:, k] + sums[:, k], -cut[:, k], extent[k]), walked[:, k], most[k])
+        changed = np.abs(led - moved).max(axis=0) > 0
+        moved = led
         for n in np.flatnonzero(changed[near.i] | changed[near.j]):
-            near.gap[n], near.way[:, n] = gap_of(near, near.middle + gone, near.i[n], near.j[n])
+            near.gap[n], near.way[:, n] = gap_of(near, near.middle + moved, near.i[n], near.j[n])
             which[n] = True
-    return gone
+    return moved
 
 
 def agents_of(seed: int) -> tuple[contacts._Agents, dict[str, np.ndarray]]:
@@ -269,41 +269,41 @@ def agents_of(seed: int) -> tuple[contacts._Agents, dict[str, np.ndarray]]:
 @pytest.mark.parametrize("looks, sweeps, share", [(1, 1, 0.4), (1, 4, 1.0), (5, 3, 1.0)])
 @pytest.mark.parametrize("seed", range(2))
 def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, share: float, seed: int) -> None:
-    made, (agents, stand) = bodies(seed, 7.0), agents_of(seed)
-    near, again = near_of(made), near_of(made)
+    built, (agents, stand) = bodies(seed, 7.0), agents_of(seed)
+    near, again = near_of(built), near_of(built)
     which = np.random.default_rng(seed).random(len(near.i)) < (0.8 if looks > 1 else 1.1)
     which[near.gap == np.inf] = True
     effort, work = contacts.Effort(looks, sweeps, 1), separation.arrays(ROWS, len(near.i))
     for each in (near, again):
         each.measure(stand["cut"], np.ones(ROWS, np.bool_))
     given = (stand["held"], stand["walked"], stand["deep"])
-    wanted = part_bodies(again, agents, which, *given, looks, sweeps, share, stand["cut"])
-    kept = which.copy()
-    found = contacts._apart(near, agents, which, *given, effort, share, stand["cut"], work)
-    assert np.allclose(found, wanted, atol=1e-7) and np.array_equal(which, kept)
-    assert (np.abs(found - stand["cut"]).max(axis=0) > 1e-4).sum() > 20
+    expected = part_bodies(again, agents, which, *given, looks, sweeps, share, stand["cut"])
+    cached = which.copy()
+    result = contacts._apart(near, agents, which, *given, effort, share, stand["cut"], work)
+    assert np.allclose(result, expected, atol=1e-7) and np.array_equal(which, cached)
+    assert (np.abs(result - stand["cut"]).max(axis=0) > 1e-4).sum() > 20
 
 
-def cut_steps(near: Near, came, mass, walked, gap, way) -> np.ndarray:
+def cut_steps(near: Near, came, mass, walked, gap, path) -> np.ndarray:
     """Steps that are bent along what is in their way, and cut."""
     free = {}
     for n, (p, q) in enumerate(zip(near.i, near.j, strict=True)):
-        for own, other, ways in ((p, q, way[:, n]), (q, p, -way[:, n])):
-            far = max(gap[n], 0.0) / 2 + max(-ways @ came[:, other], 0.0)
+        for own, other, paths in ((p, q, path[:, n]), (q, p, -path[:, n])):
+            far = max(gap[n], 0.0) / 2 + max(-paths @ came[:, other], 0.0)
             heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
-            free[n, own] = (far + heavier * max(-ways @ walked[:, own] - far, 0.0), ways)
+            free[n, own] = (far + heavier * max(-paths @ walked[:, own] - far, 0.0), paths)
     step = walked.copy()
     for _ in range(3):
         over: dict[int, list[np.ndarray]] = {}
-        for (_, own), (far, ways) in free.items():
-            if -ways @ step[:, own] > far:
-                over.setdefault(own, []).append(ways * (-ways @ step[:, own] - far))
+        for (_, own), (far, paths) in free.items():
+            if -paths @ step[:, own] > far:
+                over.setdefault(own, []).append(paths * (-paths @ step[:, own] - far))
         for own, terms in over.items():
             step[:, own] += np.mean(terms, axis=0)
     part = np.ones(ROWS)
-    for (_, own), (far, ways) in free.items():
-        if -ways @ step[:, own] > far:
-            part[own] = min(part[own], far / (-ways @ step[:, own]))
+    for (_, own), (far, paths) in free.items():
+        if -paths @ step[:, own] > far:
+            part[own] = min(part[own], far / (-paths @ step[:, own]))
     return step * part
 
 
@@ -312,9 +312,9 @@ def test_steps_into_others_are_bent_and_cut(seed: int) -> None:
     rng = np.random.default_rng(seed)
     near, (agents, stand) = near_of(bodies(seed, 9.0)), agents_of(seed)
     walked, came = 3 * stand["walked"], rng.normal(0, 0.2, (3, ROWS))
-    gap, way, _ = near.before(walked)
-    short, stopped, changed = cutting.cut(near, came, agents.mass, walked, gap, way)
-    step = cut_steps(near, came, agents.mass, walked, gap, way)
+    gap, path, _ = near.before(walked)
+    short, stopped, changed = cutting.cut(near, came, agents.mass, walked, gap, path)
+    step = cut_steps(near, came, agents.mass, walked, gap, path)
     off = np.abs(walked + short - step).max(axis=0) > 1e-9
     assert off.sum() <= 2  # a step that is bent along something exactly is over it by rounding
     halted = (step**2).sum(axis=0) < 0.25 * (walked**2).sum(axis=0)
@@ -328,20 +328,20 @@ def test_steps_into_others_are_bent_and_cut(seed: int) -> None:
 
 def test_rounds_look_again_at_those_who_did_not_get_there() -> None:
     near, rng = near_of(bodies(3)), np.random.default_rng(3)
-    asked = rng.normal(0, 0.1, (3, ROWS)) * (rng.random(ROWS) < 0.7)
-    asked[:2, 5], asked[1:, 6], asked[::2, 7] = 0.0, 0.0, 0.0
-    some, wanted = rounds.led(asked)
-    assert np.array_equal(some, np.flatnonzero(asked.any(axis=0))) and np.array_equal(wanted, asked[:, some])
-    got = wanted * rng.choice([1.0, 0.99, 0.6, 0.4, 0.0], len(some))
-    before, held = near.middle.copy(), rng.random(ROWS) < 0.1
+    requested = rng.normal(0, 0.1, (3, ROWS)) * (rng.random(ROWS) < 0.7)
+    requested[:2, 5], requested[1:, 6], requested[::2, 7] = 0.0, 0.0, 0.0
+    subset, expected = rounds.led(requested)
+    assert np.array_equal(subset, np.flatnonzero(requested.any(axis=0))) and np.array_equal(expected, requested[:, subset])
+    got = expected * rng.choice([1.0, 0.99, 0.6, 0.4, 0.0], len(subset))
+    previous, held = near.middle.copy(), rng.random(ROWS) < 0.1
     was = held.copy()
-    touched = rounds.missed(near, some, wanted, got, held)
-    again = np.linalg.norm(wanted - got, axis=0) > 0.05 * near.radius[some]
-    assert np.array_equal(np.flatnonzero(touched), some[again]) and 5 < again.sum() < len(some) - 5
-    little = again & ((got * wanted).sum(axis=0) < 0.5 * (wanted**2).sum(axis=0))
-    assert np.array_equal(held, was | np.isin(np.arange(ROWS), some[little])) and little.sum() > 3
-    before[:, some] += got
-    assert np.array_equal(near.middle, before)
+    touched = rounds.missed(near, subset, expected, got, held)
+    again = np.linalg.norm(expected - got, axis=0) > 0.05 * near.radius[subset]
+    assert np.array_equal(np.flatnonzero(touched), subset[again]) and 5 < again.sum() < len(subset) - 5
+    little = again & ((got * expected).sum(axis=0) < 0.5 * (expected**2).sum(axis=0))
+    assert np.array_equal(held, was | np.isin(np.arange(ROWS), subset[little])) and little.sum() > 3
+    previous[:, subset] += got
+    assert np.array_equal(near.middle, previous)
     which = rounds.visible(near, touched)
     assert np.array_equal(which, touched[near.i] | touched[near.j])
     for k in (1, -1):  # the least overlap that counts
@@ -368,10 +368,10 @@ def test_a_crowd_stands_and_came_as_its_registers_say() -> None:
     assert np.array_equal(normal[:, to], feet[rows].T) and np.array_equal(reach[to], np.maximum(speed[rows], 0) * 0.25)
     assert np.array_equal(mass[to], np.maximum(weight[rows].astype(float), 1e-30))
     assert all((each[..., 8:] == -7).all() and (each[..., :4] == -7).all() for each in (start, walked, normal, reach, mass))
-    velocity, way = registers(rng, n), np.full((3, 9), -7.0)
-    corrections.came(rows, 4, velocity, np.float32(0.3), way)
-    assert np.array_equal(way[:, to], (np.stack(velocity)[:, rows] * np.float32(0.3)).astype(float))
-    assert (way[:, 8:] == -7).all() and (way[:, :4] == -7).all()
+    velocity, path = registers(rng, n), np.full((3, 9), -7.0)
+    corrections.came(rows, 4, velocity, np.float32(0.3), path)
+    assert np.array_equal(path[:, to], (np.stack(velocity)[:, rows] * np.float32(0.3)).astype(float))
+    assert (path[:, 8:] == -7).all() and (path[:, :4] == -7).all()
 
 
 def test_corrections_go_no_farther_than_agents_may_walk_and_take_velocity_that_led_against_them() -> None:
@@ -409,27 +409,27 @@ def test_corrections_go_no_farther_than_agents_may_walk_and_take_velocity_that_l
 
 def test_a_walk_is_asked_with_the_way_the_ground_and_how_agents_stand() -> None:
     rng, n, rows = np.random.default_rng(6), 20, np.array([1, 5, 19])
-    gone, feet, facing = rng.normal(size=(3, 3)), rng.normal(size=(n, 3)).astype(np.float32), registers(rng, n)
-    long, (way, normal) = rng.random(n).astype(np.float32), np.empty((2, 3, 3), np.float32)
+    moved, feet, facing = rng.normal(size=(3, 3)), rng.normal(size=(n, 3)).astype(np.float32), registers(rng, n)
+    long, (path, normal) = rng.random(n).astype(np.float32), np.empty((2, 3, 3), np.float32)
     (up, heading), size = np.empty((2, 3, 3)), np.empty(3)
-    corrections._asked(rows, gone, feet, facing, long, way, normal, up, heading, size)
-    assert np.array_equal(way, gone.astype(np.float32)) and np.array_equal(normal, feet[rows].T)
+    corrections._asked(rows, moved, feet, facing, long, path, normal, up, heading, size)
+    assert np.array_equal(path, moved.astype(np.float32)) and np.array_equal(normal, feet[rows].T)
     assert np.array_equal(up, feet[rows].T.astype(float)) and np.array_equal(heading, np.stack(facing)[:, rows].astype(float))
     assert np.array_equal(size, long[rows].astype(float))
 
 
 def test_who_is_stopped_faces_as_before_with_its_trunk() -> None:
-    rng, n, rows, stopped, whole = np.random.default_rng(8), 20, np.array([1, 5, 19]), np.array([0, 2, 3]), np.array([11, 15, 29])
+    rng, n, rows, stopped, total = np.random.default_rng(8), 20, np.array([1, 5, 19]), np.array([0, 2, 3]), np.array([11, 15, 29])
     up = unit(rng.normal(size=(3, n))).astype(np.float32)
-    before, heading, shift = registers(rng, n), registers(rng, n), rng.random(30)
+    previous, heading, shift = registers(rng, n), registers(rng, n), rng.random(30)
     for axis in range(3):
-        before[axis][5] = 2 * up[axis][5]  # straight up: it keeps its heading
+        previous[axis][5] = 2 * up[axis][5]  # straight up: it keeps its heading
     was, (ahead, middle) = np.stack(heading), rng.normal(size=(2, 3, 4))
     old = ahead.copy(), middle.copy()
-    separation.faced(rows, stopped, whole, before, tuple(up), heading, shift, ahead, middle)
-    for row, k, all_of_them in zip(rows, stopped, whole, strict=True):
-        wanted = unit(level(np.stack(before)[:, row].astype(float), up[:, row])) if row != 5 else was[:, 5]
-        assert np.allclose(np.stack(heading)[:, row], wanted, atol=1e-5) and np.array_equal(
+    separation.faced(rows, stopped, total, previous, tuple(up), heading, shift, ahead, middle)
+    for row, k, all_of_them in zip(rows, stopped, total, strict=True):
+        expected = unit(level(np.stack(previous)[:, row].astype(float), up[:, row])) if row != 5 else was[:, 5]
+        assert np.allclose(np.stack(heading)[:, row], expected, atol=1e-5) and np.array_equal(
             ahead[:, k], np.stack(heading)[:, row]
         )
         assert np.allclose(middle[:, k], old[1][:, k] + (ahead[:, k] - old[0][:, k]) * shift[all_of_them])
@@ -439,9 +439,9 @@ def test_who_is_stopped_faces_as_before_with_its_trunk() -> None:
 
 
 def test_rows_are_gathered() -> None:
-    made, rows = bodies(4), np.array([3, 4, 50])
+    built, rows = bodies(4), np.array([3, 4, 50])
     to = (*np.empty((3, 3, 3)), *np.empty((2, 3)))
-    single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (made.ahead, made.up)]
-    capsule_distances.gathered(rows, made.middle, *single, made.half, made.radius, to)
-    for found, wanted in zip(to, (made.middle, *map(np.stack, single), made.half, made.radius), strict=True):
-        assert np.array_equal(found, wanted[..., rows])
+    single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (built.ahead, built.up)]
+    capsule_distances.gathered(rows, built.middle, *single, built.half, built.radius, to)
+    for result, expected in zip(to, (built.middle, *map(np.stack, single), built.half, built.radius), strict=True):
+        assert np.array_equal(result, expected[..., rows])

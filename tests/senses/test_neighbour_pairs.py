@@ -24,12 +24,12 @@ RADII = {
 
 def crowd(extent: tuple[float, ...], n: int = 2000) -> tuple[list[np.ndarray], np.ndarray]:
     rng = np.random.default_rng(n)
-    places = [rng.uniform(-0.5 * e, 0.5 * e, n).astype(np.float32) for e in extent]
-    places[0][::500] = np.nan
-    places[2][1::700] = np.inf
-    for place in places:
+    positions = [rng.uniform(-0.5 * e, 0.5 * e, n).astype(np.float32) for e in extent]
+    positions[0][::500] = np.nan
+    positions[2][1::700] = np.inf
+    for place in positions:
         place[10:13] = place[9]  # four on one spot
-    return places, rng.permutation(n).astype(np.int64) * 5
+    return positions, rng.permutation(n).astype(np.int64) * 5
 
 
 def view_of(n: int) -> tuple[np.ndarray, ...]:
@@ -43,24 +43,24 @@ def all_pairs(grid: CellGrid, query, radius, who=None, view=None) -> list[tuple[
     reach = np.broadcast_to(np.float32(radius), query[0].shape)
     key = np.full(len(grid.ids), -1)
     key[grid._rows] = grid._keys
-    found = []
+    result = []
     with np.errstate(all="ignore"):
         for i in np.flatnonzero(np.isfinite(query[0]) & np.isfinite(query[1]) & np.isfinite(query[2]) & (reach >= 0)):
-            way = [place - q[i] for place, q in zip((grid.x, grid.y, grid.z), query, strict=True)]
-            distance = np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
+            path = [place - q[i] for place, q in zip((grid.x, grid.y, grid.z), query, strict=True)]
+            distance = np.sqrt((path[0] * path[0] + path[1] * path[1]) + path[2] * path[2])
             j = np.flatnonzero((distance <= reach[i]) & (key >= 0))
             j = j if who is None else j[grid.ids[j] != who[i]]
             j = j[np.lexsort((grid.ids[j], distance[j]))][: neighbours.NEIGHBOURS]
             j = j[np.lexsort((grid.ids[j], key[j]))]
             if view is not None:
-                ahead = (way[0][j] * view[0][i] + way[1][j] * view[1][i]) + way[2][j] * view[2][i]
+                ahead = (path[0][j] * view[0][i] + path[1][j] * view[1][i]) + path[2][j] * view[2][i]
                 j = j[ahead >= view[3][i] * distance[j]]
-            found.append((np.full(len(j), i), j, *(each[j] for each in (*way, distance))))
-    return [np.concatenate(column) for column in zip(*found, strict=True)]
+            result.append((np.full(len(j), i), j, *(each[j] for each in (*path, distance))))
+    return [np.concatenate(column) for column in zip(*result, strict=True)]
 
 
-def assert_same(pairs: Pairs, wanted: list[np.ndarray]) -> None:
-    for name, own in zip(Pairs.__slots__, wanted, strict=True):
+def assert_same(pairs: Pairs, expected: list[np.ndarray]) -> None:
+    for name, own in zip(Pairs.__slots__, expected, strict=True):
         assert np.array_equal(getattr(pairs, name), own), name
     assert [getattr(pairs, name).dtype.itemsize for name in Pairs.__slots__] == [8, 8, 4, 4, 4, 4]
 
@@ -68,57 +68,59 @@ def assert_same(pairs: Pairs, wanted: list[np.ndarray]) -> None:
 @pytest.mark.parametrize("radius", RADII)
 @pytest.mark.parametrize("extent", EXTENTS, ids=str)
 def test_pairs_are_all_in_reach_in_the_order_of_cells_and_ids(extent, radius) -> None:
-    places, ids = crowd(extent)
+    positions, ids = crowd(extent)
     for cell in (6.0, 80.0):
-        grid = CellGrid(*places, ids, cell)
+        grid = CellGrid(*positions, ids, cell)
         pairs = grid.pairs(None, RADII[radius])
-        assert_same(pairs, all_pairs(grid, places, RADII[radius], ids))
+        assert_same(pairs, all_pairs(grid, positions, RADII[radius], ids))
         assert pairs.i.size > 0
-    assert_same(grid.pairs(None, RADII[radius], view=view_of(2000)), all_pairs(grid, places, RADII[radius], ids, view_of(2000)))
+    assert_same(
+        grid.pairs(None, RADII[radius], view=view_of(2000)), all_pairs(grid, positions, RADII[radius], ids, view_of(2000))
+    )
 
 
 @pytest.mark.parametrize("ascending", [False, True])
 @pytest.mark.parametrize("extent", (*EXTENTS, (0, 0, 0)), ids=str)
 def test_agents_are_put_in_the_order_of_cells_and_ids(extent, ascending) -> None:
-    places, ids = crowd(extent)
+    positions, ids = crowd(extent)
     if ascending:
         ids = np.sort(ids)
     nobody = [np.full(5, np.nan, np.float32)] * 3
     for cell in (0.0, 6.0, 80.0, 5e4, np.inf):
-        for columns, names in ((places, ids), (nobody, np.arange(5)), ([np.empty(0, np.float32)] * 3, np.arange(0))):
-            found = ordered(*columns, names, cell)
+        for columns, names in ((positions, ids), (nobody, np.arange(5)), ([np.empty(0, np.float32)] * 3, np.arange(0))):
+            result = ordered(*columns, names, cell)
             rows = np.flatnonzero(np.isfinite(columns[0]) & np.isfinite(columns[1]) & np.isfinite(columns[2]))
             wide = [np.float64(column[rows]) for column in columns]
             box = [[float(each.min()) for each in wide], [float(each.max()) for each in wide]] if len(rows) else [[0.0] * 3] * 2
             shape = Shape.of(*box, cell)
             shape = shape.as_sheet() if shape.is_sheet(wide) else shape
-            assert found.shape == shape
+            assert result.shape == shape
             fast, middle, slow = (
                 np.floor((wide[axis] - low) / width).astype(int)
                 for axis, low, width in zip(shape.axes, shape.low, shape.width, strict=True)
             )
             key = (slow * shape.size[1] + middle) * shape.size[0] + fast
             order = np.lexsort((names[rows], key))
-            assert np.array_equal(found.rows, rows[order]) and np.array_equal(found.keys, key[order])
-            assert all(np.array_equal(own, column[rows[order]]) for own, column in zip(found.places, columns, strict=True))
-            assert (found.starts is None) == (shape.cells > max(1 << 16, 16 * len(rows)))
-            if found.starts is not None:
-                assert np.array_equal(found.starts, np.searchsorted(key[order], np.arange(shape.cells + 1)))
+            assert np.array_equal(result.rows, rows[order]) and np.array_equal(result.keys, key[order])
+            assert all(np.array_equal(own, column[rows[order]]) for own, column in zip(result.places, columns, strict=True))
+            assert (result.starts is None) == (shape.cells > max(1 << 16, 16 * len(rows)))
+            if result.starts is not None:
+                assert np.array_equal(result.starts, np.searchsorted(key[order], np.arange(shape.cells + 1)))
 
 
 def test_a_cell_table_too_large_to_list_is_searched() -> None:
-    places, ids = crowd(EXTENTS[4])
-    grid = CellGrid(*places, ids, 2e4)
+    positions, ids = crowd(EXTENTS[4])
+    grid = CellGrid(*positions, ids, 2e4)
     assert grid._starts is None
     pairs = grid.pairs(None, 1e5)
-    assert_same(pairs, all_pairs(grid, places, 1e5, ids))
+    assert_same(pairs, all_pairs(grid, positions, 1e5, ids))
     assert pairs.i.size > 1000
 
 
 def test_others_ask_and_some_rows_of_them() -> None:
-    places, ids = crowd(EXTENTS[0])
+    positions, ids = crowd(EXTENTS[0])
     asking, _ = crowd((500, 60, 300), 900)
-    grid = CellGrid(*places, ids, 20.0)
+    grid = CellGrid(*positions, ids, 20.0)
     named = dict(zip(("qx", "qy", "qz"), asking, strict=True))
     rows = np.array([5, 800, 800, 3, 77])
     for chosen, m in ((None, 900), (rows, 5)):
@@ -133,35 +135,37 @@ def test_others_ask_and_some_rows_of_them() -> None:
 
 def test_arrays_grow_and_several_threads_come_to_the_same(monkeypatch) -> None:
     monkeypatch.setattr(parallel, "PART", 500)
-    places, ids = crowd((90, 2, 90))
-    grid = CellGrid(*places, ids, 3.0)
+    positions, ids = crowd((90, 2, 90))
+    grid = CellGrid(*positions, ids, 3.0)
     for view in (None, view_of(2000)):
-        wanted = all_pairs(grid, places, 12.0, ids, view)
-        assert len(wanted[0]) > 3 * 8 * 2000 / (1 if view is None else 2)
+        expected = all_pairs(grid, positions, 12.0, ids, view)
+        assert len(expected[0]) > 3 * 8 * 2000 / (1 if view is None else 2)
         for threads in (1, 3):
-            assert_same(grid.pairs(None, 12.0, threads=threads, view=view), wanted)
+            assert_same(grid.pairs(None, 12.0, threads=threads, view=view), expected)
 
 
 def test_of_more_than_the_cap_the_nearest_stay() -> None:
-    places, ids = crowd((30, 1, 30))
-    places[0][1000:1400] = np.round(places[0][1000:1400])  # many as near
-    places[1][1000:1400], places[2][1000:1400] = 0.0, np.round(places[2][1000:1400])
-    for place in places:
+    positions, ids = crowd((30, 1, 30))
+    positions[0][1000:1400] = np.round(positions[0][1000:1400])  # many as near
+    positions[1][1000:1400], positions[2][1000:1400] = 0.0, np.round(positions[2][1000:1400])
+    for place in positions:
         place[1500:1800] = place[1500]  # more than the cap on one spot
-    grid = CellGrid(*places, ids, 8.0)
+    grid = CellGrid(*positions, ids, 8.0)
     for view in (None, view_of(2000)):
-        wanted = all_pairs(grid, places, 8.0, ids, view)
+        expected = all_pairs(grid, positions, 8.0, ids, view)
         for threads in (1, 2):
-            assert_same(grid.pairs(None, 8.0, view=view, threads=threads), wanted)
-    assert_same(grid.pairs(None, np.inf), all_pairs(grid, places, np.inf, ids))
-    asking = dict(zip(("qx", "qy", "qz"), (place[:50] for place in places), strict=True))
-    assert_same(grid.pairs(None, 20.0, **asking), all_pairs(grid, [place[:50] for place in places], 20.0))
+            assert_same(grid.pairs(None, 8.0, view=view, threads=threads), expected)
+    assert_same(grid.pairs(None, np.inf), all_pairs(grid, positions, np.inf, ids))
+    asking = dict(zip(("qx", "qy", "qz"), (place[:50] for place in positions), strict=True))
+    assert_same(grid.pairs(None, 20.0, **asking), all_pairs(grid, [place[:50] for place in positions], 20.0))
 
 
 def test_more_than_the_limit_within_a_radius_are_refused() -> None:
-    places, ids = crowd((30, 1, 30))
-    grid = CellGrid(*places, ids, 8.0)
-    most = max(len(np.flatnonzero(np.linalg.norm(np.stack(places) - p[:, None], axis=0) <= 8)) for p in np.stack(places).T) - 1
+    positions, ids = crowd((30, 1, 30))
+    grid = CellGrid(*positions, ids, 8.0)
+    most = (
+        max(len(np.flatnonzero(np.linalg.norm(np.stack(positions) - p[:, None], axis=0) <= 8)) for p in np.stack(positions).T) - 1
+    )
     assert most > limits.NEIGHBOURS
     for threads in (1, 2):
         with pytest.raises(TooManyWithin):
@@ -169,26 +173,26 @@ def test_more_than_the_limit_within_a_radius_are_refused() -> None:
         assert grid.pairs(None, 8.0, limit=most, threads=threads).i.size > 0
 
 
-def near_items(seen: dict, places, radius) -> list[tuple]:
+def near_items(visited: dict, positions, radius) -> list[tuple]:
     """Pairs by row and item, with their way and distance, from one item after another."""
-    found = []
-    for k in range(len(seen["x"])):
-        way = [seen[axis][k] - place for axis, place in zip("xyz", places, strict=True)]
-        distance = np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
-        found += [(i, k, *(w[i].tobytes() for w in (*way, distance))) for i in np.flatnonzero(distance <= radius)]
-    return sorted(found)
+    result = []
+    for k in range(len(visited["x"])):
+        path = [visited[axis][k] - place for axis, place in zip("xyz", positions, strict=True)]
+        distance = np.sqrt((path[0] * path[0] + path[1] * path[1]) + path[2] * path[2])
+        result += [(i, k, *(w[i].tobytes() for w in (*path, distance))) for i in np.flatnonzero(distance <= radius)]
+    return sorted(result)
 
 
 @pytest.mark.parametrize("many", [0, 1, 7, 200])
 def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, many: int) -> None:
-    places, _ = crowd((400, 10, 400), 1000)
+    positions, _ = crowd((400, 10, 400), 1000)
     rng = np.random.default_rng(4)
-    seen = {axis: rng.uniform(-200, 200, many).astype(np.float32) for axis in "xyz"}
-    for axis, values in seen.items():
+    visited = {axis: rng.uniform(-200, 200, many).astype(np.float32) for axis in "xyz"}
+    for axis, values in visited.items():
         values[: many // 50] = {"x": np.nan, "y": np.inf, "z": 3e38}[axis]
-        values[many // 50 : many // 20] = places["xyz".index(axis)][0]
-    places[0][5], places[1][6], places[2][7] = np.nan, np.inf, -3e38
-    items = type("Held", (), {"seen": seen, "__len__": lambda self: many})()
+        values[many // 50 : many // 20] = positions["xyz".index(axis)][0]
+    positions[0][5], positions[1][6], positions[2][7] = np.nan, np.inf, -3e38
+    items = type("Held", (), {"seen": visited, "__len__": lambda self: many})()
     numbers = rng.uniform(-5, 300, 1000).astype(np.float32)
     numbers[::50] = np.nan
     monkeypatch.setattr(item_pairs, "_MEASURED", 5000)
@@ -196,13 +200,13 @@ def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, 
         reach = np.broadcast_to(radius, 1000).astype(np.float32)
         monkeypatch.setattr(item_pairs, "_MANY_ITEMS", 1000)
         with np.errstate(all="ignore"):
-            wanted = near_items(seen, places, radius)
-            ways = [item_pairs.each(items, tuple(places), reach)]
-            ways += [item_pairs.along(items, tuple(places), reach)] if many else []
-            ways.append(item_pairs.items_within(items, tuple(places), radius))
-        for columns in ways:
+            expected = near_items(visited, positions, radius)
+            paths = [item_pairs.each(items, tuple(positions), reach)]
+            paths += [item_pairs.along(items, tuple(positions), reach)] if many else []
+            paths.append(item_pairs.items_within(items, tuple(positions), radius))
+        for columns in paths:
             assert [column.dtype.itemsize for column in columns] == [8, 8, 4, 4, 4, 4]
-            assert [(i, j, *(w.tobytes() for w in way)) for i, j, *way in zip(*columns, strict=True)] == wanted
+            assert [(i, j, *(w.tobytes() for w in path)) for i, j, *path in zip(*columns, strict=True)] == expected
 
 
 def test_parts_walked_side_by_side_come_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
