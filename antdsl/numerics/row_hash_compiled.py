@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
+from antdsl.machine_code.module import Module
 
 _Part = tuple[int, int, int]  # which column, how many bytes from its begin on, and from one value to the next
 

@@ -2,34 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
 
 from antdsl.machine_code.kernels.checks import Checks
-from antdsl.machine_code.kernels.ir import CHECKS, MOST, ZEROS, Function, Instruction
+from antdsl.machine_code.kernels.ir import CHECKS, MOST, ORDERS, ZEROS, Function, Instruction, parted
 from antdsl.machine_code.kernels.operations import OPS
 from antdsl.machine_code.kernels.values import Number
+from antdsl.machine_code.kinds import WIDTH
 
-_VOID = Number("void", "")
-_PREFETCH = "declare void @llvm.prefetch.p0(ptr, i32, i32, i32)"
+_ORDERS = [[k for k in range(WIDTH) if bits >> k & 1] for bits in range(1 << WIDTH)]
+_BYTES = ", ".join(f"i8 {k}" for lanes in _ORDERS for k in (*lanes, *(0,) * (WIDTH - len(lanes))))
+_TABLES = {
+    ZEROS.name: f"{ZEROS.name} = internal constant [{MOST} x i64] zeroinitializer, align 64",
+    ORDERS.name: f"{ORDERS.name} = internal constant [{WIDTH << WIDTH} x i8] [{_BYTES}]",
+}
 
 
 def rendered(functions: Sequence[Function], checks: Checks | None = None) -> list[str]:
     """The texts of functions, and of what they call of LLVM. Without `checks`, the checks in them are left out."""
-    declared = {ZEROS.name: f"{ZEROS.name} = internal constant [{MOST} x i64] zeroinitializer, align 64"}
-    texts = [_function(each, declared, checks) for each in functions]
+    declared = {ZEROS.name: _TABLES[ZEROS.name]}
+    texts = [function_text(each, declared, checks) for each in functions]
     return [*declared.values(), *texts, *([] if checks is None else [checks.text()])]
 
 
-def _function(function: Function, declared: dict[str, str], checks: Checks | None) -> str:
+def function_text(function: Function, declared: dict[str, str], checks: Checks | None = None) -> str:
+    """The text of a function. What it calls of LLVM, and the tables that it reads, are added to `declared`."""
     arguments = ", ".join(each.typed for each in function.arguments)
     lines = [f"define internal {function.result} {function.name}({arguments}) {function.attribute} {{", "entry:"]
-    lines += [line for each in function.slots for line in _lines(each, declared)]
+    lines += [_line(each, declared) for each in function.slots]
     for k, block in enumerate(function.blocks):
         if k:
             lines.append(f"{block.label}:")
         for each in block.body:
             if each.op not in CHECKS:
-                lines += _lines(each, declared)
+                lines.append(_line(each, declared))
+                if each.op == "element" and (name := each.operands[0].name) in _TABLES:
+                    declared[name] = _TABLES[name]
             elif checks is not None:
                 lines += checks.lines(function, each)
             if each.op == "call" and checks is not None:
@@ -37,14 +47,27 @@ def _function(function: Function, declared: dict[str, str], checks: Checks | Non
     return "\n".join([*lines, "}"])
 
 
-def _lines(each: Instruction, declared: dict[str, str]) -> Iterator[str]:
-    operation, result = OPS[each.op], each.result or _VOID
-    everything = ""
-    if each.op in ("call", "return"):
-        everything = ", ".join(operand.typed for operand in each.operands) or ("void" if each.op == "return" else "")
-    text = operation.text.format(*each.operands, r=result, x=each.extra, all=everything)
-    if "@llvm" in operation.text:
-        name = text[text.index("@") : text.index("(")]
-        types = ", ".join(operand.type for operand in each.operands)
-        declared[name] = _PREFETCH if each.op == "prefetch" else f"declare {result.type} {name}({types})"
-    yield f"  {text}" if each.result is None else f"  {result.name} = {text}"
+def _line(each: Instruction, declared: dict[str, str]) -> str:
+    op, result, operands, extra, _ = each
+    if op in ("jump", "branch"):  # their labels are in no other line
+        return "  " + OPS[op].text.format(*operands, x=extra)
+    text, called = _pattern(op, tuple([operand.type for operand in operands]), "void" if result is None else result.type, extra)
+    if called is not None:
+        declared.setdefault(*called)
+    text %= tuple([operand.name for operand in operands])
+    return f"  {text}" if result is None else f"  {result.name} = {text}"
+
+
+@lru_cache(maxsize=4096)
+def _pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
+    """The text of an operation on these types, with `%s` for the names of its operands; and what it calls of LLVM, with the
+    declaration."""
+    operation = OPS[op]
+    operands = [Number(base, "%s", None, lanes) for lanes, base in map(parted, types)]
+    lanes, base = parted(gives)
+    everything = ", ".join(operand.typed for operand in operands) or ("void" if op == "return" else "")
+    text = operation.text.format(*operands, r=Number(base, "", None, lanes), x=extra, all=everything)
+    if "@llvm" not in text:
+        return text, None
+    name = text[text.index("@") : text.index("(")]
+    return text, (name, f"declare {gives} {name}({', '.join(types)}{operation.more})")
