@@ -11,6 +11,7 @@ from typing import Any, Generic, NamedTuple, NoReturn, TypeVar
 
 from antdsl.machine_code.kernels.operations import CLASSES, ENDS, OPS
 from antdsl.machine_code.kernels.values import Number, text_type
+from antdsl.machine_code.kinds import WIDTH
 
 CHECKS = {  # operations that are checks, with their messages
     "index": "index out of range, or negative",
@@ -20,7 +21,9 @@ CHECKS = {  # operations that are checks, with their messages
 Value = TypeVar("Value", bound=Number)
 MOST = 64  # consecutive elements at most
 ZEROS = Number("ptr", "@zeros")  # read by inactive lanes
-ORDERS = Number("ptr", "@orders")  # bytes: for each of the 256 sets of eight lanes the numbers of its lanes, then zeros
+ORDERS = Number("ptr", "@orders")  # the bytes of `LANES_OF`
+_SETS = [[lane for lane in range(WIDTH) if bits >> lane & 1] for bits in range(1 << WIDTH)]
+LANES_OF = [[*lanes, *[0] * (WIDTH - len(lanes))] for lanes in _SETS]  # of each set of eight lanes their numbers, then zeros
 _NUMBERS = frozenset().union(*(CLASSES[each] for each in "fib"))
 _GLOBAL = {ZEROS.name: "ptr", ORDERS.name: "ptr"}
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 from antdsl.machine_code.kernels.checks import Checks
-from antdsl.machine_code.kernels.ir import CHECKS, MOST, ORDERS, ZEROS, Function, Instruction, parted
+from antdsl.machine_code.kernels.ir import CHECKS, LANES_OF, MOST, ORDERS, ZEROS, Function, Instruction, parted
 from antdsl.machine_code.kernels.operations import OPS
 from antdsl.machine_code.kernels.values import Number
 from antdsl.machine_code.kinds import WIDTH
 
-_ORDERS = [[k for k in range(WIDTH) if bits >> k & 1] for bits in range(1 << WIDTH)]
-_BYTES = ", ".join(f"i8 {k}" for lanes in _ORDERS for k in (*lanes, *(0,) * (WIDTH - len(lanes))))
+_BYTES = ", ".join(f"i8 {lane}" for lanes in LANES_OF for lane in lanes)
 _TABLES = {
     ZEROS.name: f"{ZEROS.name} = internal constant [{MOST} x i64] zeroinitializer, align 64",
     ORDERS.name: f"{ORDERS.name} = internal constant [{WIDTH << WIDTH} x i8] [{_BYTES}]",
@@ -58,7 +57,7 @@ def _line(each: Instruction, declared: dict[str, str]) -> str:
     return f"  {text}" if result is None else f"  {result.name} = {text}"
 
 
-@lru_cache(maxsize=4096)
+@cache
 def _pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
     """The text of an operation on these types, with `%s` for the names of its operands; and what it calls of LLVM, with the
     declaration."""
