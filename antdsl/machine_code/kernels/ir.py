@@ -25,6 +25,7 @@ ORDERS = Number("ptr", "@orders")  # the bytes of `LANES_OF`
 _SETS = [[lane for lane in range(WIDTH) if bits >> lane & 1] for bits in range(1 << WIDTH)]
 LANES_OF = [[*lanes, *[0] * (WIDTH - len(lanes))] for lanes in _SETS]  # of each set of eight lanes their numbers, then zeros
 _NUMBERS = frozenset().union(*(CLASSES[each] for each in "fib"))
+_OF_MORE = ENDS | {"load", "store", "call"}
 _GLOBAL = {ZEROS.name: "ptr", ORDERS.name: "ptr"}
 
 
@@ -170,25 +171,33 @@ class _Verifier:
         known, types = self.types, tuple([operand.type for operand in operands])
         for operand in operands:
             name = operand.name
-            if name[0] in "%@" and known.get(name) != operand.type:
+            if known.get(name) != operand.type and name[0] in "%@":
                 self.fail(each, f"{name} is {known.get(name, 'not known')}, not {operand.type}")
         gives = "" if result is None else result.type
         if not _fits(op, types, gives):
             self.fail(each, "types do not fit the operation")
-        if op in ("load", "store"):
-            slot = self.slots.get(operands[-1].name)
-            if slot is not None and slot[0] != "[" and slot != (gives or types[0]):
-                self.fail(each, f"the place is {slot}")
-        elif op == "call" and not self._called(extra, types, gives or "void"):
-            self.fail(each, "a call of another type than the function")
-        elif op == "return" and self.function.result != (types[0] if types else "void"):
-            self.fail(each, f"gives back {types}, not {self.function.result}")
-        elif op in ENDS and not self.labels.issuperset(extra):
-            self.fail(each, "no such block")
+        if op in _OF_MORE:
+            self._more(each, types, gives)
         if result is not None:
             if result.name in known:
                 self.fail(each, "the name is given twice")
             known[result.name] = gives
+
+    def _more(self, each: Instruction, types: tuple[str, ...], gives: str) -> None:
+        """What goes by more than types."""
+        op, _, operands, extra, _ = each
+        if op in ("load", "store"):
+            slot = self.slots.get(operands[-1].name)
+            if slot is not None and slot[0] != "[" and slot != (gives or types[0]):
+                self.fail(each, f"the place is {slot}")
+        elif op == "call":
+            if not self._called(extra, types, gives or "void"):
+                self.fail(each, "a call of another type than the function")
+        elif op == "return":
+            if self.function.result != (types[0] if types else "void"):
+                self.fail(each, f"gives back {types}, not {self.function.result}")
+        elif not self.labels.issuperset(extra):
+            self.fail(each, "no such block")
 
     def _called(self, name: str, types: tuple[str, ...], gives: str) -> bool:
         function = self.known.get(name)

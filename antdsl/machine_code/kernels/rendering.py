@@ -37,11 +37,9 @@ def function_text(function: Function, declared: dict[str, str], checks: Checks |
         for each in block.body:
             if each.op not in CHECKS:
                 lines.append(_line(each, declared))
-                if each.op == "element" and (name := each.operands[0].name) in _TABLES:
-                    declared[name] = _TABLES[name]
             elif checks is not None:
                 lines += checks.lines(function, each)
-            if each.op == "call" and checks is not None:
+            if checks is not None and each.op == "call":
                 lines += checks.after_call(function)
     return "\n".join([*lines, "}"])
 
@@ -51,10 +49,12 @@ def _line(each: Instruction, declared: dict[str, str]) -> str:
     if op in ("jump", "branch"):  # their labels are in no other line
         return "  " + OPS[op].text.format(*operands, x=extra)
     text, called = _pattern(op, tuple([operand.type for operand in operands]), "void" if result is None else result.type, extra)
+    names = tuple([operand.name for operand in operands])
     if called is not None:
         declared.setdefault(*called)
-    text %= tuple([operand.name for operand in operands])
-    return f"  {text}" if result is None else f"  {result.name} = {text}"
+    elif op == "element" and names[0] in _TABLES:
+        declared[names[0]] = _TABLES[names[0]]
+    return "  " + text % names if result is None else f"  {result.name} = {text % names}"
 
 
 @cache

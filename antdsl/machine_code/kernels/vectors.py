@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from antdsl.machine_code.kernels.ir import Builder, Value
 from antdsl.machine_code.kernels.values import Number
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import F32, WIDTH
 
 
 class Vectors(Builder[Value]):
@@ -44,12 +44,18 @@ class Vectors(Builder[Value]):
         return self.mixed(value, Number(value.kind, "poison", lanes=WIDTH), [(k + by) % WIDTH for k in range(WIDTH)])
 
     def columns(self, rows: Sequence[Number]) -> list[Value]:
-        """Of eight rows of four numbers the four columns."""
-        eight = tuple(range(WIDTH))
+        """Of eight rows of four numbers the four columns, in as few instructions as registers with lanes of this size need."""
+        eight = range(WIDTH)
+        if rows[0].kind == F32:
+            a, b, c, d = (self.mixed(rows[k], rows[k + 4], eight) for k in range(4))
+            low, high = (0, 8, 1, 9, 4, 12, 5, 13), (2, 10, 3, 11, 6, 14, 7, 15)
+            halves = [(self.mixed(a, b, order), self.mixed(c, d, order)) for order in (low, high)]
+            even, odd = (0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15)
+            return [self.mixed(x, y, order) for x, y in halves for order in (even, odd)]
         pairs = [self.mixed(rows[k], rows[k + 2], eight) for k in (0, 1, 4, 5)]
         found = []
-        for odd in (0, 1):
-            order = tuple(e + other for e in range(odd, 8, 2) for other in (0, 8))
-            a, b = (self.mixed(pairs[k], pairs[k + 1], order) for k in (0, 2))
-            found.append([self.mixed(a, b, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
-        return [found[odd][half] for half in (0, 1) for odd in (0, 1)]
+        for first in (0, 1):
+            order = tuple(e + other for e in range(first, WIDTH, 2) for other in (0, WIDTH))
+            x, y = (self.mixed(pairs[k], pairs[k + 1], order) for k in (0, 2))
+            found.append([self.mixed(x, y, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
+        return [found[first][half] for half in (0, 1) for first in (0, 1)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -182,12 +182,13 @@ class BlockWriter(Writer):
 
     # --- instructions --------------------------------------------------------------------------------------------------
 
-    @contextmanager
-    def _line(self, each: Instruction) -> Iterator[None]:
+    def _line(self, each: Instruction) -> AbstractContextManager[None]:
         """What is written within belongs to an instruction, where lines are timed."""
-        before = self.e.line
-        if self.code.lines is not None:
-            self.e.line = self.code.lines.counter(each)
+        return nullcontext() if self.code.lines is None else self._timed(self.code.lines.counter(each))
+
+    @contextmanager
+    def _timed(self, counter: int) -> Iterator[None]:
+        before, self.e.line = self.e.line, counter
         yield
         self.e.line = before
 
