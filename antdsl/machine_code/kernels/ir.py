@@ -167,7 +167,7 @@ class _Verifier:
         raise InvalidCode(f"{self.function.file}, line {each.line}, {self.function.name}: {why} ({each})")
 
     def instruction(self, each: Instruction) -> None:
-        op, result, operands, extra, _ = each
+        op, result, operands, *_ = each
         known, types = self.types, tuple([operand.type for operand in operands])
         for operand in operands:
             name = operand.name
