@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from antdsl import syntax
 from antdsl.bounded import real_path
 from antdsl.cpu_budget import CpuBudgetSpent, cpu_budget
 from antdsl.diagnostics import Report
@@ -68,6 +69,21 @@ def check_all(
     _check([file for file in files if file not in result.reports], choices, strict, parsed, result)
     result.add(Checked(sources=sources(files, parsed)))
     result.sources.sort(key=lambda source: source.path)
+    return result
+
+
+def check_text(data: bytes, choices: Choices, *, strict: bool = False, cpu_seconds: float = 0.0) -> Checked:
+    """Check one program that is not in a file. What it uses is found from the working directory."""
+    path, parsed, result = Path("<stdin>.ant"), CheckedOnce(), Checked(cpu_seconds=cpu_seconds)
+    source, report = syntax.read_bytes("<stdin>", data)
+    if source is None:
+        result.reports[path] = report
+        return result
+    file, findings = syntax.parse(source)
+    report.extend(findings)
+    parsed[os.path.realpath(path)] = file, report
+    _check([path], choices, strict, parsed, result, programs=True)
+    result.sources.append(source)
     return result
 
 

@@ -30,14 +30,15 @@ class NoCase(Exception):
 @dataclass(frozen=True, slots=True)
 class Case:
     """`make` gives the shot with so many agents (None: as many as it has). `agents`: the numbers of its table, none where it has
-    one size; `quick`: those of the first look. `bound`: the frame written by hand does the same work. `sight` (mm): within which
-    neighbours are counted. `told`: what others have reported."""
+    one size; `quick`: those of the first look. `bare`: takes from the shot what bare steps do without. `bound`: the frame written
+    by hand does the same work. `sight` (mm): within which neighbours are counted. `told`: what others have reported."""
 
     name: str
     about: str
     make: Callable[[int | None], Shot]
     agents: tuple[int, ...] = ()
     quick: tuple[int, ...] = ()
+    bare: Callable[[Shot], Shot] = lambda shot: shot
     bound: bool = False
     sight: float = 0.0
     told: str = ""
@@ -73,9 +74,12 @@ def _example(name: str) -> Callable[[int | None], Shot]:
 
 
 def _foraging(agents: int | None) -> Shot:
-    """Without contacts, as the frame that is written by hand has none."""
     small = agents is not None and agents <= FEW
-    shot = opened(example_file("foraging/scene.yaml" if small else "foraging/many.yaml"), agents)
+    return opened(example_file("foraging/scene.yaml" if small else "foraging/many.yaml"), agents)
+
+
+def _without_contacts(shot: Shot) -> Shot:
+    """As the frame that is written by hand, which has none."""
     return replace(shot, setting=replace(shot.setting, contacts="off"))
 
 
@@ -148,7 +152,15 @@ _FORAGING = (125, 1_000, 15_000, 100_000, 1_000_000)
 CASES: Mapping[str, Case] = {
     case.name: case
     for case in (
-        Case("foraging", "ants that search, carry and lay scent on hills", _foraging, _FORAGING, (1_000, 15_000), bound=True),
+        Case(
+            "foraging",
+            "ants that search, carry and lay scent on hills",
+            _foraging,
+            _FORAGING,
+            (1_000, 15_000),
+            _without_contacts,
+            bound=True,
+        ),
         Case(
             "boids",
             "three rules on a plane, about 9 neighbours each",

@@ -15,7 +15,7 @@ class Job:
     """Measure a case (by its name, or a scene by its path) with so many agents (None: as many as it has) on some backends.
 
     `turns` times each backend makes `steps` steps, in turn with the others (0: as many as take about 20 ms). `bound`: the frame
-    written by hand takes its turns too. `cache`: what it costs to write each frame is measured besides."""
+    written by hand takes its turns too. `full_run`: frames of a run, as `antdsl run` makes them, are measured besides."""
 
     case: str
     agents: int | None
@@ -24,7 +24,7 @@ class Job:
     steps: int = 0
     threads: int = 1
     bound: bool = False
-    cache: bool = False
+    full_run: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """For `from_json`."""
@@ -77,12 +77,24 @@ class SetUp:
 
 
 @dataclass(frozen=True, slots=True)
+class FullRun:
+    """Seconds of a frame of a run: cache, feet and contacts as in the scene. `cpu` and `wall`: of all threads, the writer
+    included; `step`: CPU of the same steps when nothing is written; `feet`: the part of `step` that moves feet."""
+
+    frames: int
+    cpu: float
+    wall: float
+    step: float
+    feet: float
+
+
+@dataclass(frozen=True, slots=True)
 class Measured:
     """What a process found out. Of the first backend: `set_up`, `memory` (bytes that the process grew by at most, from before the
-    binding), `cached` (CPU and wall seconds of a step whose frame goes to a cache, CPU seconds of it without) and `counts` of
-    one step (`counting`). `state`: bytes of all that is kept of the agents; `nodes`: those of the plan; `neighbours`: how many
-    others stand within the case's sight, in the mean, after the last step; `told`: what is otherwise than asked, such as that
-    NumPy has run where machine code was to be measured, each sentence after the name of its backend."""
+    binding), `full_run` and `counts` of one step (`counting`). `state`: bytes of all that is kept of agents; `nodes`: those of
+    the plan; `neighbours`: how many others stand within the case's sight, in the mean, after the last step; `told`: what is
+    otherwise than asked, such as that NumPy has run where machine code was to be measured, each sentence after the name of its
+    backend."""
 
     job: Job
     agents: int
@@ -94,7 +106,7 @@ class Measured:
     nodes: int
     counts: dict[str, int]
     neighbours: float | None = None
-    cached: tuple[float, float, float] | None = None
+    full_run: FullRun | None = None
     told: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
@@ -104,14 +116,14 @@ class Measured:
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Measured:
         """What `as_json` gave."""
-        cached = data["cached"]
+        full_run = data["full_run"]
         return Measured(
             **{
                 **data,
                 "job": Job.from_json(data["job"]),
                 "costs": {name: Cost(**cost) for name, cost in data["costs"].items()},
                 "set_up": SetUp(**data["set_up"]),
-                "cached": None if cached is None else (cached[0], cached[1], cached[2]),
+                "full_run": None if full_run is None else FullRun(**full_run),
                 "told": tuple(data.get("told", ())),
             }
         )

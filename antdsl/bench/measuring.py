@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.bench.cases import case_of
-from antdsl.bench.costs import BOUND, Cost, Job, Measured, SetUp
+from antdsl.bench.costs import BOUND, Cost, FullRun, Job, Measured, SetUp
 from antdsl.bench.counting import count_step
 from antdsl.bench.ratios import in_turn
 from antdsl.machine_code import machine
@@ -34,6 +34,7 @@ from antdsl.runtime.backends.native import ready
 WARM = 4  # steps that are not counted: the rows come into order of place after the first, kernels are loaded
 _TURN = 0.02  # seconds that a turn takes at least, where the number of steps is left open
 _MOST_STEPS = 64
+_FEWEST_FRAMES = 8  # of a run
 
 
 def measure(job: Job) -> Measured:
@@ -46,14 +47,15 @@ def _measure(job: Job) -> Measured:
     start = _packages("native" in job.backends)
     case = case_of(job.case)
     shot, compile_ = _timed(lambda: case.make(job.agents))
+    bare = case.bare(shot)
     before, _ = memory()
     options = [Options(backend=_any(name), threads=job.threads) for name in job.backends]
-    world, bound_s = _timed(lambda: bind(shot.plan, shot.setting, options[0]))
+    world, bound_s = _timed(lambda: bind(bare.plan, bare.setting, options[0]))
     _, first = _timed(lambda: step(world))
     has_code, code = _timed(lambda: with_code(world))
     worlds = {job.backends[0]: world}
     for name, each in zip(job.backends[1:], options[1:], strict=True):
-        worlds[name] = bind(shot.plan, shot.setting, each)
+        worlds[name] = bind(bare.plan, bare.setting, each)
         step(worlds[name])
         with_code(worlds[name])
     agents = len(world)
@@ -81,7 +83,7 @@ def _measure(job: Job) -> Measured:
         nodes=_nodes(shot),
         counts=count_step(world),
         neighbours=neighbours(world, case.sight) if case.sight else None,
-        cached=_cached(shot, options[0], job.turns * steps) if job.cache else None,
+        full_run=_full_run(shot, options[0], frames_of_run(once)) if job.full_run else None,
         told=tuple(dict.fromkeys(told + [f"{job.backends[0]}: {sentence}" for sentence in kept_told])),
     )
 
@@ -232,13 +234,17 @@ def neighbours(world: World, sight: float) -> float:
     return float(tree.count_neighbors(tree, sight) / tree.n - 1)
 
 
-def _cached(shot: Shot, options: Options, steps: int) -> tuple[float, float, float]:
-    """CPU and wall seconds of a step whose frame is written, after WARM frames, the thread that writes included; and CPU seconds
-    of the same steps without a cache. Feet are worked out in both, as in every run that writes."""
+def frames_of_run(step: float) -> int:
+    """How many frames of a run to measure where a bare step takes so many seconds: about two seconds, within limits."""
+    return min(max(int(2.0 / max(8.0 * step, 1e-6)), _FEWEST_FRAMES), _MOST_STEPS)
+
+
+def _full_run(shot: Shot, options: Options, frames: int) -> FullRun:
+    """So many frames of a run after WARM, then as many steps of the same world that nothing writes."""
     from antdsl.outputs.recording import begin, record
     from antdsl.scene.values import parse_frames
 
-    shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{WARM + steps}")))
+    shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{WARM + frames}")))
     with tempfile.TemporaryDirectory() as folder:
         began = (0.0, 0.0)
         recording = begin(shot, Path(folder, "cache"), options, resume=False, force=False)
@@ -246,15 +252,17 @@ def _cached(shot: Shot, options: Options, steps: int) -> tuple[float, float, flo
             if number == WARM:
                 with_code(recording.world)
                 began = process_time(), perf_counter()
-        worked, passed = process_time() - began[0], perf_counter() - began[1]
+        cpu, wall = process_time() - began[0], perf_counter() - began[1]
     world = bind(shot.plan, shot.setting, replace(options, feet=True))
     for _ in range(WARM - 1):
         step(world)
     with_code(world)
+    world.worked.clear()
 
-    def on() -> None:
-        for _ in range(steps):
+    def run() -> None:
+        for _ in range(frames):
             step(world)
 
-    _, alone = _timed(on)
-    return worked / steps, passed / steps, alone / steps
+    _, alone = _timed(run)
+    feet = world.worked.get("feet", 0.0)
+    return FullRun(frames, cpu / frames, wall / frames, alone / frames, feet / frames)

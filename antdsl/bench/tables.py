@@ -33,7 +33,8 @@ def backend_of(measured: Measured) -> str:
 
 SET_UP = ("start", "compile", "bind", "first step", "code", "code kept", "second step")
 HEADS = (
-    "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "cache, CPU ms", "feet, CPU ms",
+    "backend", "run, CPU ms", "run, wall ms", "run, frames/s", "its step, CPU ms", "its feet, CPU ms",
+    "bare step, CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound",
     "bytes per agent", "grew by, MiB", *(f"{name}, CPU s" for name in SET_UP),
 )  # fmt: skip
 
@@ -45,6 +46,16 @@ def set_up_of(found: Measured) -> list[str]:
     return ["" if each is None else f"{each:.2f}" if each >= 0.1 else f"{each:.4f}" for each in seconds]
 
 
+def full_run_of(found: Measured) -> list[str]:
+    """CPU and wall milliseconds and frames a second of a run, CPU milliseconds of its step and feet; nothing where none was
+    measured."""
+    run = found.full_run
+    if run is None:
+        return [""] * 5
+    ms = [f"{1000 * each:.2f}" for each in (run.cpu, run.wall, run.step, run.feet)]
+    return [*ms[:2], f"{1 / max(run.wall, 1e-9):.1f}", *ms[2:]]
+
+
 def whole_step(result: Result) -> list[list[str]]:
     """A row of HEADS for each backend. Bytes are those of what is kept of the agents; `grew by` is told of the process."""
     rows = []
@@ -54,12 +65,12 @@ def whole_step(result: Result) -> list[list[str]]:
         rows.append(
             [
                 name,
+                *full_run_of(found),
                 f"{cost.cpu_ms:.2f}",
                 f"{cost.wall_ms:.2f}",
                 f"{1000 / max(cost.wall_ms, 1e-9):.1f}",
                 f"{1000 * cost.cpu_ms / max(found.agents, 1):.2f}",
                 ratio_text(found.ratios(name, BOUND)) if BOUND in found.costs else "",
-                *("" if found.cached is None else f"{1000 * found.cached[k]:.2f}" for k in (0, 2)),
                 f"{found.state / max(found.agents, 1):,.0f}",
                 f"{found.memory / 2**20:,.0f}",
                 *set_up_of(found),

@@ -9,6 +9,8 @@ import os  # noqa: E402
 import shlex  # noqa: E402
 import sys  # noqa: E402
 import warnings  # noqa: E402
+from collections.abc import Callable  # noqa: E402
+from typing import NamedTuple  # noqa: E402
 
 # What starting and checking allocate stays until the end; looking through it for garbage every 700 objects is a tenth of a check.
 gc.set_threshold(100_000, 50, 50)
@@ -38,42 +40,52 @@ from antdsl.cli import (  # noqa: E402
 )
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
 from antdsl.cli.failures import failure, limit_threads, machine_failure  # noqa: E402
+from antdsl.cli.help_layout import GroupedHelp  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 
-# In the order of `antdsl --help`: what one does first comes first.
+
+class Command(NamedTuple):
+    """A command: its name, its function and an example of its use."""
+
+    name: str
+    function: Callable[..., None]
+    example: str
+
+
+# In the order of a first project: from a new folder to results.
 COMMANDS = (
-    ("new", new.new),
-    ("check", check.check),
-    ("fmt", fmt.fmt),
-    ("run", run.run),
-    ("preview", preview.preview),
-    ("test", test.test),
-    ("sweep", sweep.sweep),
-    ("render", render.render),
-    ("edit", edit.edit),
-    ("export", export.export),
-    ("jobs", jobs.jobs),
-    ("info", info.info),
-    ("body", body.body),
-    ("explain", explain.explain),
-    ("graph", graph.graph),
-    ("plan", plan.plan),
-    ("bench", bench.bench),
-    ("doctor", doctor.doctor),
-    ("lsp", lsp.lsp),
+    Command("new", new.new, "antdsl new walkers"),
+    Command("check", check.check, "antdsl check --strict"),
+    Command("fmt", fmt.fmt, "antdsl fmt ."),
+    Command("run", run.run, "antdsl run scene.yaml --frames 1..48 --out walk"),
+    Command("preview", preview.preview, "antdsl preview scene.yaml"),
+    Command("test", test.test, "antdsl test ."),
+    Command("sweep", sweep.sweep, "antdsl sweep scene.yaml --seeds 8 --vary walker.pace=20mm/s,40mm/s --out swept"),
+    Command("render", render.render, "antdsl render walk --frame 48 --out walk.png"),
+    Command("edit", edit.edit, "antdsl edit walk --smooth orient:5"),
+    Command("export", export.export, "antdsl export walk --to walk.usdc"),
+    Command("jobs", jobs.jobs, "antdsl jobs scene.yaml --chunk 24 --to openjd/scene.yaml"),
+    Command("info", info.info, "antdsl info walk"),
+    Command("body", body.body, "antdsl body ant"),
+    Command("explain", explain.explain, "antdsl explain walk --agent 17 --frame 48"),
+    Command("graph", graph.graph, "antdsl graph walker.ant --out states.svg"),
+    Command("plan", plan.plan, "antdsl plan walker.ant"),
+    Command("bench", bench.bench, "antdsl bench foraging --agents 15000"),
+    Command("doctor", doctor.doctor, "antdsl doctor"),
+    Command("lsp", lsp.lsp, "antdsl lsp"),
 )
 
 app = typer.Typer(
     name="antdsl",
+    cls=GroupedHelp,
     help="Crowds of animals from text: write behaviour in .ant files, simulate them on real ground.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _name, _function in COMMANDS:
-    app.command(_name)(_function)
+for _command_row in COMMANDS:
+    app.command(_command_row.name, epilog=f"Example: {_command_row.example}")(_command_row.function)
 
 
 def _version(value: bool) -> None:
@@ -93,7 +105,7 @@ def _trust_usd(value: bool) -> None:
 
 @app.callback()
 def _root(
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version and stop."),
+    version: bool = typer.Option(False, "--version", "-V", callback=_version, is_eager=True, help="Print the version and stop."),
     trust_usd: bool = typer.Option(
         False, "--trust-usd", callback=_trust_usd, help="Read USD files where this system has no sandbox for them."
     ),

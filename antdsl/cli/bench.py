@@ -25,7 +25,7 @@ def bench(
     pairs: int = typer.Option(20, "--pairs", min=1, max=10_000, help="Turns of each; under 20 no interval is told."),
     steps: int = typer.Option(0, "--steps", min=0, max=100_000, help="Steps in a turn; 0 takes as many as make 20 ms."),
     threads: int = typer.Option(1, "--threads", min=1, max=256, help="Threads for rays, kernels and NumPy's chunks."),
-    cache: bool = typer.Option(False, "--cache", help="Also measure steps whose frames are written to a cache."),
+    steps_only: bool = typer.Option(False, "--steps-only", help="Measure bare steps without full runs."),
     json_: Path = typer.Option(None, "--json", metavar="FILE", help="Write all that was measured; `-` prints it."),
     list_: bool = typer.Option(False, "--list", help="List the cases and stop."),
 ) -> None:
@@ -50,7 +50,7 @@ def bench(
     with words_aside(json_) as output:
         results = []
         for name, count in jobs:
-            results.append(_measured(name, count, names, pairs, steps, threads, cache))
+            results.append(_measured(name, count, names, pairs, steps, threads, not steps_only))
             _show(results[-1])
         if json_ is not None:
             import json
@@ -98,7 +98,7 @@ def _openable(name: str) -> None:
         demand(open_scene(Path(name))[1])
 
 
-def _measured(name: str, count: int | None, backends: list[str], turns: int, steps: int, threads: int, cache: bool) -> Result:
+def _measured(name: str, count: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool) -> Result:
     from antdsl.bench import CASES, Job
     from antdsl.bench.tables import Result
     from antdsl.numerics import compiled
@@ -106,7 +106,7 @@ def _measured(name: str, count: int | None, backends: list[str], turns: int, ste
 
     case = CASES.get(name)
     bound = case is not None and case.bound and benchmark_file("bound.py") is not None and compiled.available()
-    alone = [_done(Job(name, count, (each,), turns, steps, threads, bound, cache)) for each in backends]
+    alone = [_done(Job(name, count, (each,), turns, steps, threads, bound, full_run)) for each in backends]
     together = _done(Job(name, count, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
     return Result(tuple(alone), together)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from antdsl.diagnostics import Report
 
 
+STDIN = Path("-")
+
+
 class Format(StrEnum):
     full = "full"
     concise = "concise"
@@ -26,7 +30,10 @@ class Format(StrEnum):
 
 def check(
     paths: list[Path] = typer.Argument(
-        None, help="Files (.ant, .yaml), folders, or patterns such as 'shots/**/*.ant'.", show_default=False
+        None,
+        help="Files (.ant, .yaml), folders, or patterns such as 'shots/**/*.ant'; - reads a program from standard input. "
+        "[default: this folder]",
+        show_default=False,
     ),
     format: Format = typer.Option(Format.full, "--format", help="How findings are written."),
     strict: bool = typer.Option(False, "--strict", help="Warnings count as errors."),
@@ -55,19 +62,24 @@ def check(
     for wanted, flag in ((params, "--params"), (cost, "--cost"), (imports, "--imports")):
         if wanted and format not in (Format.full, Format.concise):
             raise typer.BadParameter("this is listed as text; ask for it without `--format`", param_hint=flag)
-    if not paths:
-        raise typer.BadParameter("name a file or a folder", param_hint="PATH")
-    from antdsl.checking import check_all
+    if STDIN in (paths or []) and len(paths) > 1:
+        raise typer.BadParameter("standard input is checked alone", param_hint="-")
+    from antdsl.checking import check_all, check_text
     from antdsl.cli.arguments import grants
     from antdsl.cli.printing.reports import show, verdict
+    from antdsl.diagnostics import Report
     from antdsl.diagnostics.ignoring import judged, without_ignored
     from antdsl.files import find_files
     from antdsl.numerics.cores import cores
     from antdsl.pipeline import Choices, open_scene
 
-    files, report = find_files(paths)
     choices = Choices(grants(root))
-    checked = check_all(files, choices, strict=strict, cores=cores(), programs=params or cost, cpu_seconds=cpu_limit)
+    if paths == [STDIN]:
+        checked = check_text(_standard_input(), choices, strict=strict, cpu_seconds=cpu_limit)
+        files, report = list(checked.reports), Report()
+    else:
+        files, report = find_files(paths or [Path()])
+        checked = check_all(files, choices, strict=strict, cores=cores(), programs=params or cost, cpu_seconds=cpu_limit)
     for file in files:
         report.extend(checked.reports[file])
     report = judged(report, checked.sources, strict=strict)
@@ -106,6 +118,12 @@ def check(
         warnings = len(report.diagnostics)
         tail = f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else ", nothing to complain about"
         print_result(f"checked {len(files)} file{'' if len(files) == 1 else 's'}{tail}")
+
+
+def _standard_input() -> bytes:
+    from antdsl import limits
+
+    return sys.stdin.buffer.read(limits.ANT_FILE_BYTES + 1)
 
 
 def _strict(report: Report) -> Report:

@@ -150,7 +150,7 @@ def export(
             param_hint="--scheduler",
         )
     options = (export.options[word](**given),) if word in export.options else ()
-    if word in export.each:
+    if word in export.each or not to.absolute().parent.is_dir():
         folder_to_write(to.parent, "--to")
     else:
         file_to_write(to, "--to")

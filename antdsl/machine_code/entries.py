@@ -12,9 +12,11 @@ ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
 _USUAL = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
 
 
-def entry(module: Module, name: str, body: str) -> str:
-    """The text of a function of (table of addresses, first row, row after the last) that does what a body says."""
-    return f"{outer(module, name)}define internal void @{name}.inside({ARGUMENTS}) noinline {{\nentry:\n{body}\n  ret void\n}}"
+def entry(module: Module, name: str, body: str, line_table: str = "") -> str:
+    """The text of a function of (table of addresses, first row, row after the last) that does what a body says. `line_table`: the
+    metadata of the body, if it has any."""
+    inside = f"define internal void @{name}.inside({ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
+    return outer(module, name) + inside
 
 
 def outer(module: Module, name: str) -> str:

@@ -24,6 +24,7 @@ from antdsl.bench.tables import (
     backend_of,
     between,
     from_json,
+    full_run_of,
     markdown,
     phases,
     ratio_text,
@@ -36,7 +37,6 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
 KEPT = Path(__file__).with_suffix(".json")
 SLOWEST = "reference"  # measured where few agents make few steps
 BESIDE_SLOWEST = {("foraging", 125), ("node", 500)}
-CACHED = {("foraging", 1_000), ("foraging", 15_000), ("foraging", 100_000), ("valley", 500), ("valley", 15_000)}
 TOLD = ("node", "valley", "valley_of_meshes")
 PHASED = ("foraging", "boids", "tunnel", "anthill")
 Kept = dict[str, dict[str, Any]]
@@ -48,8 +48,8 @@ def measure(name: str, agents: int | None) -> dict[str, Any]:
     fast = [backend for backend in BACKENDS if backend != SLOWEST]
     slow = [SLOWEST] if (name, agents) in BESIDE_SLOWEST else []
     turns, steps = (3, 1) if big else (20, 0)
-    bound, cache = CASES[name].bound, (name, agents) in CACHED
-    alone = [measured(Job(name, agents, (each,), turns, steps, 1, bound, cache)) for each in fast]
+    bound, full_run = CASES[name].bound, not big
+    alone = [measured(Job(name, agents, (each,), turns, steps, 1, bound, full_run)) for each in fast]
     alone += [measured(Job(name, agents, (each,), 3, 1, 1, bound)) for each in slow]
     together = measured(Job(name, agents, tuple(fast), turns, steps)) if len(fast) > 1 else None
     found = Result(tuple(alone), together)
@@ -76,7 +76,6 @@ def steps_table(found: Iterable[Result]) -> str:
         "frames a second",
         "µs per agent",
         "of the bound",
-        "with a cache, CPU ms",
     )
     rows = []
     for result in found:
@@ -92,8 +91,19 @@ def steps_table(found: Iterable[Result]) -> str:
                 f"{1000 / cost.wall_ms:.3g}",
                 f"{1000 * cost.cpu_ms / each.agents:.2f}",
                 ratio_text(each.ratios(name, BOUND)) if BOUND in each.costs else "",
-                "" if each.cached is None else f"{1000 * each.cached[0]:.1f}",
             ])  # fmt: skip
+    return markdown(heads, rows)
+
+
+def runs_table(found: Iterable[Result]) -> str:
+    """Full runs, and the bare step beside them."""
+    heads = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "its step", "its feet", "bare step, CPU ms")
+    rows = []
+    for result in found:
+        for each in result.alone:
+            if each.full_run is not None:
+                name = backend_of(each)
+                rows.append([each.job.case, f"{each.agents:,}", name, *full_run_of(each), f"{each.costs[name].cpu_ms:.2f}"])
     return markdown(heads, rows)
 
 
@@ -138,10 +148,10 @@ def told_table(found: Iterable[Result]) -> str:
                     f"{each.agents:,}",
                     backend_of(each),
                     f"{1000 / (1000 * mean(cost.wall)):.3g}",
-                    "" if each.cached is None else f"{1 / each.cached[1]:.3g}",
+                    full_run_of(each)[2],
                     CASES[each.job.case].told,
                 ])  # fmt: skip
-    return markdown(("case", "agents", "backend", "frames a second", "with a cache", "reported"), rows)
+    return markdown(("case", "agents", "backend", "frames a second", "of a full run", "reported"), rows)
 
 
 def operations_table(found: Iterable[Result]) -> str:
@@ -185,6 +195,7 @@ def write(kept: Kept) -> None:
     text = PAGE.read_text(encoding="utf-8")
     tables = {
         "machine": machines(kept),
+        "runs": runs_table(found),
         "steps": steps_table(found),
         "backends": beside_table(found),
         "set-up": set_up_table(found),

@@ -1,10 +1,10 @@
 """What it costs to write a cache: CPU time of steps whose frames are written, beside the same steps of a second world without.
 
-`python tests/benchmarks/writing.py foraging --agents 15000 100000` takes a case of `antdsl bench` with so many agents each. Feet
-are off in both worlds (they are worked out where a cache is written, and nowhere else: `antdsl bench --cache` tells what they
-cost), steps take one thread, and the thread that writes counts, with checkpoints and until the last frame of a turn is in the
-file. `--rounds` turns each of `--steps` steps, in turn; the first of each is not counted. Told are milliseconds a frame, and the
-ratio of the two with where it lies with 95 %.
+`python tests/benchmarks/writing.py foraging --agents 15000 100000` takes a case of `antdsl bench` with so many agents each.
+Feet are off in both worlds (`antdsl bench` tells what they cost in a full run), steps take one thread, and the thread that
+writes counts, with checkpoints and until the last frame of a turn is in the file. `--rounds` turns each of `--steps` steps,
+in turn; the first of each is not counted. Told are milliseconds a frame, and the ratio of the two with where it lies with 95
+%.
 
 What a write costs the system depends on the memory that it finds. A virtual machine may have given memory that is free back to
 its host (`page_reporting` of Linux): a page of that is made anew the first time that it is touched, and a file of 1.7 MB takes 2
@@ -68,7 +68,7 @@ def touch(size: int) -> None:
 def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None, *, as_it_is: bool) -> list[tuple[float, float]]:
     """CPU seconds of a frame, without a cache and with one, turn by turn. `place`: where the cache is made; `as_it_is`: whether
     memory is taken as it is."""
-    shot = case_of(case).make(agents)
+    shot = case_of(case).bare(case_of(case).make(agents))
     last = WARM + (rounds + 1) * steps + 1
     shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{last}")))
     options = Options(backend="native", threads=1)

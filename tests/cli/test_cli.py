@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -159,45 +158,24 @@ def test_words_that_a_terminal_cannot_show_are_replaced(folder: Path) -> None:
     assert done.returncode == 1 and "error[" in done.stdout
 
 
-LOOP = "n = 0\nfor i in range(3_000_000): n += i & 7"  # about a quarter of a second
-
-
-def measured(words: list[str], folder: Path) -> tuple[subprocess.CompletedProcess[str], float]:
-    """A command that has run, and how many times the processor time of a plain loop it took: others may use the machine too."""
-
-    def spent(words: list[str]) -> tuple[subprocess.CompletedProcess[str], float]:
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        env = child_environment()
-        done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=300)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return done, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-    loop = spent([sys.executable, "-c", LOOP])[1]
-    done, seconds = spent(words)
-    return done, seconds / loop
-
-
-@pytest.mark.parametrize("words", [["--help"], ["check", "walker.ant"], ["check", "scene.yaml"]])
-def test_it_starts_fast_and_without_what_it_does_not_need(folder: Path, words: list[str]) -> None:
+@pytest.mark.parametrize(("words", "most"), [(["--help"], 230), (["check", "walker.ant"], 570), (["check", "scene.yaml"], 610)])
+def test_a_command_imports_only_what_it_needs(folder: Path, words: list[str], most: int) -> None:
     code = "import sys; from antdsl.cli import _run; r = _run(); print(r, sorted(sys.modules), file=sys.stderr)"
-    most = 0.6 if words == ["--help"] else 4  # twice what was measured
-    spent: list[float] = []
-    while len(spent) < 3 and min(spent, default=most) >= most:
-        done, share = measured([sys.executable, "-c", code, *words], folder)
-        assert done.returncode == 0 and done.stderr.startswith("0 "), done.stderr[-300:]
-        spent.append(share)
-    loaded = set(re.findall(r"'([a-z0-9_]+)'", done.stderr))
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], cwd=folder, env=child_environment(), capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0 and done.stderr.startswith("0 "), done.stderr[-300:]
+    loaded = set(re.findall(r"'([a-z0-9_.]+)'", done.stderr))
     assert not loaded & {"open3d", "scipy", "trimesh", "numpy", "PIL"}
-    assert min(spent) < most, spent
+    assert len(loaded) < most
 
 
-def test_all_programs_and_scenes_of_the_repository_are_checked_in_little_time() -> None:
-    most, spent = 14.0, []  # twice what was measured
-    while len(spent) < 3 and min(spent, default=most) >= most:
-        done, share = measured([sys.executable, "-m", "antdsl", "check", ".", "--format", "json"], ROOT)
-        assert done.returncode == 1 and json.loads(done.stdout)["left_out"] > 100  # of the cases that are to be wrong
-        spent.append(share)
-    assert min(spent) < most, spent
+def test_a_check_of_the_repository_finds_the_cases_that_are_wrong() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "antdsl", "check", ".", "--format", "json"],
+        cwd=ROOT, env=child_environment(), capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 1 and json.loads(done.stdout)["left_out"] > 100
 
 
 def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:

@@ -130,7 +130,7 @@ def test_the_hooks_pass_in_the_new_project_and_look_at_what_matters(project: Pat
 def test_the_readme_of_the_project_works(project: Path) -> None:
     first = re.findall(r"```sh\n(.*?)```", FILE["README.md"], re.DOTALL)[0]
     for line in first.splitlines():
-        assert line.split()[1] in dict(COMMANDS)
+        assert line.split()[1] in [command.name for command in COMMANDS]
         if "render" not in line:  # pictures take their time; tests of their own draw them
             some = " --frames 1..4" if " run " in line else ""
             done = run_here(line + some, project)

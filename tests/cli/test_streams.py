@@ -102,7 +102,7 @@ def project_with_cache(project: Path, tmp_path_factory: pytest.TempPathFactory) 
 
 
 def test_every_command_has_an_entry() -> None:
-    assert list(USES) == [name for name, _ in COMMANDS]
+    assert list(USES) == [command.name for command in COMMANDS]
 
 
 @pytest.mark.parametrize(("name", "stream", "state"), SAMPLE)

@@ -93,8 +93,11 @@ class Source:
 
     def name_of(self, kind: str) -> str:
         """A number without a load."""
-        names = self.scope[kind]
-        return self.draw.choice(names) if names else START[kind].format("in_F64.size" if self.arrays else "1.0")
+        if names := self.scope[kind]:
+            own = self.own[kind]
+            return self.draw.choice(own if own and self.chance(0.5) else names)
+        others = [name for other in KINDS for name in self.scope[other]]
+        return START[kind].format(self.draw.choice(others) if others else "in_F64.size" if self.arrays else "1.0")
 
     def leaf(self, kind: str) -> str:
         """A number that no text has."""
@@ -115,8 +118,8 @@ class Source:
             return f"({self.of(kind, depth - 1)} if {self.of('BOOL', depth - 1)} else {self.any(kind, depth - 1)})"
         if pick < 0.34 and kind != "BOOL":
             word = self.draw.choice(("min", "max"))
-            more = f", {self.any(kind, depth - 1)}" if self.chance(0.2) else ""
-            return f"{word}({self.of(kind, depth - 1)}, {self.any(kind, depth - 1)}{more})"
+            third = f", {self.any(kind, depth - 1)}" if self.chance(0.2) else ""
+            return f"{word}({self.of(kind, depth - 1)}, {self.any(kind, depth - 1)}{third})"
         if pick < 0.38 and self.helpers:
             fitting = [each for each in self.helpers if each[2] == [kind]]
             if fitting:
@@ -203,15 +206,15 @@ class Source:
 
     def block(self, count: int, room: int) -> None:
         """Statements one level deeper, of which `room` levels may follow. What is named in it stays there."""
-        kept = {kind: list(names) for kind, names in self.scope.items()}, {kind: list(names) for kind, names in self.own.items()}
+        saved = {kind: list(names) for kind, names in self.scope.items()}, {kind: list(names) for kind, names in self.own.items()}
         self.depth += 1
-        before = len(self.lines)
+        previous = len(self.lines)
         for _ in range(count):
             self.statement(room)
-        if len(self.lines) == before:
+        if len(self.lines) == previous:
             self.put("pass")
         self.depth -= 1
-        self.scope, self.own = kept
+        self.scope, self.own = saved
 
     def statement(self, room: int) -> None:
         options = [self.assign, self.assign, self.assign, self.either]
@@ -317,6 +320,16 @@ class Source:
         else:
             self.put(f"{place} = {self.of(kind, self.draw.randint(1, 3))}")
 
+    def keep(self) -> None:
+        """Store the variables at the end of a turn: all that was done to them is seen."""
+        for kind in KINDS:
+            arrays = [name for name in OUTPUTS if (name if name in KINDS else "I64") == kind]
+            for name, place in zip(self.draw.sample(self.own[kind], min(len(self.own[kind]), len(arrays))), arrays, strict=False):
+                self.put(f"out_{place}[{self.output(place)}] = {name}")
+        if self.own["F64"] and self.chance(0.4):
+            names = [self.draw.choice(self.own["F64"]) for _ in range(3)]
+            self.put(f"put_three(out_rows, {self.output('rows')}, ({', '.join(names)}))")
+
     def rows(self) -> None:
         """Several elements at once."""
         pick = self.draw.random()
@@ -337,7 +350,7 @@ class Source:
 
     def variables(self, count: int) -> None:
         for kind in self.draw.sample(KINDS, count):
-            self.variable(kind, self.draw.choice((START[kind].format("1.0"), self.of(kind, 1))))
+            self.variable(kind, self.of(kind, self.draw.randrange(2)))
 
 
 def helper(
@@ -391,7 +404,7 @@ def kernel_of(draw: Random, name: str, daring: bool) -> list[str]:
             source.put("for slot in range(4):")
             source.put(f"    room[slot] = {source.of('F64', 1)}")
             source.scope["F64"] += [f"room[{k}]" for k in range(4)] + [f"room[{source.small(1, 3)}]"]
-    outer, before = source.own, {kind: list(names) for kind, names in source.own.items()}
+    outer, previous = source.own, {kind: list(names) for kind, names in source.own.items()}
     source.own = {kind: [] for kind in KINDS} if lanes else {kind: list(names) for kind, names in outer.items()}
     source.at, source.lanes = "i", lanes
     again = draw.random() < 0.15
@@ -405,17 +418,17 @@ def kernel_of(draw: Random, name: str, daring: bool) -> list[str]:
         source.loops = 0
     for _ in range(draw.randint(1, 3)):
         source.statement(draw.choice((1, 1, 2)))
-    source.store()
+    source.keep()
     if not lanes and source.chance(0.2):
         source.put(f"if {source.of('BOOL', 1)}:")
         source.put(f"    {source.draw.choice(('break', 'continue'))}")
     source.depth -= 2 if again else 1
     source.at, source.own = "", outer
-    scope = {kind: [each for each in outer[kind] if each in before[kind]] for kind in KINDS}
+    scope = {kind: [each for each in outer[kind] if each in previous[kind]] for kind in KINDS}
     source.scope = scope
-    given = [kind for kind in KINDS if scope[kind]]
-    if given and source.chance(0.7):
-        source.put(f"return {', '.join(source.draw.choice(scope[kind]) for kind in given)}")
+    returned_kinds = [kind for kind in KINDS if scope[kind]]
+    if returned_kinds and source.chance(0.7):
+        source.put(f"return {', '.join(source.draw.choice(scope[kind]) for kind in returned_kinds)}")
     head = f"@kernel\ndef {name}({PARAMETERS}):\n"
     return [*helpers, head + "\n".join(source.lines)]
 

@@ -55,45 +55,45 @@ def numbers(rng: np.random.Generator, name: str, count: int) -> np.ndarray:
             return np.where(extreme, rng.choice(_FLOATS, count), usual).astype(DTYPES[name])
         if name == "BOOL":
             return rng.random(count) < 0.5
-        found = np.where(extreme, rng.choice(np.array(_WHOLES), count), rng.integers(-20, 20, count))
-        return found.astype(DTYPES[name])
+        output = np.where(extreme, rng.choice(np.array(_WHOLES), count), rng.integers(-20, 20, count))
+        return output.astype(DTYPES[name])
 
 
 def inputs(seed: int, length: int) -> dict[str, Any]:
     """The arguments of a kernel, in the order of its parameters."""
     rng = np.random.default_rng(seed)
-    found: dict[str, Any] = {}
+    output: dict[str, Any] = {}
     for name in ("F64", "F32", "I64", "U64", "BOOL", "I32", "I16", "U8"):
-        found[f"in_{name}"] = numbers(rng, name, length)
-    found["rows"] = numbers(rng, "F64", 3 * length).reshape(-1, 3)
-    found["rows32"] = numbers(rng, "F32", 3 * length).reshape(-1, 3)
+        output[f"in_{name}"] = numbers(rng, name, length)
+    output["rows"] = numbers(rng, "F64", 3 * length).reshape(-1, 3)
+    output["rows32"] = numbers(rng, "F32", 3 * length).reshape(-1, 3)
     turned = numbers(rng, "F64", 3 * length).reshape(3, -1).T
-    found["strided"] = turned[::-1, ::-1] if seed % 2 else turned
-    found["cube"] = numbers(rng, "F64", 4 * length).reshape(-1, 2, 2)
-    found["table"], found["table32"] = numbers(rng, "F64", 64), numbers(rng, "F32", 64)
-    found["small"] = numbers(rng, "I64", 3)
-    found["ahead"] = numbers(rng, "F64", length + 4)
-    found["order"] = rng.permutation(length)
+    output["strided"] = turned[::-1, ::-1] if seed % 2 else turned
+    output["cube"] = numbers(rng, "F64", 4 * length).reshape(-1, 2, 2)
+    output["table"], output["table32"] = numbers(rng, "F64", 64), numbers(rng, "F32", 64)
+    output["small"] = numbers(rng, "I64", 3)
+    output["ahead"] = numbers(rng, "F64", length + 4)
+    output["order"] = rng.permutation(length)
     for name in OUTPUTS:
-        found[f"out_{name}"] = numbers(rng, name, length)
-    found["out_rows"] = numbers(rng, "F64", 3 * length).reshape(-1, 3)
-    found["x"], found["y"] = float(numbers(rng, "F64", 1)[0]), float(numbers(rng, "F32", 1)[0])
-    found["w"], found["v"], found["q"] = int(rng.choice(_WHOLES)), int(numbers(rng, "U64", 1)[0]), bool(seed % 3)
-    found["begin"], found["end"] = (min(3, length) if seed % 5 == 0 else 0), length
-    return found
+        output[f"out_{name}"] = numbers(rng, name, length)
+    output["out_rows"] = numbers(rng, "F64", 3 * length).reshape(-1, 3)
+    output["x"], output["y"] = float(numbers(rng, "F64", 1)[0]), float(numbers(rng, "F32", 1)[0])
+    output["w"], output["v"], output["q"] = int(rng.choice(_WHOLES)), int(numbers(rng, "U64", 1)[0]), bool(seed % 3)
+    output["begin"], output["end"] = (min(3, length) if seed % 5 == 0 else 0), length
+    return output
 
 
-def outcome(run: Any, given: dict[str, Any]) -> tuple[str, list[Any]]:
+def outcome(run: Any, passed: dict[str, Any]) -> tuple[str, list[Any]]:
     """The message of the error if there is one, and all that a kernel wrote and returned. The arrays are copied before."""
-    own = {name: value.copy(order="K") if isinstance(value, np.ndarray) else value for name, value in given.items()}
-    own["strided"] = given["strided"]  # whose steps a copy would not keep
+    own = {name: value.copy(order="K") if isinstance(value, np.ndarray) else value for name, value in passed.items()}
+    own["strided"] = passed["strided"]  # whose steps a copy would not keep
     try:
-        found = run(*own.values())
+        output = run(*own.values())
     except KernelFault as fault:
         return str(fault), []
     return "", [
         *(value for name, value in own.items() if name.startswith("out_")),
-        np.array(found, np.float64 if found is None else None),
+        np.array(output, np.float64 if output is None else None),
     ]
 
 
@@ -136,21 +136,21 @@ def differences(kernels: Sequence[Kernel], seed: int, daring: bool) -> Iterator[
     for number, kernel in enumerate(kernels):
         compiled, interpreted = kernel.caller(code, checked=daring), Interpreter(kernel)
         for length in (17, LENGTHS[(seed + number) % len(LENGTHS)]):
-            given = inputs(1000 * seed + number + length, length)
-            (fault, wanted), (raised, found) = outcome(interpreted, given), outcome(compiled, given)
+            passed = inputs(1000 * seed + number + length, length)
+            (fault, expected), (raised, output) = outcome(interpreted, passed), outcome(compiled, passed)
             if daring and (fault or raised):
                 if bool(fault) != bool(raised) or ("independent" not in kernel.__doc__ and fault != raised):
                     yield f"{kernel.__name__}, length {length}: {fault or 'no error'} interpreted, {raised or 'none'} compiled"
             elif fault:
                 yield f"{kernel.__name__}, length {length}: {fault}"
-            elif not all(equal(a, b) for a, b in zip(wanted, found, strict=True)):
-                pairs = [(a, b) for a, b in zip(wanted, found, strict=True) if not equal(a, b)]
+            elif not all(equal(a, b) for a, b in zip(expected, output, strict=True)):
+                pairs = [(a, b) for a, b in zip(expected, output, strict=True) if not equal(a, b)]
                 yield f"{kernel.__name__}, length {length}: interpreted\n{pairs[0][0]}\ncompiled\n{pairs[0][1]}"
 
 
 def compare(count: int, seed: int, target: str = "", show: bool = True) -> list[str]:
     """Draw so many kernels and compare them; what differs, with the sources."""
-    found: list[str] = []
+    output: list[str] = []
     with tempfile.TemporaryDirectory() as name:
         for batch in range(0, count, BATCH):
             daring = batch // BATCH % DARING_EVERY == DARING_EVERY - 1
@@ -160,12 +160,12 @@ def compare(count: int, seed: int, target: str = "", show: bool = True) -> list[
                 machine.object_code(text_of(kernels, shipped.TARGETS[target]), shipped.TARGETS[target])
                 continue
             for each in differences(kernels, seed + batch, daring):
-                found.append(f"seed {seed}, batch {batch}: {each}\n{_source(source, each.split(',')[0])}")
+                output.append(f"seed {seed}, batch {batch}: {each}\n{_source(source, each.split(',')[0])}")
                 if show:
-                    print(found[-1], flush=True)
+                    print(output[-1], flush=True)
             if show and batch // BATCH % 25 == 24:
-                print(f"{batch + BATCH} kernels, {len(found)} differences, {time.process_time():.0f} s of CPU", flush=True)
-    return found
+                print(f"{batch + BATCH} kernels, {len(output)} differences, {time.process_time():.0f} s of CPU", flush=True)
+    return output
 
 
 def _source(source: str, name: str) -> str:
@@ -181,9 +181,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--target", choices=list(shipped.TARGETS), default="", help="compile for a target, run nothing")
     options = parser.parse_args()
-    found = compare(options.count, options.seed, options.target)
-    print(f"{options.count} kernels, {len(found)} differences, {time.process_time():.0f} s of CPU")
-    return 1 if found else 0
+    output = compare(options.count, options.seed, options.target)
+    print(f"{options.count} kernels, {len(output)} differences, {time.process_time():.0f} s of CPU")
+    return 1 if output else 0
 
 
 if __name__ == "__main__":

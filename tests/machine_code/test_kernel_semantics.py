@@ -34,7 +34,7 @@ from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.units import Unit
 from antdsl.machine_code.kernels.values import Number
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code can be made here")
+pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code can be process here")
 LEAST, MOST = -(2**63), 2**63 - 1
 
 
@@ -87,9 +87,9 @@ def shifted_too_far(x: I64) -> I64:
 
 @kernel
 def outside_of_room(x: F64) -> F64:
-    room = scratch(4, F64)
-    room[4] = x
-    return room[0]
+    storage = scratch(4, F64)
+    storage[4] = x
+    return storage[0]
 
 
 @kernel
@@ -116,9 +116,9 @@ def signed_and_unsigned(x: I64, y: U64) -> U64:
 def test_what_python_would_compute_otherwise_is_rejected_with_its_line(rejected: Kernel, line: int, why: str) -> None:
     start = inspect.getsourcelines(rejected.part.function)[1]
     for read in (lambda: rejected.text(), lambda: interpret(rejected)):
-        with pytest.raises(NotInSubset, match=why) as found:
+        with pytest.raises(NotInSubset, match=why) as output:
             read()
-        assert f"{Path(__file__).name}, line {start + line}, " in str(found.value)
+        assert f"{Path(__file__).name}, line {start + line}, " in str(output.value)
 
 
 @kernel
@@ -169,10 +169,10 @@ CASES: list[tuple[Kernel, tuple[Any, ...], Any]] = [
 
 
 @pytest.mark.parametrize(
-    ("known", "given", "wanted"), CASES, ids=lambda value: value.__name__ if isinstance(value, Kernel) else None
+    ("known", "passed", "expected"), CASES, ids=lambda value: value.__name__ if isinstance(value, Kernel) else None
 )
-def test_results_are_defined(known: Kernel, given: tuple[Any, ...], wanted: Any) -> None:
-    assert repr(interpret(known, *given)) == repr(known(*given)) == repr(wanted)
+def test_results_are_defined(known: Kernel, passed: tuple[Any, ...], expected: Any) -> None:
+    assert repr(interpret(known, *passed)) == repr(known(*passed)) == repr(expected)
 
 
 @kernel
@@ -183,15 +183,15 @@ def at_index(a: Array1[F64], k: I64) -> F64:
 @kernel
 def without_value(a: Array1[F64]) -> F64:
     if a[0] > 0:
-        found = a[0]
-    return found
+        output = a[0]
+    return output
 
 
 @kernel
 def room_without_value(a: Array1[F64]) -> F64:
-    room = scratch(4, F64)
-    room[0] = a[0]
-    return room[1]
+    storage = scratch(4, F64)
+    storage[0] = a[0]
+    return storage[1]
 
 
 @pytest.mark.parametrize(
@@ -201,16 +201,16 @@ def room_without_value(a: Array1[F64]) -> F64:
         (lambda: interpret(at_index, np.ones(3), 3), "return a[k]"),
         (lambda: interpret(at_index, np.ones(0), 0), "return a[k]"),
         (lambda: interpret(quotient, 1, 0), "return x // y, x % y"),
-        (lambda: interpret(without_value, -np.ones(1)), "return found"),
-        (lambda: interpret(room_without_value, np.ones(1)), "return room[1]"),
+        (lambda: interpret(without_value, -np.ones(1)), "return output"),
+        (lambda: interpret(room_without_value, np.ones(1)), "return storage[1]"),
     ],
 )
 def test_errors_of_the_interpreter_name_the_line(run: Any, line: str) -> None:
-    with pytest.raises(KernelFault) as found:
+    with pytest.raises(KernelFault) as output:
         run()
-    number = int(str(found.value).partition(", line ")[2].partition(":")[0])
+    number = int(str(output.value).partition(", line ")[2].partition(":")[0])
     assert Path(__file__).read_text().splitlines()[number - 1].strip() == line
-    assert str(found.value).startswith(__file__)
+    assert str(output.value).startswith(__file__)
 
 
 @kernel
@@ -289,13 +289,13 @@ def test_a_checked_build_raises_errors_with_file_and_line(tmp_path: Path) -> Non
     path = tmp_path / 'bad "kernels".py'
     path.write_text(BAD)
     variables = {**child_environment(), "ANTDSL_CHECKED_KERNELS": "1", "ANTDSL_NATIVE_CACHE": str(tmp_path / "kept")}
-    made = subprocess.run([sys.executable, str(path)], env=variables, capture_output=True, text=True)
-    assert made.returncode == 0, made.stderr
+    process = subprocess.run([sys.executable, str(path)], env=variables, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
     element, stored, divided = (BAD.splitlines().index(f"{line}") + 1 for line in (
         "    return a[k]", "        to[i] = element(a, rows[i])", "    return a // b"))  # fmt: skip
     read = f"{path}, line {element}: index out of range, or negative"
     outside = f"{path}, line {stored}: index out of range, or negative"
-    assert made.stdout.splitlines() == [
+    assert process.stdout.splitlines() == [
         read, read, read, "40", read, f"9 {outside}", f"{path}, line {divided}: integer division by 0 3",
     ]  # fmt: skip
 
@@ -303,10 +303,23 @@ def test_a_checked_build_raises_errors_with_file_and_line(tmp_path: Path) -> Non
 def test_checked_code_has_a_key_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.machine_code.kernels import sources
 
-    before = usual.named(machine.ANY)
+    previous = usual.named(machine.ANY)
     monkeypatch.setattr(sources, "CHECKED", not sources.CHECKED)
-    assert usual.named(machine.ANY) != before
+    assert usual.named(machine.ANY) != previous
     assert text_of([usual], machine.ANY, checked=True) != text_of([usual], machine.ANY, checked=False)
+
+
+def test_checked_objects_have_line_tables_with_relative_file_names() -> None:
+    import llvmlite.binding as llvm
+
+    text = text_of([usual], machine.ANY, checked=True)
+    code = machine.object_code(text, machine.ANY)
+    sections = {each.name(): each.data() for each in llvm.ObjectFileRef.from_data(code).sections()}
+    assert sections[b".debug_line"]
+    assert f'!DIFile(filename: "tests/machine_code/{Path(__file__).name}", directory: "")' in text
+    source, start = inspect.getsourcelines(usual.part.function)
+    for k in range(2, len(source)):
+        assert f"!DILocation(line: {start + k}, " in text, "of each statement"
 
 
 def test_arrays_that_are_not_aligned_are_rejected() -> None:

@@ -30,7 +30,7 @@ def test_random_kernels_compile_for_every_target(target: str) -> None:
 
 
 def test_the_comparison_tells_signs_of_zero_and_types_apart() -> None:
-    given = inputs(1, 9)
+    passed = inputs(1, 9)
     zeros = np.zeros(3)
     assert equal(zeros, zeros.copy()) and not equal(zeros, -zeros) and equal(zeros + np.nan, -(zeros + np.nan))
-    assert not equal(given["in_F64"], given["in_F32"]) and not equal(given["in_I64"], given["in_I64"] + 1)
+    assert not equal(passed["in_F64"], passed["in_F32"]) and not equal(passed["in_I64"], passed["in_I64"] + 1)

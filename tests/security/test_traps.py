@@ -120,7 +120,7 @@ STARTS = {"script": (), "module": ("-m", "antdsl"), "safe": ("-P", "-m", "antdsl
 
 
 def test_every_command_has_cases() -> None:
-    assert set(CASES) == {name for name, _ in COMMANDS}
+    assert set(CASES) == {command.name for command in COMMANDS}
     assert {case.words[0] for case in ALL} == set(CASES)
 
 

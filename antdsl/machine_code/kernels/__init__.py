@@ -1,17 +1,29 @@
 """Kernels: loops over arrays that are written in a subset of Python and run as machine code.
 
 `@kernel` marks a function that is called with arrays, `@inlined` and `@called` functions that kernels call, for any types. The
-function's text is read (`ast`) and written in LLVM's language (`statements`, `expressions`, `functions`), once for the types that
-its annotations name; nothing of it runs in Python. Its operations are those of the text in their order, so its bits are those of
-the same operations of NumPy.
+function is parsed (`ast`) and translated to typed instructions (`statements`, `expressions`, `side_by_side`), once for the types
+of its annotations. The instructions are its definition: `ir` verifies them, `interpret` runs them one turn after another, and
+`rendering` writes them in LLVM's language. The table of all operations is in `operations`.
 
-The subset: whole numbers of 64 bits, float64, float32 and conditions; tuples; arrays of one to three axes, read and written by
-index (never negative); `for` over `range`, `independent`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; the
-functions of `functions`. A variable keeps the type of its first value. Nothing mixes float32 with float64 or whole numbers: a
-number of the text takes the type of the other one, if float32 has it. Whole numbers wrap around, division by 0.0 is that of IEEE
-754, and casts to whole numbers saturate. Loops over `range` of up to four numbers of the text are
-written out. `independent(begin, end)` says that no turn reads what another one writes, and lets several be done at once. Indices
-are not checked: what calls a kernel answers for them."""
+The subset: i64, u64, float64, float32 and bool; tuples; arrays of one to three axes, read and written by index; `for` over
+`range`, `independent`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; the functions of `functions`. Loops over
+`range` of up to four constants are unrolled. `independent(begin, end)` says that no turn reads what another one writes, and runs
+eight turns in the lanes of a register.
+
+Semantics, where Python or NumPy might give something else:
+
+- A variable keeps the type of its first value. float32 never mixes with float64 or integers: convert explicitly. A constant takes
+  the type of the other operand if float32 has that number; otherwise it is an error.
+- i64 and u64 wrap around. A result of constants that does not fit is an error. Shift counts are taken modulo 64.
+- `//` rounds down, and the least i64 divided by -1 wraps around. Division by 0 is an error: the interpreter and the checked build
+  report it, other builds divide by 1.
+- Floats follow IEEE 754: `1.0 / 0.0` is infinity. The sign and the bits of a NaN are not defined.
+- Casts of floats to integers truncate and saturate; NaN becomes 0.
+- `min(a, b)` is `b if b < a else a`, `max(a, b)` is `b if b > a else a`: the first value where one is NaN or both are zeros.
+- An index is 0 or more and below the length of its axis. The interpreter and the checked build report others.
+- In an `independent` loop, an index that is the same for all lanes, or the number of the turn plus such a number, must be in
+  range for inactive lanes too.
+- Reading a variable or an element of `scratch` before anything was stored to it is an error that only the interpreter reports."""
 
 from antdsl.machine_code.kernels.checks import KernelFault
 from antdsl.machine_code.kernels.functions import (

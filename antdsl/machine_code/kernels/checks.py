@@ -19,7 +19,7 @@ from antdsl.machine_code.machine import Code
 
 VARIABLE: Final = "ANTDSL_CHECKED_KERNELS"
 CHECKED: Final = os.environ.get(VARIABLE) == "1"
-_WORD, _PLACES = "fault", "fault.places"
+_WORD, _MESSAGES = "fault", "fault.places"
 _LANES, _MASK = f"<{WIDTH} x i64>", f"<{WIDTH} x i1>"
 _HELPERS = f"""@{_WORD} = global i64 0
 define internal i1 @check.index(i64 %i, i64 %length, i64 %count) alwaysinline {{
@@ -61,12 +61,12 @@ class Checks:
     """Writes the checks of the functions of one text."""
 
     def __init__(self) -> None:
-        self._places: list[str] = []
+        self._messages: list[str] = []
         self._numbers = 0
 
     def lines(self, function: Function, each: Instruction) -> list[str]:
         """A check, and the return where it fails."""
-        self._places.append(described(function.file, each.line, each.op))
+        self._messages.append(described(function.file, each.line, each.op))
         self._numbers += 1
         lines, fine = [], f"%c{self._numbers}"
         first, *others = each.operands
@@ -76,15 +76,15 @@ class Checks:
             lines.append(f"  {fine}.each = icmp ne {first.typed}, zeroinitializer")
             lines.append(f"  {fine} = call i1 @check.all({_MASK} {fine}.each, {_mask(others)})")
         elif first.wide:
-            given = f"{first.typed}, {others[0].typed}, i64 {each.extra}, {_mask(others[1:])}"
-            lines.append(f"  {fine} = call i1 @check.indices({given})")
+            passed = f"{first.typed}, {others[0].typed}, i64 {each.extra}, {_mask(others[1:])}"
+            lines.append(f"  {fine} = call i1 @check.indices({passed})")
         else:
             length = others[0].name
             for k, other in enumerate(others[1:] if each.op == "span" else ()):
                 lines.append(f"  {fine}.of{k} = mul i64 {length}, {other.name}")
                 length = f"{fine}.of{k}"
             lines.append(f"  {fine} = call i1 @check.index({first.typed}, i64 {length}, i64 {each.extra})")
-        return [*lines, *self._left(function, fine, f"  store i64 {len(self._places)}, ptr @{_WORD}")]
+        return [*lines, *self._left(function, fine, f"  store i64 {len(self._messages)}, ptr @{_WORD}")]
 
     def after_call(self, function: Function) -> list[str]:
         """Return where the called function has failed."""
@@ -95,17 +95,17 @@ class Checks:
             *self._left(function, fine),
         ]  # fmt: skip
 
-    def _left(self, function: Function, fine: str, *before: str) -> list[str]:
+    def _left(self, function: Function, fine: str, *lines: str) -> list[str]:
         label = fine[1:]
-        given = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
+        passed = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
         branch = f"  br i1 {fine}, label %{label}.fine, label %{label}.fault"
-        return [branch, f"{label}.fault:", *before, f"  {given}", f"{label}.fine:"]
+        return [branch, f"{label}.fault:", *lines, f"  {passed}", f"{label}.fine:"]
 
     def text(self) -> str:
         """Definitions that the checks of a module share."""
-        data = "\n".join(self._places).encode("utf-8", "surrogateescape") + b"\0"
+        data = "\n".join(self._messages).encode("utf-8", "surrogateescape") + b"\0"
         escaped = "".join(chr(each) if 32 <= each < 127 and each not in b'"\\' else f"\\{each:02X}" for each in data)
-        return f'{_HELPERS}\n@{_PLACES} = constant [{len(data)} x i8] c"{escaped}"'
+        return f'{_HELPERS}\n@{_MESSAGES} = constant [{len(data)} x i8] c"{escaped}"'
 
 
 def _mask(operands: list[Any]) -> str:
@@ -118,11 +118,11 @@ def guarded(run: Callable[..., Any], code: Code) -> Callable[..., Any]:
 
     @wraps(run, assigned=())
     def call(*arguments: Any) -> Any:
-        found = run(*arguments)
+        output = run(*arguments)
         if word.value:
-            place = code.told(_PLACES).split("\n")[word.value - 1]
+            message = code.told(_MESSAGES).split("\n")[word.value - 1]
             word.value = 0
-            raise KernelFault(place)
-        return found
+            raise KernelFault(message)
+        return output
 
     return call

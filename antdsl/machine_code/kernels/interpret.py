@@ -40,14 +40,14 @@ class Interpreter:
             self._codes[each.name] = Prepared(each, self._codes).code()
 
     def __call__(self, *arguments: Any) -> Any:
-        given: list[Any] = []
+        passed: list[Any] = []
         kinds = list(_kinds(self._types))
         for type, value in zip(kinds, flat(self._label, self._types, arguments), strict=True):
-            given += _array(value, type) if isinstance(type, ArrayType) else [_number(value, type)]
+            passed += _array(value, type) if isinstance(type, ArrayType) else [_number(value, type)]
         with np.errstate(all="ignore"):
-            found = run_code(self._codes[self._name], given)
+            output = run_code(self._codes[self._name], passed)
         numbers = list(leaves(self._result))
-        values = [_given(each, value) for each, value in zip(numbers, found if len(numbers) > 1 else (found,), strict=False)]
+        values = [_given(each, value) for each, value in zip(numbers, output if len(numbers) > 1 else (output,), strict=False)]
         if not numbers:
             return None
         return tuple(values) if isinstance(self._result, tuple) else values[0]
@@ -85,8 +85,8 @@ def _array(array: Any, type: ArrayType) -> list[Any]:
     """The address of an array, its lengths, and its steps if it may have any."""
     low, high = byte_bounds(array)
     start = array.__array_interface__["data"][0]
-    room = (ctypes.c_uint8 * (high - low if array.size else 0)).from_address(low)
-    memory = Memory(np.ctypeslib.as_array(room))
+    buffer = (ctypes.c_uint8 * (high - low if array.size else 0)).from_address(low)
+    memory = Memory(np.ctypeslib.as_array(buffer))
     steps = [np.int64(each // array.itemsize) for each in array.strides] if type.strided else []
     return [Pointer(memory, start - low if array.size else 0), *map(np.int64, array.shape), *steps]
 

@@ -89,9 +89,9 @@ class Builder(ABC, Generic[Value]):
 
     def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Value:
         """An instruction with a result: of as many lanes as its first operand has, unless `lanes` says otherwise."""
-        found = self.named(kind, self.name(), lanes or operands[0].lanes)
-        self.block_now.body.append(Instruction(op, found, operands, x, self.line))
-        return found
+        output = self.named(kind, self.name(), lanes or operands[0].lanes)
+        self.block_now.body.append(Instruction(op, output, operands, x, self.line))
+        return output
 
     def do(self, op: str, *operands: Number, x: Any = "", node: ast.AST | None = None) -> None:
         """An instruction without a result."""
@@ -107,9 +107,9 @@ class Builder(ABC, Generic[Value]):
         return self._alloca("s", f"[{count} x {stored}], align 64")
 
     def _alloca(self, stem: str, type: str) -> Number:
-        found = Number("ptr", self.name(stem))
-        self.slots.append(Instruction("alloca", found, (), type, 0))
-        return found
+        output = Number("ptr", self.name(stem))
+        self.slots.append(Instruction("alloca", output, (), type, 0))
+        return output
 
     def load(self, place: Number, kind: str, lanes: int = 1) -> Value:
         """What lies at an address."""

@@ -20,6 +20,7 @@ from antdsl.machine_code.kernels.calling import Told, caller, parted
 from antdsl.machine_code.kernels.checks import CHECKED, Checks, guarded
 from antdsl.machine_code.kernels.direct_text import RESULTS
 from antdsl.machine_code.kernels.ir import Function, verify
+from antdsl.machine_code.kernels.line_tables import LineTables
 from antdsl.machine_code.kernels.rendering import rendered
 from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
@@ -96,7 +97,7 @@ class Kernel:
         return found
 
     def _told(self, code: machine.Code) -> Told:
-        return Told.read(code.told(_about(self.__name__)))
+        return Told.read(code.told(_description_name(self.__name__)))
 
     def parted(self) -> Callable[..., list[Any]] | None:
         """The function that has its machine code run by a pool of workers, as `calling.parted` says; None where there is none."""
@@ -136,14 +137,14 @@ class Kernel:
 
 def text_of(kernels: Sequence[Kernel], target: machine.Target, checked: bool = CHECKED) -> str:
     """The text of several kernels with different names, in LLVM's language."""
-    unit, module = Unit(), Module(target)
-    entries = [line for each in kernels for line in _entry(each, unit, module)]
+    unit, module, tables = Unit(), Module(target), LineTables() if checked else None
+    entries = [line for each in kernels for line in _entry(each, unit, module, tables)]
     verify(unit.functions)
-    functions = rendered(unit.functions, Checks() if checked else None)
-    return "\n".join([f"; {machine.WHOLE}", module.text(), *functions, *entries]) + "\n"
+    functions = rendered(unit.functions, Checks() if checked else None, tables)
+    return "\n".join([f"; {machine.WHOLE}", module.text(), *functions, *entries, *(tables.text() if tables else [])]) + "\n"
 
 
-def _entry(kernel: Kernel, unit: Unit, module: Module) -> tuple[str, str]:
+def _entry(kernel: Kernel, unit: Unit, module: Module, tables: LineTables | None) -> tuple[str, str]:
     """The constant that describes a kernel, and the function that reads its arguments from a table and stores its results."""
     words, arrays, body = count(RESULTS), count(), list[str]()
     inputs = [_argument(each, words, body, arrays) for each in kernel.types()]
@@ -152,7 +153,9 @@ def _entry(kernel: Kernel, unit: Unit, module: Module) -> tuple[str, str]:
     found = list(leaves(result))
     if len(found) > RESULTS:
         raise TypeError(f"{kernel.__name__} gives back more than {RESULTS} numbers")
-    call = f"call {result_type(result)} {name}({arguments})"
+    code = kernel.part.function.__code__
+    line_table = "" if tables is None else tables.begin(kernel.__name__, code.co_filename, code.co_firstlineno)
+    call = f"call {result_type(result)} {name}({arguments})" + ("" if tables is None else tables.of(0))
     body.append(f"  {call}" if not found else f"  %given = {call}")
     for k, each in enumerate(found):
         value = "%given"
@@ -168,12 +171,12 @@ def _entry(kernel: Kernel, unit: Unit, module: Module) -> tuple[str, str]:
             value, stored = f"%wide{k}", "double"
         body.append(f"  %to{k} = getelementptr i64, ptr %t, i64 {k}\n  store {stored} {value}, ptr %to{k}")
     several = isinstance(result, tuple) and bool(found)
-    told = Told(tuple(each.kind for each in found), several, tuple(sorted(unit.written))).text()
-    about = f'@{_about(kernel.__name__)} = constant [{len(told) + 1} x i8] c"{told}\\00"'
-    return about, entry(module, kernel.__name__, "\n".join(body))
+    line = Told(tuple(each.kind for each in found), several, tuple(sorted(unit.written))).text()
+    constant = f'@{_description_name(kernel.__name__)} = constant [{len(line) + 1} x i8] c"{line}\\00"'
+    return constant, entry(module, kernel.__name__, "\n".join(body), line_table)
 
 
-def _about(name: str) -> str:
+def _description_name(name: str) -> str:
     """The constant that describes a kernel."""
     return f"about.{name}"
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from antdsl.machine_code.kernels.checks import Checks
 from antdsl.machine_code.kernels.ir import CHECKS, LANES_OF, MOST, ORDERS, ZEROS, Function, Instruction, parted
+from antdsl.machine_code.kernels.line_tables import LineTables
 from antdsl.machine_code.kernels.operations import OPS
 from antdsl.machine_code.kernels.values import Number
 from antdsl.machine_code.kinds import WIDTH
@@ -19,24 +20,31 @@ _TABLES = {
 }
 
 
-def rendered(functions: Sequence[Function], checks: Checks | None = None) -> list[str]:
-    """The texts of functions, and of what they call of LLVM. Without `checks`, the checks in them are left out."""
+def rendered(functions: Sequence[Function], checks: Checks | None = None, tables: LineTables | None = None) -> list[str]:
+    """The texts of functions, and of what they call of LLVM. Without `checks`, the checks in them are left out, and without
+    `tables` their lines."""
     declared = {ZEROS.name: _TABLES[ZEROS.name]}
-    texts = [function_text(each, declared, checks) for each in functions]
+    texts = [function_text(each, declared, checks, tables) for each in functions]
     return [*declared.values(), *texts, *([] if checks is None else [checks.text()])]
 
 
-def function_text(function: Function, declared: dict[str, str], checks: Checks | None = None) -> str:
+def function_text(
+    function: Function, declared: dict[str, str], checks: Checks | None = None, tables: LineTables | None = None
+) -> str:
     """The text of a function. What it calls of LLVM, and the tables that it reads, are added to `declared`."""
     arguments = ", ".join(each.typed for each in function.arguments)
-    lines = [f"define internal {function.result} {function.name}({arguments}) {function.attribute} {{", "entry:"]
-    lines += [_line(each, declared) for each in function.slots]
+    metadata = ""
+    if tables is not None:
+        first = min((each.line for block in function.blocks for each in block.body if each.line), default=1)
+        metadata = tables.begin(function.name[1:], function.file, first)
+    head = f"define internal {function.result} {function.name}({arguments}) {function.attribute}{metadata} {{"
+    lines = [head, "entry:", *(_line(each, declared) for each in function.slots)]
     for k, block in enumerate(function.blocks):
         if k:
             lines.append(f"{block.label}:")
         for each in block.body:
             if each.op not in CHECKS:
-                lines.append(_line(each, declared))
+                lines.append(_line(each, declared) if tables is None else _line(each, declared) + tables.of(each.line))
             elif checks is not None:
                 lines += checks.lines(function, each)
             if checks is not None and each.op == "call":
