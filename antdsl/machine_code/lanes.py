@@ -86,9 +86,9 @@ class LaneBuilder(Vectors[Lanes]):
 
     def at_entry(self, op: str, kind: str, *operands: Number, x: Any = "") -> Lanes:
         """An instruction where the function begins, which gives a single number."""
-        found = self.named(kind, self.name("e"))
-        self._begun.append(Instruction(op, found, operands, x, 0))
-        return found
+        output = self.named(kind, self.name("e"))
+        self._begun.append(Instruction(op, output, operands, x, 0))
+        return output
 
     def end(self, name: str, arguments: Sequence[Number], *given: Number, attribute: str = "", outer: str = "") -> None:
         """Add the function to the module, under a name. `outer`: the text of what calls it from outside."""
@@ -325,14 +325,14 @@ def elementwise(module: Module, name: str, kinds: tuple[str, ...], formula: Call
 def _minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """The lesser; NaN where one is."""
     left, right = e.paired(a, b)
-    found = e.where(left > right, right, left)
-    return found if right.known is not None else e.where(e.unordered(right), right, found)
+    output = e.where(left > right, right, left)
+    return output if right.known is not None else e.where(e.unordered(right), right, output)
 
 
 def _maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     left, right = e.paired(a, b)
-    found = e.where(left < right, right, left)
-    return found if right.known is not None else e.where(e.unordered(right), right, found)
+    output = e.where(left < right, right, left)
+    return output if right.known is not None else e.where(e.unordered(right), right, output)
 
 
 def _fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:
@@ -359,7 +359,7 @@ def _ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
 
 
 def _fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    """The exact remainder, with the sign of a. Most are less than b already, and what is not is found lane by lane."""
+    """The exact remainder, with the sign of a. Most are less than b already, and what is not is worked out lane by lane."""
     left, right = e.paired(a, b)
     result = e.slot(left.kind, WIDTH)
     e.put(result, left)

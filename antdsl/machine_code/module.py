@@ -34,13 +34,13 @@ class Module:
 
     def unit(self, entry: str) -> str:
         """A function with all that it calls, which can be compiled without the others."""
-        found: dict[str, set[str]] = {}
+        output: dict[str, set[str]] = {}
         coming = [entry]
         while coming:
             name = coming.pop()
-            if name not in found and name in self.functions:
-                found[name] = set(_NAMED.findall(self.functions[name]))
-                coming += [each[1:] for each in found[name]]
-        named = set[str]().union(*found.values())
+            if name not in output and name in self.functions:
+                output[name] = set(_NAMED.findall(self.functions[name]))
+                coming += [each[1:] for each in output[name]]
+        named = set[str]().union(*output.values())
         declared = [text for name, text in self.declared.items() if name in named]
-        return "\n".join((*declared, *(text for name, text in self.functions.items() if name in found))) + "\n"
+        return "\n".join((*declared, *(text for name, text in self.functions.items() if name in output))) + "\n"

@@ -140,8 +140,8 @@ class Prepared:
         to = -1 if each.result is None else self.place(each.result)
         method = getattr(self, f"_{each.op.partition('.')[0]}", None)
         if method is not None:
-            found: _Step = method(each, to, *places)
-            return found
+            output: _Step = method(each, to, *places)
+            return output
         function, dtype = OPS[each.op].meaning, DTYPES.get("" if each.result is None else each.result.base)
         assert function is not None
         if each.result is not None and each.result.wide:
@@ -348,10 +348,10 @@ class Prepared:
 
 def _room(extra: str) -> Callable[[], Any]:
     """What makes a place on the stack."""
-    found = _ROOM.fullmatch(extra)
-    if found is None or found[3] == "i1" or not (found[1] or found[2]):
+    output = _ROOM.fullmatch(extra)
+    if output is None or output[3] == "i1" or not (output[1] or output[2]):
         return _Slot
-    bytes_ = int(found[1] or 1) * int(found[2] or 1) * _size(found[3])
+    bytes_ = int(output[1] or 1) * int(output[2] or 1) * _size(output[3])
     return lambda: Pointer(Memory(np.zeros(bytes_, np.uint8), bytearray(b"\1") * bytes_), 0)
 
 
@@ -369,8 +369,8 @@ def _constants(number: Number) -> tuple[Any, ...]:
     if name == "poison":
         return (None,) * lanes
     texts = ["0"] * lanes if name == "zeroinitializer" else [each.split()[-1] for each in name.strip("splat <>()").split(", ")]
-    found = [_constant(Number(number.kind, text)) for text in texts]
-    return tuple(found * (lanes // len(found)))
+    output = [_constant(Number(number.kind, text)) for text in texts]
+    return tuple(output * (lanes // len(output)))
 
 
 def _constant(number: Number) -> Any:

@@ -53,9 +53,9 @@ class Vectors(Builder[Value]):
             even, odd = (0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15)
             return [self.mixed(x, y, order) for x, y in halves for order in (even, odd)]
         pairs = [self.mixed(rows[k], rows[k + 2], eight) for k in (0, 1, 4, 5)]
-        found = []
+        output = []
         for first in (0, 1):
             order = tuple(e + other for e in range(first, WIDTH, 2) for other in (0, WIDTH))
             x, y = (self.mixed(pairs[k], pairs[k + 1], order) for k in (0, 2))
-            found.append([self.mixed(x, y, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
-        return [found[first][half] for half in (0, 1) for first in (0, 1)]
+            output.append([self.mixed(x, y, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
+        return [output[first][half] for half in (0, 1) for first in (0, 1)]
