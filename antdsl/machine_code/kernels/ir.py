@@ -1,4 +1,4 @@
-"""The intermediate representation of kernels: functions of typed instructions in blocks, with a builder and a verifier."""
+"""The intermediate representation of kernels and plans: functions of typed instructions in blocks, with a builder and a verifier."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of all operations of kernels: types, text in LLVM's language, and the meaning of one lane in Python.
+"""The table of all operations of kernels and plans: types, text in LLVM's language, and the meaning of one lane in Python.
 
 Types are those of LLVM: integers have no sign, operations do (`sdiv`, `udiv`). Operations on numbers apply to each lane, so one
 row is both the scalar and the vector form. Results are exact, or rounded once to nearest, ties to even:
@@ -125,7 +125,7 @@ def _functions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[s
 
 
 def _reductions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    """What is found of all lanes; the meanings are functions of two."""
+    """One number of all lanes; the meanings are functions of two."""
     text = "call {r.type} @llvm.vector.reduce.NAME.{0.suffix}({0.typed})"
     return {
         f"reduce.{name}": Operation(takes, takes, text.replace("NAME", name), meaning, lanewise=False)
