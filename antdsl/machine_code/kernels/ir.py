@@ -1,4 +1,4 @@
-"""The intermediate representation of kernels and plans: functions of typed instructions in blocks, with a builder and a verifier."""
+"""The typed instructions of kernels and plans: functions of blocks, with a builder and a verifier."""
 
 from __future__ import annotations
 
