@@ -5,7 +5,8 @@ function that is called sets the register of that and calls another one with the
 
 from __future__ import annotations
 
-from antdsl.machine_code.lanes import I32, I64, PTR, Module
+from antdsl.machine_code.kinds import I32, I64, PTR
+from antdsl.machine_code.module import Module
 
 ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
 _USUAL = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
@@ -14,12 +15,15 @@ _USUAL = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
 def entry(module: Module, name: str, body: str, line_table: str = "") -> str:
     """The text of a function of (table of addresses, first row, row after the last) that does what a body says. `line_table`: the
     metadata of the body, if it has any."""
+    inside = f"define internal void @{name}.inside({ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
+    return outer(module, name) + inside
+
+
+def outer(module: Module, name: str) -> str:
+    """The text of the function that is called from outside, and calls the one with the work: `.inside` behind its name."""
     before, after = _x86(module) if module.target.x86 else _arm(module) if module.target.arm else ("", "")
     call = f"  call void @{name}.inside({ARGUMENTS})"
-    return (
-        f"define void @{name}({ARGUMENTS}) {{\nentry:\n{before}{call}\n{after}  ret void\n}}\n"
-        f"define internal void @{name}.inside({ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
-    )
+    return f"define void @{name}({ARGUMENTS}) {{\nentry:\n{before}{call}\n{after}  ret void\n}}\n"
 
 
 def _x86(module: Module) -> tuple[str, str]:

@@ -1,59 +1,46 @@
-"""Values of eight agents at once, as text in the intermediate language of LLVM.
+"""Values of eight agents at once, and what writes the functions of a plan with them.
 
-`Lanes` answers to the operators and to the NumPy functions that the project's own kernels are written with (`meanings`): a
-function of `numerics` that is called with lanes instead of arrays writes down its operations, in the order and with the
-roundings that NumPy gives them. So each operation has one meaning for both."""
+`Lanes` answers to the operators and to the NumPy functions that the project's own formulas are written with (`_OF_NUMPY`): a
+function of `numerics` that is called with lanes instead of arrays adds its operations, in the order and with the roundings that
+NumPy gives them. So each operation has one meaning for both."""
 
 from __future__ import annotations
 
-import re
-import struct
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from antdsl.machine_code.machine import Target
+from antdsl.machine_code.kernels.ir import Function, Instruction, verify
+from antdsl.machine_code.kernels.rendering import function_text
+from antdsl.machine_code.kernels.values import Number, text_type
+from antdsl.machine_code.kernels.vectors import Vectors
+from antdsl.machine_code.kinds import BITS, BOOL, F32, F64, FLOATS, I8, I32, I64, PTR, TYPES, WIDTH, literal
+from antdsl.machine_code.module import Module
 
-WIDTH = 8
-F32, F64, BOOL, I8, I32, I64, PTR = "float", "double", "i1", "i8", "i32", "i64", "ptr"
-TYPES: Mapping[Any, str] = {
-    np.dtype(np.float32): F32, np.dtype(np.float64): F64, np.dtype(np.bool_): BOOL, np.dtype(np.int32): I32,
-    np.dtype(np.int64): I64, np.dtype(np.uint64): I64, np.dtype(np.intp): I64, np.dtype(np.int8): I8, np.dtype(np.uint8): I8,
-}  # fmt: skip
-FLOATS = (F32, F64)
-MANGLED = {F32: "f32", F64: "f64", BOOL: "i1", I8: "i8", I32: "i32", I64: "i64", PTR: "p0"}
-BITS = {BOOL: 1, I8: 8, I32: 32, I64: 64}
+_COMPARED = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}  # rows of whole numbers
+_MAGIC = 6755399441055744.0  # 1.5 * 2**52: in a sum with it a whole number stands in the last bits
 
 
-def literal(value: Any, kind: str) -> str:
-    """A number in the intermediate language; of a float the bits."""
-    if kind in FLOATS:
-        number = float(np.float32(value)) if kind == F32 else float(value)
-        return f"0x{struct.unpack('>Q', struct.pack('>d', number))[0]:016X}"
-    if kind == BOOL:
-        return "true" if value else "false"
-    whole = int(value)
-    return str(whole - (1 << 64) if kind == I64 and whole >= 1 << 63 else whole)
+def _operator(word: str, *, swapped: bool = False) -> Callable[[Lanes, Any], Lanes]:
+    if swapped:
+        return lambda self, other: self.e.binary(word, other, self)
+    return lambda self, other: self.e.binary(word, self, other)
 
 
-class Lanes:
-    """A value of each lane, or with `one` a single value; `name` is what the text calls it."""
+class Lanes(Number):
+    """A number of a plan's function: one of each of eight agents, or a single one, which operators put into each lane where the
+    other one is wide."""
 
-    __slots__ = ("constant", "e", "kind", "name", "one")
+    __slots__ = ("e",)
+    e: LaneBuilder
     ndim = 1
 
-    def __init__(self, e: Any, kind: str, name: str, *, one: bool = False, constant: bool = False) -> None:
-        self.e, self.kind, self.name, self.one, self.constant = e, kind, name, one, constant
-
-    @property
-    def type(self) -> str:
-        return self.kind if self.one else f"<{WIDTH} x {self.kind}>"
-
-    @property
-    def typed(self) -> str:
-        return f"{self.type} {self.name}"
+    def __init__(self, e: LaneBuilder, kind: str, name: str, lanes: int, known: Any) -> None:
+        self.e, self.kind, self.name, self.known, self.lanes, self.first = e, kind, name, known, lanes, None
+        self.type = text_type(kind, lanes)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__" or any(value is not None for value in options.values()):
@@ -64,134 +51,347 @@ class Lanes:
         return NotImplemented if options else self.e.meaning(function, *inputs)
 
     def astype(self, dtype: Any) -> Lanes:
-        found: Lanes = self.e.convert(self, TYPES[np.dtype(dtype)])
-        return found
-
-    def __add__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.arithmetic("add", self, other)
-        return found
-
-    def __radd__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.arithmetic("add", other, self)
-        return found
-
-    def __sub__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.arithmetic("sub", self, other)
-        return found
-
-    def __rsub__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.arithmetic("sub", other, self)
-        return found
-
-    def __mul__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.arithmetic("mul", self, other)
-        return found
-
-    def __rmul__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.arithmetic("mul", other, self)
-        return found
-
-    def __truediv__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.arithmetic("div", self, other)
-        return found
-
-    def __rtruediv__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.arithmetic("div", other, self)
-        return found
+        return self.e.convert(self, TYPES[np.dtype(dtype)])
 
     def __neg__(self) -> Lanes:
-        found: Lanes = self.e.op(f"fneg {self.typed}", self.kind)
-        return found
-
-    def __and__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.bitwise("and", self, other)
-        return found
-
-    def __or__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.bitwise("or", self, other)
-        return found
-
-    def __xor__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.bitwise("xor", self, other)
-        return found
-
-    __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
-
-    def __rshift__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.bitwise("lshr", self, other)
-        return found
-
-    def __lshift__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.bitwise("shl", self, other)
-        return found
+        return self.e.op("fneg", self.kind, self)
 
     def __invert__(self) -> Lanes:
-        found: Lanes = self.e.bitwise("xor", self, True if self.kind == BOOL else -1)
-        return found
+        return self.e.binary("xor", self, True if self.kind == BOOL else -1)
 
-    def __lt__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.compare("lt", self, other)
-        return found
-
-    def __le__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.compare("le", self, other)
-        return found
-
-    def __gt__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.compare("gt", self, other)
-        return found
-
-    def __ge__(self, other: Any) -> Lanes:
-        found: Lanes = self.e.compare("ge", self, other)
-        return found
-
-    def __eq__(self, other: object) -> Lanes:  # type: ignore[override]  # as arrays do
-        found: Lanes = self.e.compare("eq", self, other)
-        return found
-
-    def __ne__(self, other: object) -> Lanes:  # type: ignore[override]
-        found: Lanes = self.e.compare("ne", self, other)
-        return found
-
+    __add__, __radd__ = _operator("add"), _operator("add", swapped=True)
+    __sub__, __rsub__ = _operator("sub"), _operator("sub", swapped=True)
+    __mul__, __rmul__ = _operator("mul"), _operator("mul", swapped=True)
+    __truediv__, __rtruediv__ = _operator("div"), _operator("div", swapped=True)
+    __and__ = __rand__ = _operator("and")
+    __or__ = __ror__ = _operator("or")
+    __xor__ = __rxor__ = _operator("xor")
+    __rshift__, __lshift__ = _operator("lshr"), _operator("shl")
+    __lt__, __le__, __gt__, __ge__ = _operator("lt"), _operator("le"), _operator("gt"), _operator("ge")
+    __eq__, __ne__ = _operator("eq"), _operator("ne")  # type: ignore[assignment]  # as arrays do
     __hash__ = None  # type: ignore[assignment]
 
 
-_NAMED = re.compile(r"@([\w.]+)")
+class LaneBuilder(Vectors[Lanes]):
+    """Writes one function. Blocks nest: what an inner block names is not known outside it, so `known` is a stack."""
+
+    def __init__(self, module: Module) -> None:
+        super().__init__("plan", "plan")
+        self.module = module
+        self.known: list[dict[Any, Any]] = [{}]
+        self._begun: list[Instruction] = []  # where the function begins
+
+    def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Lanes:
+        return Lanes(self, kind, name, lanes, known)
+
+    def at_entry(self, op: str, kind: str, *operands: Number, x: Any = "") -> Lanes:
+        """An instruction where the function begins, which gives a single number."""
+        output = self.named(kind, self.name("e"))
+        self._begun.append(Instruction(op, output, operands, x, 0))
+        return output
+
+    def end(self, name: str, arguments: Sequence[Number], *given: Number, attribute: str = "", outer: str = "") -> None:
+        """Add the function to the module, under a name. `outer`: the text of what calls it from outside."""
+        self.do("return", *given)
+        self.blocks[0].body[:0] = self._begun
+        result, whole = given[0].type if given else "void", f"@{name}.inside" if outer else f"@{name}"
+        made = Function(whole, self.file, list(arguments), attribute, result, self.slots, self.blocks)
+        verify([made], self.module.made)
+        self.module.functions[name] = outer + function_text(made, self.module.declared)
+        self.module.made[whole] = replace(made, slots=[], blocks=[])
+        self.blocks, self._begun, self.known = [], [], []  # they refer to this
+
+    @contextmanager
+    def inside(self, condition: Lanes) -> Iterator[None]:
+        """What is written within runs only where a single condition holds."""
+        then, done = self.label("then"), self.label("done")
+        self.branch(condition, then, done)
+        self.begin(then)
+        self.known.append({})
+        yield
+        self.known.pop()
+        self.jump(done)
+        self.begin(done)
+
+    @contextmanager
+    def loop(self, count: Lanes | int, step: int = 1) -> Iterator[Lanes]:
+        """Runs for numbers from 0 to below a single i64, by `step`; gives the number."""
+        head, body, done = self.label("head"), self.label("body"), self.label("done")
+        place = self.slot(I64)
+        self.put(place, self.constant(0, I64, 1))
+        self.jump(head)
+        self.begin(head)
+        number = self.load(place, I64)
+        self.branch(number < count, body, done)
+        self.begin(body)
+        self.known.append({})
+        yield number
+        self.known.pop()
+        self.put(place, number + step)
+        self.jump(head)
+        self.begin(done)
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """A value that this block or one around it knows already, or makes now."""
+        for names in reversed(self.known):
+            if key in names:
+                return names[key]
+        value = self.known[-1][key] = make()
+        return value
+
+    def call(self, name: str, kind: str, *arguments: Number, lanes: int = WIDTH) -> Lanes:
+        """Call a function of the module that gives a number."""
+        return self.op("call", kind, *arguments, x=f"@{name}", lanes=lanes)
+
+    def meaning(self, function: Any, *inputs: Any) -> Any:
+        """What a NumPy function does to lanes."""
+        return _OF_NUMPY[function](self, *inputs) if function in _OF_NUMPY else NotImplemented
+
+    # --- values --------------------------------------------------------------------------------------------------------
+
+    def constant(self, value: Any, kind: str, lanes: int = WIDTH) -> Lanes:
+        text = literal(value, kind)
+        return self.named(kind, text if lanes == 1 else f"splat ({kind} {text})", lanes, value)
+
+    def iota(self) -> Lanes:
+        """The number of each lane."""
+        return self.named(I64, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", WIDTH)
+
+    def _number(self, value: Any, like: Lanes) -> Lanes:
+        """A value for an operation with another one: numbers of Python take its kind, as in NumPy."""
+        if isinstance(value, Lanes):
+            return value
+        kind = like.kind
+        if isinstance(value, np.generic):
+            kind = TYPES[value.dtype]
+        elif isinstance(value, float) and kind not in FLOATS:
+            kind = F64
+        return self.constant(value, kind, like.lanes)
+
+    def paired(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
+        """Two values of one kind, that which NumPy gives to what becomes of them; both wide if one is."""
+        left, right = (a, self._number(b, a)) if isinstance(a, Lanes) else (self._number(a, b), b)
+        if left.lanes != right.lanes:
+            left, right = self.widened(left), self.widened(right)
+        if left.kind == right.kind:
+            return left, right
+        kinds = {left.kind, right.kind}
+        if F64 in kinds or kinds <= {F32, I32, I64}:
+            kind = F64
+        elif F32 in kinds:
+            kind = F32
+        else:
+            kind = I64 if I64 in kinds else I32
+        return self.convert(left, kind), self.convert(right, kind)
+
+    def binary(self, word: str, a: Any, b: Any) -> Lanes:
+        """An operation or a comparison of two values, by its name in `OPS` without the letter for the kind."""
+        left, right = self.paired(a, b)
+        row = f"f{word}" if left.kind in FLOATS else _COMPARED.get(word, word)
+        return self.op(row, BOOL if word in _COMPARED else left.kind, left, right)
+
+    def between(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
+        """A value cut to bounds that are numbers."""
+        above = self.where(value > low, value, low)
+        return self.where(above < high, above, high)
+
+    def unordered(self, a: Lanes) -> Lanes:
+        """Where a value is NaN."""
+        return self.op("fno", BOOL, a, a)
+
+    def where(self, condition: Lanes, then: Any, other: Any) -> Lanes:
+        if not isinstance(then, Lanes) and not isinstance(other, Lanes):
+            # as NumPy does for two numbers of Python
+            kind = F64 if isinstance(then, float) or isinstance(other, float) else I64
+            then = self.constant(then, kind, condition.lanes)
+        a, b = self.paired(then, other)
+        if condition.wide or a.wide:
+            condition, a, b = self.widened(condition), self.widened(a), self.widened(b)
+        return self.op("select", a.kind, condition, a, b)
+
+    def convert(self, value: Lanes, kind: str) -> Lanes:
+        """As NumPy's `astype`; floats saturate, and NaN becomes 0."""
+        if value.kind == kind:
+            return value
+        if kind == BOOL:
+            return value != 0
+        if value.kind in FLOATS:
+            row = "fptosi" if kind not in FLOATS else "fpext" if kind == F64 else "fptrunc"
+        elif kind in FLOATS:
+            row = "uitofp" if value.kind == BOOL else "sitofp"
+        elif BITS[kind] < BITS[value.kind]:
+            row = "trunc"
+        else:
+            row = "zext" if value.kind == BOOL else "sext"
+        return self.op(row, kind, value)
+
+    def whole(self, value: Lanes) -> Lanes:
+        """A whole number of float64 below 2**31 as i32, by its bits once 1.5 * 2**52 is added: of any other some number, none is
+        undefined."""
+        return self.convert(self.bits(value + _MAGIC, I64), I32)
+
+    def rounded_bits(self, value: Lanes) -> Lanes:
+        """A whole number of float64 below 2**51 as i64."""
+        return self.bits(np.rint(value) + _MAGIC, I64) - self.bits(self.constant(_MAGIC, F64), I64)
+
+    def bits(self, value: Lanes, kind: str) -> Lanes:
+        """The same bits as another kind of one width."""
+        return self.op("bitcast", kind, value)
+
+    def some(self, mask: Lanes) -> Lanes:
+        """Whether a condition holds in some lane."""
+        return self.mask_bits(mask) != 0
+
+    def mask_bits(self, mask: Lanes) -> Lanes:
+        """A condition as bits of one i8, the first lane's the lowest."""
+        return self.op("lanes", I8, mask, lanes=1)
+
+    def mask_word(self, mask: Lanes) -> Lanes:
+        """The same as i64."""
+        return self.op("zext", I64, self.mask_bits(mask))
+
+    def of_bits(self, bits: Lanes) -> Lanes:
+        """A condition from the bits of one i8."""
+        return self.op("mask", BOOL, bits, lanes=WIDTH)
+
+    def has_bit(self, word: Lanes, lane: Lanes) -> Lanes:
+        """Whether a bit of a single i64 is 1."""
+        return self.op("trunc", BOOL, word >> lane)
+
+    def greatest(self, value: Lanes) -> Lanes:
+        """The greatest of eight whole numbers."""
+        return self.op("reduce.smax", value.kind, value, lanes=1)
+
+    # --- memory --------------------------------------------------------------------------------------------------------
+
+    def address(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
+        """Where the element of a single index lies."""
+        if isinstance(index, int):
+            index = self.constant(index, I64, 1)
+        return self.op("element", PTR, base, index, x=kind)
+
+    def field(self, base: Number, offset: int) -> Lanes:
+        """The address so many bytes behind another."""
+        return self.address(base, offset, I8)
+
+    def read(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
+        """Eight elements from an index on; bytes as conditions for BOOL."""
+        stored = I8 if kind == BOOL else kind
+        value = self.op("load", stored, self.address(base, index, stored), x=", align 1", lanes=WIDTH)
+        return self.convert(value, kind)
+
+    def write(self, base: Number, index: Lanes | int, value: Lanes) -> None:
+        """Put eight elements from an index on; conditions as bytes."""
+        stored = self.as_stored(value)
+        place = self.address(base, index, stored.kind)
+        self.do("store", self.widened(stored), place, x=", align 1")
+
+    def write_where(self, mask: Lanes, base: Number, index: Lanes, value: Lanes) -> None:
+        """Put those of eight elements for which a condition holds. Nobody else may write to the eight meanwhile."""
+        stored = self.as_stored(value)
+        place = self.address(base, index, stored.kind)
+        before = self.op("load", stored.kind, place, x=", align 1", lanes=WIDTH)
+        self.do("store", self.where(mask, stored, before), place, x=", align 1")
+
+    def as_stored(self, value: Lanes) -> Lanes:
+        """A condition as a byte, anything else as it is."""
+        return self.convert(value, I8) if value.kind == BOOL else value
+
+    def fetch(self, place: Number) -> None:
+        """Have what lies at an address, which may be any, brought into the cache."""
+        self.do("prefetch", place)
+
+    def read_one(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
+        stored = I8 if kind == BOOL else kind
+        return self.convert(self.load(self.address(base, index, stored), stored), kind)
+
+    def gather(self, base: Number, index: Lanes, kind: str) -> Lanes:
+        """Elements of an array at indices, which must lie in it: eight single loads, which many processors do faster than their
+        instruction for it."""
+        stored = I8 if kind == BOOL else kind
+        each = (self.read_one(base, self.convert(self.one(index, lane), I64), stored) for lane in range(WIDTH))
+        return self.convert(self.together(each), kind)
 
 
-class Module:
-    """Functions and declarations of a compilation for a processor."""
+def elementwise(module: Module, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
+    """Add a function of lanes that does what a formula of NumPy does, unless it is there; gives its name."""
+    if name not in module.functions:
+        e = LaneBuilder(module)
+        inputs = [e.named(kind, f"%x{k}", WIDTH) for k, kind in enumerate(kinds)]
+        e.end(name, inputs, formula(*inputs), attribute="noinline")
+    return name
 
-    def __init__(self, target: Target) -> None:
-        self.target = target
-        self._declared: dict[str, str] = {}
-        self.functions: dict[str, str] = {}
 
-    def declare(self, name: str, result: str, arguments: list[str]) -> None:
-        self._declared.setdefault(name, f"declare {result} @{name}({', '.join(arguments)})")
+def _minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+    """The lesser; NaN where one is."""
+    left, right = e.paired(a, b)
+    output = e.where(left > right, right, left)
+    return output if right.known is not None else e.where(e.unordered(right), right, output)
 
-    def function(self, name: str, make: Callable[[], str]) -> None:
-        """A function of that name, made where the module has none yet."""
-        if name not in self.functions:
-            self.functions[name] = ""  # in the making
-            self.functions[name] = make()
 
-    def text(self) -> str:
-        """All of it."""
-        return "\n".join((*self._declared.values(), *self.functions.values())) + "\n"
+def _maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+    left, right = e.paired(a, b)
+    output = e.where(left < right, right, left)
+    return output if right.known is not None else e.where(e.unordered(right), right, output)
 
-    def entries(self) -> list[str]:
-        """The functions that are called from outside."""
-        return [name for name, text in self.functions.items() if text.startswith("define void")]
 
-    def unit(self, entry: str) -> str:
-        """A function with all that it calls, which can be compiled without the others."""
-        found, coming = {}, [entry]
-        while coming:
-            name = coming.pop()
-            if name not in found and name in self.functions:
-                found[name] = self.functions[name]
-                coming += _NAMED.findall(found[name])
-        named = {name for text in found.values() for name in _NAMED.findall(text)}
-        declared = [text for name, text in self._declared.items() if name in named]
-        return "\n".join((*declared, *(text for name, text in self.functions.items() if name in found))) + "\n"
+def _fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+    """The lesser; the other one where one is NaN."""
+    left, right = e.paired(a, b)
+    return e.where(e.unordered(right), left, e.where(left < right, left, right))
+
+
+def _fmax(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+    left, right = e.paired(a, b)
+    return e.where(e.unordered(right), left, e.where(left > right, left, right))
+
+
+def _frexp(e: LaneBuilder, a: Lanes) -> tuple[Lanes, Lanes]:
+    """Of a normal number of float64: its fraction in [0.5, 1), and its power of 2 as i32."""
+    bits = e.bits(a, I64)
+    power = e.convert((bits >> 52) & 0x7FF, I32) - 1022
+    return e.bits((bits & ~(0x7FF << 52)) | (1022 << 52), F64), power
+
+
+def _ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
+    """a times a power of 2 between -1022 and 1023."""
+    return a * e.bits((e.convert(power, I64) + 1023) << 52, F64)
+
+
+def _fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
+    """The exact remainder, with the sign of a. Most are less than b already, and what is not is worked out lane by lane."""
+    left, right = e.paired(a, b)
+    result = e.slot(left.kind, WIDTH)
+    e.put(result, left)
+    with e.inside(e.some(~(_unary("fabs")(e, left) < _unary("fabs")(e, right)))):
+        for lane in range(WIDTH):
+            rest = e.op("frem", left.kind, e.one(left, lane), e.one(right, lane))
+            e.put(e.address(result, lane, left.kind), rest)
+    return e.load(result, left.kind, WIDTH)
+
+
+def _unary(row: str) -> Callable[[LaneBuilder, Lanes], Lanes]:
+    return lambda e, a: e.op(row, a.kind, a)
+
+
+def _binary(word: str) -> Callable[[LaneBuilder, Any, Any], Lanes]:
+    return lambda e, a, b: e.binary(word, a, b)
+
+
+# What NumPy's functions do to lanes: the same bits, NaN and signs of zero too.
+_OF_NUMPY: Mapping[Any, Callable[..., Any]] = {
+    np.add: _binary("add"), np.subtract: _binary("sub"), np.multiply: _binary("mul"), np.true_divide: _binary("div"),
+    np.less: _binary("lt"), np.less_equal: _binary("le"), np.greater: _binary("gt"), np.greater_equal: _binary("ge"),
+    np.equal: _binary("eq"), np.not_equal: _binary("ne"),
+    np.logical_and: _binary("and"), np.logical_or: _binary("or"), np.logical_not: lambda e, a: ~a,
+    np.bitwise_and: _binary("and"), np.bitwise_or: _binary("or"), np.bitwise_xor: _binary("xor"),
+    np.right_shift: _binary("lshr"), np.left_shift: _binary("shl"),
+    np.negative: _unary("fneg"), np.absolute: _unary("fabs"), np.floor: _unary("floor"), np.rint: _unary("rint"),
+    np.sqrt: _unary("sqrt"), np.frexp: _frexp, np.ldexp: _ldexp, np.fmod: _fmod,
+    np.minimum: _minimum, np.maximum: _maximum, np.fmin: _fmin, np.fmax: _fmax,
+    np.clip: lambda e, a, low, high: _minimum(e, _maximum(e, a, low), high),
+    np.isfinite: lambda e, a: e.op("fabs", a.kind, a) < np.inf,
+    np.where: lambda e, condition, then, other: e.where(condition, then, other),
+    np.ndim: lambda e, a: 1,
+    np.all: lambda e, a: False,  # of lanes it is not known while their text is written
+}  # fmt: skip

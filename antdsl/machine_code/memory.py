@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.lanes import WIDTH
+from antdsl.machine_code.kinds import WIDTH
 
 _of_buffer: Callable[[Any], Any] = ctypes.c_char.from_buffer
 _place_of = ctypes.addressof

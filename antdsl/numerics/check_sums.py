@@ -21,9 +21,9 @@ from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
 from antdsl.machine_code.kernels.direct import Wanted, direct
 from antdsl.machine_code.kernels.direct_text import RESULTS, WHOLE
-from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
+from antdsl.machine_code.module import Module
 
 LEAST = 1_024  # bytes; of fewer the call takes as long as it saves
 _BLOCK = 16  # bytes of a factor

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
+from antdsl.machine_code.module import Module
 
 _HALF = 0xFFFFFFFF
 _WHOLE = 0xFFFFFFFFFFFFFFFF

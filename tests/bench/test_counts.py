@@ -119,23 +119,25 @@ def test_a_line_more_in_a_program_is_counted(backend: str, monkeypatch: pytest.M
 
 
 def test_one_more_operation_is_one_more_instruction_of_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.machine_code import emitter, machine
+    from antdsl.machine_code import machine
+    from antdsl.machine_code.lanes import LaneBuilder
     from antdsl.runtime.backends.native import listing
 
     def counts() -> dict[str, int]:
         return listing.counts(listing.of_plan(case_of("node").make(60).plan, machine.ANY))
 
-    before, plain = counts(), emitter.Emitter.splat
+    before, plain = counts(), LaneBuilder.widened
     done: list[bool] = []
 
-    def more(self: emitter.Emitter, *given: Any, **named: Any) -> Any:
+    def more(self: LaneBuilder, *given: Any, **named: Any) -> Any:
         found = plain(self, *given, **named)
         if not done:
             done.append(True)
-            self.one("add i64 1, 1", "i64")
+            one = self.constant(1, "i64", 1)
+            self.op("add", "i64", one, one)
         return found
 
-    monkeypatch.setattr(emitter.Emitter, "splat", more)
+    monkeypatch.setattr(LaneBuilder, "widened", more)
     after = counts()
     assert sum(after.values()) == sum(before.values()) + 1 and not grown({"node": after}, {"node": before})
     twice = {name: 2 * number for name, number in before.items()}

@@ -16,7 +16,7 @@ from test_workers import squared
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import entry
-from antdsl.machine_code.lanes import Module
+from antdsl.machine_code.module import Module
 from antdsl.numerics import parallel
 from antdsl.numerics.float_environment import be_standard, is_standard, standard
 from antdsl.passes import optimise

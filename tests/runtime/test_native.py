@@ -13,8 +13,9 @@ from meaning import crowd, item, play
 
 from antdsl import limits
 from antdsl.machine_code import machine
-from antdsl.machine_code.emitter import elementwise
-from antdsl.machine_code.lanes import BOOL, F32, I32, I64, WIDTH, Lanes, Module
+from antdsl.machine_code.kinds import BOOL, F32, I32, WIDTH
+from antdsl.machine_code.lanes import elementwise
+from antdsl.machine_code.module import Module
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
@@ -43,10 +44,10 @@ def loop(op: str) -> tuple[str, tuple[str, ...], str]:
     w = Writer(module, Layout({(k,): k for k in range(len(kinds) + 1)}))
     name = elementwise(module, "of_lanes", kinds, ELEMENTWISE[op])
     kind = F32 if module.functions[name].startswith("define internal <8 x float>") else BOOL
-    with w.e.loop(Lanes(w.e, I64, "%end", one=True), WIDTH) as at:
-        found = w.e.call(name, kind, *(w.e.load(w.base(k), at, each) for k, each in enumerate(kinds)))
-        w.e.store(w.base(len(kinds)), at, found)
-    module.functions["of_arrays"] = w.function("of_arrays")
+    with w.e.loop(w.end, WIDTH) as at:
+        found = w.e.call(name, kind, *(w.e.read(w.base(k), at, each) for k, each in enumerate(kinds)))
+        w.e.write(w.base(len(kinds)), at, found)
+    w.add("of_arrays")
     return module.text(), kinds, kind
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.kernels.ir import Builder
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.values import WIDTH, Number, constant
+from antdsl.machine_code.kernels.values import Number, constant
+from antdsl.machine_code.kernels.vectors import Vectors
 
 _FOLDED: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b, ast.FloorDiv: lambda a, b: a // b,
@@ -22,10 +23,13 @@ _SHIFTS = (ast.LShift, ast.RShift)
 _INT_RANGE = range(-(1 << 63), 1 << 63)
 
 
-class Arithmetic(Builder):
+class Arithmetic(Vectors[Number]):
     """Operations on numbers."""
 
     mask: Number | None = None  # the turns for which the text counts; None where one turn is written
+
+    def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
+        return Number(kind, name, known, lanes)
 
     def convert(self, value: Number, kind: str) -> Number:
         """As a cast of NumPy does; floats saturate, and NaN becomes 0."""
@@ -48,16 +52,6 @@ class Arithmetic(Builder):
         if target != "i64":
             return self.op("fpext" if kind == DOUBLE else "fptrunc", kind, value)
         return self.op("fptoui" if kind == UNSIGNED else "fptosi", kind, value)
-
-    def widened(self, value: Number) -> Number:
-        """The same for each of the turns side by side."""
-        if value.wide:
-            return value
-        if value.name[0] not in "%@":
-            return Number(value.kind, f"splat ({value.type} {value.name})", value.known, WIDTH)
-        none = Number(value.kind, "poison", lanes=WIDTH)
-        first = self.op("insertelement", value.kind, none, value, x=0)
-        return self.op("shufflevector", value.kind, first, none, x=f"<{WIDTH} x i32> zeroinitializer")
 
     def alike(self, a: Number, b: Number) -> tuple[Number, Number]:
         """Both wide if one is."""

@@ -14,7 +14,7 @@ from functools import wraps
 from typing import Any, Final
 
 from antdsl.machine_code.kernels.ir import CHECKS, Function, Instruction
-from antdsl.machine_code.kernels.values import WIDTH
+from antdsl.machine_code.kinds import WIDTH
 from antdsl.machine_code.machine import Code
 
 VARIABLE: Final = "ANTDSL_CHECKED_KERNELS"

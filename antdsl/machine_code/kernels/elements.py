@@ -10,7 +10,8 @@ import ast
 from antdsl.machine_code.kernels.arithmetic import Arithmetic
 from antdsl.machine_code.kernels.ir import ZEROS
 from antdsl.machine_code.kernels.types import INT, TRUTH, Scalar
-from antdsl.machine_code.kernels.values import WIDTH, Array, Number, constant
+from antdsl.machine_code.kernels.values import Array, Number, constant
+from antdsl.machine_code.kinds import WIDTH
 
 ALL = Number(TRUTH, "splat (i1 true)", True, WIDTH)  # all turns
 
@@ -86,10 +87,10 @@ class Elements(Arithmetic):
             stored, after = "", ""
             if mask.known is None:
                 stored, after = self.label("stored"), self.label("after")
-                self.branch(self._one(mask, lane), stored, after)
+                self.branch(self.one(mask, lane), stored, after)
                 self.begin(stored)
-            place = self._place(array, self._one(at, lane))
-            self.do("store", self._one(value, lane), place)
+            place = self._place(array, self.one(at, lane))
+            self.do("store", self.one(value, lane), place)
             if after:
                 self.jump(after)
                 self.begin(after)
@@ -127,9 +128,6 @@ class Elements(Arithmetic):
             return places
         return self.op("select", "ptr", self.mask, places, self.widened(ZEROS))
 
-    def _one(self, value: Number, lane: int) -> Number:
-        return self.op("extractelement", value.kind, value, x=lane, lanes=1)
-
     def consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
         """So many elements that follow each other, a multiple of four, of an array of numbers as they are worked with."""
         self.check_index(node, at, array.lengths[0], count)
@@ -137,7 +135,7 @@ class Elements(Arithmetic):
             offsets = [self.arithmetic(node, ast.Add(), at, constant(k)) for k in range(count)]
             return tuple(self.fetch(array, each) for each in offsets)
         places = self._places(array, at)
-        lanes = [self._one(places, lane) for lane in range(WIDTH)]
+        lanes = [self.one(places, lane) for lane in range(WIDTH)]
         return tuple(each for k in range(0, count, 4) for each in self._four(array, lanes, k))
 
     def _four(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
@@ -146,19 +144,7 @@ class Elements(Arithmetic):
         for lane in lanes:
             place = self._behind(array, lane, offset)
             rows.append(self.op("load", array.of.kind, place, x=_aligned(array), lanes=4))
-        eight = tuple(range(8))
-        pairs = [self._mixed(rows[k], rows[k + 2], eight) for k in (0, 1, 4, 5)]
-        found = []
-        for odd in (0, 1):
-            order = tuple(e + other for e in range(odd, 8, 2) for other in (0, 8))
-            a, b = (self._mixed(pairs[k], pairs[k + 1], order) for k in (0, 2))
-            found.append([self._mixed(a, b, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
-        return [found[odd][half] for half in (0, 1) for odd in (0, 1)]
-
-    def _mixed(self, a: Number, b: Number, order: tuple[int, ...]) -> Number:
-        """Some elements of two vectors, by their numbers in both."""
-        text = f"<{len(order)} x i32> <{', '.join(f'i32 {each}' for each in order)}>"
-        return self.op("shufflevector", a.kind, a, b, x=text, lanes=len(order))
+        return self.columns(rows)
 
     def three(self, node: ast.AST, array: Array, row: Number) -> tuple[Number, ...]:
         """The three elements of a row."""
@@ -175,9 +161,9 @@ class Elements(Arithmetic):
         found = []
         for column in range(3):
             places = range(column, 3 * WIDTH, 3)
-            low = self._mixed(parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in places))
+            low = self.mixed(parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in places))
             order = tuple(k - WIDTH if k >= 2 * WIDTH else lane for lane, k in enumerate(places))
-            found.append(self._mixed(low, parts[2], order))
+            found.append(self.mixed(low, parts[2], order))
         return tuple(found)
 
     def _rows(self, array: Array, first: Number) -> Number:
@@ -200,10 +186,10 @@ class Elements(Arithmetic):
         place = self._rows(array, row.first)
         for part in range(3):
             places = [divmod(k, 3) for k in range(WIDTH * part, WIDTH * (part + 1))]
-            two = self._mixed(values[0], values[1], tuple(lane + WIDTH * (c == 1) for lane, c in places))
+            two = self.mixed(values[0], values[1], tuple(lane + WIDTH * (c == 1) for lane, c in places))
             order = tuple(WIDTH + lane if c == 2 else k for k, (lane, c) in enumerate(places))
             there = self._behind(array, place, WIDTH * part)
-            self.do("store", self._mixed(two, values[2], order), there, x=_aligned(array))
+            self.do("store", self.mixed(two, values[2], order), there, x=_aligned(array))
 
     def _offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
         """How far the elements of a row are behind the first one of an array."""
@@ -212,16 +198,12 @@ class Elements(Arithmetic):
     def fetch_ahead(self, array: Array, at: Number) -> tuple[()]:
         """Have memory brought near."""
         for lane in range(WIDTH if at.wide else 1):
-            self.do("prefetch", self._place(array, self._one(at, lane) if at.wide else at))
+            self.do("prefetch", self._place(array, self.one(at, lane) if at.wide else at))
         return ()
 
     def _gathered(self, array: Array, at: Number) -> Number:
         places = self._places(array, at)
-        found = Number(array.of.loaded, "poison", lanes=WIDTH)
-        for lane in range(WIDTH):
-            one = self.op("load", array.of.loaded, self._one(places, lane))
-            found = self.op("insertelement", array.of.loaded, found, one, x=lane)
-        return found
+        return self.together(self.op("load", array.of.loaded, self.one(places, lane)) for lane in range(WIDTH))
 
 
 def _aligned(array: Array) -> str:

@@ -1,25 +1,32 @@
-"""The intermediate representation of kernels: functions of typed instructions in blocks, with a builder and a verifier."""
+"""The typed instructions of kernels and plans: functions of blocks, with a builder and a verifier."""
 
 from __future__ import annotations
 
 import ast
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, Generic, NamedTuple, NoReturn, TypeVar
 
 from antdsl.machine_code.kernels.operations import CLASSES, ENDS, OPS
 from antdsl.machine_code.kernels.values import Number, text_type
+from antdsl.machine_code.kinds import WIDTH
 
 CHECKS = {  # operations that are checks, with their messages
     "index": "index out of range, or negative",
     "span": "lanes access memory outside the array",
     "divisor": "integer division by 0",
 }
+Value = TypeVar("Value", bound=Number)
 MOST = 64  # consecutive elements at most
 ZEROS = Number("ptr", "@zeros")  # read by inactive lanes
+ORDERS = Number("ptr", "@orders")  # the bytes of `LANES_OF`
+_SETS = [[lane for lane in range(WIDTH) if bits >> lane & 1] for bits in range(1 << WIDTH)]
+LANES_OF = [[*lanes, *[0] * (WIDTH - len(lanes))] for lanes in _SETS]  # of each set of eight lanes their numbers, then zeros
 _NUMBERS = frozenset().union(*(CLASSES[each] for each in "fib"))
-_GLOBAL = {ZEROS.name: "ptr"}
+_OF_MORE = ENDS | {"load", "store", "call"}
+_GLOBAL = {ZEROS.name: "ptr", ORDERS.name: "ptr"}
 
 
 class NotInSubset(Exception):
@@ -60,7 +67,7 @@ class Function:
     blocks: list[Block] = field(default_factory=list)
 
 
-class Builder:
+class Builder(ABC, Generic[Value]):
     """Adds the instructions of one function."""
 
     def __init__(self, place: str, file: str) -> None:
@@ -76,9 +83,13 @@ class Builder:
         self._numbers += 1
         return f"%{stem}{self._numbers}"
 
-    def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Number:
+    @abstractmethod
+    def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Value:
+        """A number that is called so in the text."""
+
+    def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Value:
         """An instruction with a result: of as many lanes as its first operand has, unless `lanes` says otherwise."""
-        output = Number(kind, self.name(), lanes=lanes or operands[0].lanes)
+        output = self.named(kind, self.name(), lanes or operands[0].lanes)
         self.block_now.body.append(Instruction(op, output, operands, x, self.line))
         return output
 
@@ -100,8 +111,8 @@ class Builder:
         self.slots.append(Instruction("alloca", output, (), type, 0))
         return output
 
-    def load(self, place: Number, kind: str, lanes: int = 1) -> Number:
-        """What lies on the stack."""
+    def load(self, place: Number, kind: str, lanes: int = 1) -> Value:
+        """What lies at an address."""
         return self.op("load", kind, place, lanes=lanes)
 
     def put(self, place: Number, value: Number) -> None:
@@ -126,10 +137,10 @@ class Builder:
         raise NotInSubset(f"{self.file}, line {line}, `{self.place}`: {why}")
 
 
-def verify(functions: Sequence[Function]) -> None:
+def verify(functions: Sequence[Function], others: Mapping[str, Function] | None = None) -> None:
     """Raise InvalidCode where operand types do not fit the operation, a register is defined twice or read before, or a block does
-    not end with its only branch."""
-    known = {each.name: each for each in functions}
+    not end with its only branch. `others`: what they call besides each other."""
+    known = {**(others or {}), **{each.name: each for each in functions}}
     for each in functions:
         _Verifier(each, known).run()
 
@@ -144,39 +155,49 @@ class _Verifier:
 
     def run(self) -> None:
         for block in self.function.blocks:
-            for k, each in enumerate(block.body):
-                if (each.op in ENDS) != (k == len(block.body) - 1):
-                    self.fail(each, f"block {block.label} does not end with its only branch")
-                self.instruction(each)
             if not block.body:
                 raise InvalidCode(f"{self.function.name}: block {block.label} is empty")
+            last = block.body[-1]
+            for each in block.body:
+                if (each.op in ENDS) != (each is last):
+                    self.fail(each, f"block {block.label} does not end with its only branch")
+                self.instruction(each)
 
     def fail(self, each: Instruction, why: str) -> NoReturn:
         raise InvalidCode(f"{self.function.file}, line {each.line}, {self.function.name}: {why} ({each})")
 
     def instruction(self, each: Instruction) -> None:
-        op, result, operands, extra, _ = each
-        known, types = self.types, tuple(operand.type for operand in operands)
-        for operand, type in zip(operands, types, strict=True):
-            if operand.name[0] in "%@" and known.get(operand.name) != type:
-                self.fail(each, f"{operand.name} is {known.get(operand.name, 'not known')}, not {type}")
+        op, result, operands, *_ = each
+        known, types = self.types, tuple([operand.type for operand in operands])
+        for operand in operands:
+            name = operand.name
+            if known.get(name) != operand.type and name[0] in "%@":
+                self.fail(each, f"{name} is {known.get(name, 'not known')}, not {operand.type}")
         gives = "" if result is None else result.type
         if not _fits(op, types, gives):
             self.fail(each, "types do not fit the operation")
-        if op in ("load", "store"):
-            slot = self.slots.get(operands[-1].name, "[")
-            if slot[0] != "[" and slot != (gives or types[0]):
-                self.fail(each, f"the place is {slot}")
-        elif op == "call" and not self._called(extra, types, gives or "void"):
-            self.fail(each, "a call of another type than the function")
-        elif op == "return" and self.function.result != (types[0] if types else "void"):
-            self.fail(each, f"gives back {types}, not {self.function.result}")
-        elif op in ENDS and not self.labels.issuperset(extra):
-            self.fail(each, "no such block")
+        if op in _OF_MORE:
+            self._more(each, types, gives)
         if result is not None:
             if result.name in known:
                 self.fail(each, "the name is given twice")
             known[result.name] = gives
+
+    def _more(self, each: Instruction, types: tuple[str, ...], gives: str) -> None:
+        """What goes by more than types."""
+        op, _, operands, extra, _ = each
+        if op in ("load", "store"):
+            slot = self.slots.get(operands[-1].name)
+            if slot is not None and slot[0] != "[" and slot != (gives or types[0]):
+                self.fail(each, f"the place is {slot}")
+        elif op == "call":
+            if not self._called(extra, types, gives or "void"):
+                self.fail(each, "a call of another type than the function")
+        elif op == "return":
+            if self.function.result != (types[0] if types else "void"):
+                self.fail(each, f"gives back {types}, not {self.function.result}")
+        elif not self.labels.issuperset(extra):
+            self.fail(each, "no such block")
 
     def _called(self, name: str, types: tuple[str, ...], gives: str) -> bool:
         function = self.known.get(name)
@@ -187,7 +208,7 @@ class _Verifier:
 def _fits(op: str, types: tuple[str, ...], result: str) -> bool:
     """Whether operands and a result are of the types that an operation takes and gives."""
     takes, gives, lanewise = OPS[op].takes, OPS[op].gives, OPS[op].lanewise
-    parts = [_parted(each) for each in types]
+    parts = [parted(each) for each in types]
     bases = [base for _, base in parts]
     lanes = parts[0][0] if parts else 1
     if not takes.endswith("*") and len(takes) != len(types):
@@ -202,11 +223,11 @@ def _fits(op: str, types: tuple[str, ...], result: str) -> bool:
         return op == "call" or gives == result
     if gives in ("2", "="):
         return result == types[1 if gives == "2" else 0]
-    own, base = _parted(result)
+    own, base = parted(result)
     return _is(gives, base, "") and (not lanewise or own == lanes)
 
 
-def _parted(type: str) -> tuple[int, str]:
+def parted(type: str) -> tuple[int, str]:
     """How many lanes a type has, and the type of one."""
     lanes, _, base = type.strip("<>").partition(" x ") if type[0] == "<" else ("1", "", type)
     return int(lanes), base

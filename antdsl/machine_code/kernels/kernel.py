@@ -26,7 +26,7 @@ from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit, result_type
 from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
-from antdsl.machine_code.lanes import Module
+from antdsl.machine_code.module import Module
 
 PythonFunction = Callable[..., Any]
 

@@ -1,4 +1,4 @@
-"""The table of all operations of kernels: types, text in LLVM's language, and the meaning of one lane in Python.
+"""The table of all operations of kernels and plans: types, text in LLVM's language, and the meaning of one lane in Python.
 
 Types are those of LLVM: integers have no sign, operations do (`sdiv`, `udiv`). Operations on numbers apply to each lane, so one
 row is both the scalar and the vector form. Results are exact, or rounded once to nearest, ties to even:
@@ -32,48 +32,60 @@ CLASSES: Final[Mapping[str, frozenset[str]]] = {
 class Operation(NamedTuple):
     """`takes`: a class of types for each operand; `=` is the type of the first one, `n` any number, `v` any type. `gives`: the
     same for the result; `2` is the type of the second operand. `text` formats the operands, the result `r` and the immediate
-    `x`. `meaning` is a function of NumPy scalars; the interpreter implements the operations that have none."""
+    `x`. `meaning` is a function of NumPy scalars; the interpreter implements the operations that have none. `more`: types that
+    the declaration of a function of LLVM has behind those of the operands."""
 
     takes: str
     gives: str
     text: str
     meaning: Callable[..., Any] | None = None
     lanewise: bool = True
+    more: str = ""
+
+
+def unsigned(a: Any) -> int:
+    """A whole number as if it had no sign."""
+    ones: int = (1 << 8 * a.dtype.itemsize) - 1
+    return int(a) & ones
 
 
 def _unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
     """A function of whole numbers without a sign, of numbers with one."""
-    return lambda a, b: wrapped(function(int(a) & _ONES, int(b) & _ONES))
+    return lambda a, b: wrapped(function(unsigned(a), unsigned(b)), a.dtype)
 
 
-_ONES: Final = (1 << 64) - 1
-
-
-def wrapped(number: int | bool) -> Any:
-    """A whole number in 64 bits; a condition as it is."""
+def wrapped(number: int | bool, dtype: Any = np.int64) -> Any:
+    """A whole number in the bits of a type; a condition as it is."""
     if isinstance(number, bool):
         return np.bool_(number)
-    return np.int64((number + (1 << 63) & _ONES) - (1 << 63))
+    dtype = np.dtype(dtype)
+    half = 1 << 8 * dtype.itemsize - 1
+    return dtype.type((number + half) % (2 * half) - half)
 
 
 def _quotient(a: Any, b: Any) -> Any:
-    a, b = int(a), int(b)
-    return wrapped(abs(a) // abs(b) * (1 if (a < 0) == (b < 0) else -1))
+    x, y = int(a), int(b)
+    return wrapped(abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1), a.dtype)
 
 
 def _remainder(a: Any, b: Any) -> Any:
-    a, b = int(a), int(b)
-    return wrapped(abs(a) % abs(b) * (-1 if a < 0 else 1))
+    x, y = int(a), int(b)
+    return wrapped(abs(x) % abs(y) * (-1 if x < 0 else 1), a.dtype)
 
 
-def _saturated(least: int, most: int) -> Callable[[Any, Any], Any]:
-    def cast(a: Any, _: Any) -> Any:
-        number = float(a)
+def _saturated(signed: bool) -> Callable[[Any, Any], Any]:
+    def cast(a: Any, dtype: Any) -> Any:
+        bounds, number = np.iinfo(dtype if signed else f"u{np.dtype(dtype).itemsize}"), float(a)
+        least, most = int(bounds.min), int(bounds.max)
         if math.isnan(number):
-            return np.int64(0)
-        return wrapped(most if number >= most else least if number <= least else int(number))
+            return wrapped(0, dtype)
+        return wrapped(most if number >= most else least if number <= least else int(number), dtype)
 
     return cast
+
+
+def _low_bits(a: Any, dtype: Any) -> Any:
+    return np.bool_(int(a) & 1) if np.dtype(dtype) == np.bool_ else a.astype(dtype)
 
 
 def _of_bits(a: Any, dtype: Any) -> Any:
@@ -106,18 +118,37 @@ def _casts(takes: str, gives: str, meanings: Mapping[str, Callable[..., Any]]) -
     return {name: Operation(takes, gives, name + " {0.typed} to {r.type}", meaning) for name, meaning in meanings.items()}
 
 
-def _functions(meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    text = "call {r.type} @llvm.NAME.{0.suffix}({0.typed})"
-    return {name: Operation("f", "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
+def _functions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+    given = ", ".join(f"{{{k}.typed}}" for k in range(len(takes)))
+    text = "call {r.type} @llvm.NAME.{0.suffix}(" + given + ")"
+    return {name: Operation(takes, "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
+
+
+def _reductions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+    """One number of all lanes; the meanings are functions of two."""
+    text = "call {r.type} @llvm.vector.reduce.NAME.{0.suffix}({0.typed})"
+    return {
+        f"reduce.{name}": Operation(takes, takes, text.replace("NAME", name), meaning, lanewise=False)
+        for name, meaning in meanings.items()
+    }
+
+
+def _zeros_below(a: Any) -> Any:
+    """How many zeros are below the lowest one of a whole number that is not 0."""
+    return a.dtype.type((int(a) & -int(a)).bit_length() - 1)
 
 
 _ORDER: Final = {"lt": operator.lt, "le": operator.le, "gt": operator.gt, "ge": operator.ge}
 OPS: Final[Mapping[str, Operation]] = {
     **_binary("f=", {"fadd": operator.add, "fsub": operator.sub, "fmul": operator.mul, "fdiv": operator.truediv}),
-    **_functions({"sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "rint": np.rint, "fabs": np.abs}),
+    **_binary("f=", {"frem": np.fmod}),
+    **_functions("f", {"sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "rint": np.rint, "fabs": np.abs}),
     "fneg": Operation("f", "=", "fneg {0.typed}", operator.neg),
     **_binary("i=", {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "sdiv": _quotient, "srem": _remainder}),
     **_binary("i=", {"udiv": _unsigned(operator.floordiv), "urem": _unsigned(operator.mod), "lshr": _unsigned(operator.rshift)}),
+    **_functions("i", {"ctpop": lambda a: a.dtype.type(unsigned(a).bit_count())}),
+    **_functions("i=", {"smin": min}),
+    "cttz": Operation("i", "=", "call {r.type} @llvm.cttz.{0.suffix}({0.typed}, i1 true)", _zeros_below, more=", i1"),
     **_binary("i=", {"shl": operator.lshift, "ashr": operator.rshift}),
     **_binary("n=", {"and": operator.and_, "or": operator.or_, "xor": operator.xor}),
     **_compared("f=", "f", "fcmp", "o", {**_ORDER, "eq": operator.eq}),
@@ -126,25 +157,34 @@ OPS: Final[Mapping[str, Operation]] = {
     **_compared("i=", "u", "icmp", "u", {name: _unsigned(function) for name, function in _ORDER.items()}),
     **_compared("n=", "", "icmp", "", {"eq": operator.eq, "ne": operator.ne}),
     "select": Operation("bvv", "2", "select {0.typed}, {1.typed}, {2.typed}", lambda c, a, b: a if c else b),
-    **_casts("i", "i", {"sext": _cast, "trunc": _cast}),
+    **_casts("i", "i", {"sext": _cast}),
+    **_casts("i", "n", {"trunc": _low_bits}),
     **_casts("n", "n", {"zext": _without_sign, "uitofp": _without_sign, "bitcast": _of_bits}),
     **_casts("i", "f", {"sitofp": _cast}),
     **_casts("f", "f", {"fpext": _cast, "fptrunc": _cast}),
-    "fptosi": Operation(
-        "f", "i", "call {r.type} @llvm.fptosi.sat.{r.suffix}.{0.suffix}({0.typed})", _saturated(-(1 << 63), (1 << 63) - 1)
-    ),
-    "fptoui": Operation("f", "i", "call {r.type} @llvm.fptoui.sat.{r.suffix}.{0.suffix}({0.typed})", _saturated(0, _ONES)),
+    "fptosi": Operation("f", "i", "call {r.type} @llvm.fptosi.sat.{r.suffix}.{0.suffix}({0.typed})", _saturated(True)),
+    "fptoui": Operation("f", "i", "call {r.type} @llvm.fptoui.sat.{r.suffix}.{0.suffix}({0.typed})", _saturated(False)),
     # Memory. `x`: the type of an element or of a place, or how what is read lies.
     "alloca": Operation("", "p", "alloca {x}", lanewise=False),
     "element": Operation("pi", "p", "getelementptr {x}, {0.typed}, {1.typed}", lanewise=False),
     "load": Operation("p", "v", "load {r.type}, {0.typed}{x}", lanewise=False),
     "store": Operation("vp", "", "store {0.typed}, {1.typed}{x}", lanewise=False),
-    "prefetch": Operation("p", "", "call void @llvm.prefetch.p0({0.typed}, i32 0, i32 3, i32 1)", lanewise=False),
+    "volatile": Operation("vp", "", "store volatile {0.typed}, {1.typed}", lanewise=False),
+    "atomic.add": Operation("pi", "2", "atomicrmw add {0.typed}, {1.typed} monotonic", operator.add, lanewise=False),
+    "atomic.max": Operation("pi", "2", "atomicrmw max {0.typed}, {1.typed} monotonic", max, lanewise=False),
+    "is_null": Operation("p", "b", "icmp eq {0.typed}, null"),
+    "prefetch": Operation(
+        "p", "", "call void @llvm.prefetch.p0({0.typed}, i32 0, i32 3, i32 1)", lanewise=False, more=", i32, i32, i32"
+    ),
     # Lanes. `x`: the number of a lane, or the numbers of several.
     "insertelement": Operation("vv", "=", "insertelement {0.typed}, {1.typed}, i64 {x}", lanewise=False),
     "extractelement": Operation("v", "v", "extractelement {0.typed}, i64 {x}", lanewise=False),
     "shufflevector": Operation("v=", "v", "shufflevector {0.typed}, {1.typed}, {x}", lanewise=False),
     "lanes": Operation("b", "i8", "bitcast {0.typed} to {r.type}", lanewise=False),
+    "mask": Operation("i", "b", "bitcast {0.typed} to {r.type}", lanewise=False),
+    **_reductions("i", {"smax": max, "add": operator.add}),
+    **_reductions("f", {"fmin": np.fmin, "fmax": np.fmax}),
+    "permd": Operation("ii", "=", "call {r.type} @llvm.x86.avx2.permd({0.typed}, {1.typed})", lanewise=False),  # of AVX2
     # Functions, and what several numbers are given back in. `x`: the name of a function, or the number of a part.
     "call": Operation("*", "v", "call {r.type} {x}({all})", lanewise=False),
     "extractvalue": Operation("v", "v", "extractvalue {0.typed}, {x}", lanewise=False),
@@ -153,6 +193,10 @@ OPS: Final[Mapping[str, Operation]] = {
     "jump": Operation("", "", "br label %{x[0]}", lanewise=False),
     "branch": Operation("b", "", "br {0.typed}, label %{x[0]}, label %{x[1]}", lanewise=False),
     "return": Operation("*", "", "ret {all}", lanewise=False),
+    # Time: the processor's counter, what waits for all instructions before, and what none is moved past.
+    "ticks": Operation("", "i", "call {r.type} @llvm.readcyclecounter()", lambda: np.int64(0), lanewise=False),
+    "wait": Operation("", "", "call void @llvm.x86.sse2.lfence()", lanewise=False),  # of x86
+    "border": Operation("", "", 'call void asm sideeffect "", ""()', lanewise=False),
     # Checks, of a checked build and of the interpreter (`checks`). `x`: how many elements follow each other.
     "index": Operation("ii*", "", "", lanewise=False),
     "span": Operation("i*", "", "", lanewise=False),

@@ -3,26 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from typing import Any
 
 from antdsl.machine_code.kernels.checks import Checks
-from antdsl.machine_code.kernels.ir import CHECKS, MOST, ZEROS, Function, Instruction
+from antdsl.machine_code.kernels.ir import CHECKS, LANES_OF, MOST, ORDERS, ZEROS, Function, Instruction, parted
 from antdsl.machine_code.kernels.line_tables import LineTables
 from antdsl.machine_code.kernels.operations import OPS
 from antdsl.machine_code.kernels.values import Number
+from antdsl.machine_code.kinds import WIDTH
 
-_VOID = Number("void", "")
-_PREFETCH = "declare void @llvm.prefetch.p0(ptr, i32, i32, i32)"
+_BYTES = ", ".join(f"i8 {lane}" for lanes in LANES_OF for lane in lanes)
+_TABLES = {
+    ZEROS.name: f"{ZEROS.name} = internal constant [{MOST} x i64] zeroinitializer, align 64",
+    ORDERS.name: f"{ORDERS.name} = internal constant [{WIDTH << WIDTH} x i8] [{_BYTES}]",
+}
 
 
 def rendered(functions: Sequence[Function], checks: Checks | None = None, tables: LineTables | None = None) -> list[str]:
     """The texts of functions, and of what they call of LLVM. Without `checks`, the checks in them are left out, and without
     `tables` their lines."""
-    declared = {ZEROS.name: f"{ZEROS.name} = internal constant [{MOST} x i64] zeroinitializer, align 64"}
-    texts = [_function(each, declared, checks, tables) for each in functions]
+    declared = {ZEROS.name: _TABLES[ZEROS.name]}
+    texts = [function_text(each, declared, checks, tables) for each in functions]
     return [*declared.values(), *texts, *([] if checks is None else [checks.text()])]
 
 
-def _function(function: Function, declared: dict[str, str], checks: Checks | None, tables: LineTables | None) -> str:
+def function_text(
+    function: Function, declared: dict[str, str], checks: Checks | None = None, tables: LineTables | None = None
+) -> str:
+    """The text of a function. What it calls of LLVM, and the tables that it reads, are added to `declared`."""
     arguments = ", ".join(each.typed for each in function.arguments)
     metadata = ""
     if tables is not None:
@@ -35,22 +44,37 @@ def _function(function: Function, declared: dict[str, str], checks: Checks | Non
             lines.append(f"{block.label}:")
         for each in block.body:
             if each.op not in CHECKS:
-                lines.append(_line(each, declared) + ("" if tables is None else tables.of(each.line)))
+                lines.append(_line(each, declared) if tables is None else _line(each, declared) + tables.of(each.line))
             elif checks is not None:
                 lines += checks.lines(function, each)
-            if each.op == "call" and checks is not None:
+            if checks is not None and each.op == "call":
                 lines += checks.after_call(function)
     return "\n".join([*lines, "}"])
 
 
 def _line(each: Instruction, declared: dict[str, str]) -> str:
-    operation, result = OPS[each.op], each.result or _VOID
-    everything = ""
-    if each.op in ("call", "return"):
-        everything = ", ".join(operand.typed for operand in each.operands) or ("void" if each.op == "return" else "")
-    text = operation.text.format(*each.operands, r=result, x=each.extra, all=everything)
-    if "@llvm" in operation.text:
-        name = text[text.index("@") : text.index("(")]
-        types = ", ".join(operand.type for operand in each.operands)
-        declared[name] = _PREFETCH if each.op == "prefetch" else f"declare {result.type} {name}({types})"
-    return f"  {text}" if each.result is None else f"  {result.name} = {text}"
+    op, result, operands, extra, _ = each
+    if op in ("jump", "branch"):  # their labels are in no other line
+        return "  " + OPS[op].text.format(*operands, x=extra)
+    text, called = _pattern(op, tuple([operand.type for operand in operands]), "void" if result is None else result.type, extra)
+    names = tuple([operand.name for operand in operands])
+    if called is not None:
+        declared.setdefault(*called)
+    elif op == "element" and names[0] in _TABLES:
+        declared[names[0]] = _TABLES[names[0]]
+    return "  " + text % names if result is None else f"  {result.name} = {text % names}"
+
+
+@cache
+def _pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
+    """The text of an operation on these types, with `%s` for the names of its operands; and what it calls of LLVM, with the
+    declaration."""
+    operation = OPS[op]
+    operands = [Number(base, "%s", None, lanes) for lanes, base in map(parted, types)]
+    lanes, base = parted(gives)
+    everything = ", ".join(operand.typed for operand in operands) or ("void" if op == "return" else "")
+    text = operation.text.format(*operands, r=Number(base, "", None, lanes), x=extra, all=everything)
+    if "@llvm" not in text:
+        return text, None
+    name = text[text.index("@") : text.index("(")]
+    return text, (name, f"declare {gives} {name}({', '.join(types)}{operation.more})")

@@ -17,7 +17,8 @@ from antdsl.machine_code.kernels.ir import Function
 from antdsl.machine_code.kernels.statements import Writer, stored_names
 from antdsl.machine_code.kernels.types import INT, TRUTH
 from antdsl.machine_code.kernels.units import Unit, Variable, result_type
-from antdsl.machine_code.kernels.values import WIDTH, Item, Number, constant, leaves, renamed, types_of
+from antdsl.machine_code.kernels.values import Item, Number, constant, leaves, renamed, types_of
+from antdsl.machine_code.kinds import WIDTH
 
 _LEAVES = (ast.Break, ast.Continue, ast.Return)
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from antdsl.machine_code.kernels.ir import Function
-from antdsl.machine_code.kernels.values import WIDTH, Item, Number, leaves
+from antdsl.machine_code.kernels.values import Item, Number, leaves
+from antdsl.machine_code.kinds import WIDTH
 
 
 @dataclass(slots=True)

@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED, Scalar
-from antdsl.machine_code.lanes import F32, F64, I64, literal
+from antdsl.machine_code.kinds import F32, F64, I64, literal
 
 Item = Any  # Number, Array, or a tuple of items
-
-
-WIDTH = 8  # turns of a loop that are done side by side
-
-
 _SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, unsafe_hash=True)
 class Number:
     """A number by its kind and its name in the text; `known` is its value where the text has it. `lanes`: how many of them there
-    are, one for each lane; `first` is that of the first turn where each has one more than the
-    turn before."""
+    are, one for each lane; `first` is that of the first turn where each has one more than the turn before. `type` is that in
+    LLVM's language. Never changed: `frozen` would make it slow to make."""
 
     kind: str
     name: str
     known: int | float | bool | None = None
     lanes: int = 1
     first: Number | None = None
+    type: str = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        self.type = text_type(self.kind, self.lanes)
 
     @property
     def wide(self) -> bool:
@@ -39,10 +38,6 @@ class Number:
     def base(self) -> str:
         """The type of one lane in LLVM's language."""
         return LLVM.get(self.kind, self.kind)
-
-    @property
-    def type(self) -> str:
-        return text_type(self.kind, self.lanes)
 
     @property
     def typed(self) -> str:

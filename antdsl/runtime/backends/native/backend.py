@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code import codes, machine
-from antdsl.machine_code.lanes import WIDTH
+from antdsl.machine_code.kinds import WIDTH
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.native import listing

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
-from antdsl.machine_code.emitter import Emitter, elementwise
-from antdsl.machine_code.entries import entry
-from antdsl.machine_code.lanes import BOOL, F32, I8, I64, PTR, WIDTH, Lanes, Module
+import numpy as np
+
+from antdsl.machine_code.entries import outer
+from antdsl.machine_code.kernels.ir import Block
+from antdsl.machine_code.kinds import BOOL, F32, I8, I64, PTR, WIDTH
+from antdsl.machine_code.lanes import LaneBuilder, Lanes, elementwise
+from antdsl.machine_code.module import Module
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
 from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
-from antdsl.runtime.backends.native.marks import Lines, marks_of
+from antdsl.runtime.backends.native.marks import Lines, mark
 from antdsl.runtime.backends.native.scents import reached, strength
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of
 
@@ -22,17 +27,20 @@ _GUARDED = -1_000_000  # slots from here downward stand for who needs a call
 
 
 class Writer:
-    """What the text of one function is written with: an emitter, and the places of arrays and numbers."""
+    """What one function is written with: a builder, and the places of arrays and numbers."""
 
     def __init__(self, module: Module, layout: Layout) -> None:
-        self.module, self.layout, self.e = module, layout, Emitter(module)
+        self.module, self.layout = module, layout
+        e = self.e = LaneBuilder(module)
+        self.table, self.begin, self.end = e.named(PTR, "%t"), e.named(I64, "%begin"), e.named(I64, "%end")
         self._bases: dict[Key, Lanes] = {}
 
     def base(self, *key: Any) -> Lanes:
         """Address of an array, read once a call."""
         if key not in self._bases:
-            place = self.e.at_entry(f"getelementptr ptr, ptr %t, i64 {self.layout.pointer(*key)}", PTR)
-            self._bases[key] = self.e.at_entry(f"load ptr, ptr {place.name}", PTR)
+            at = self.e.constant(self.layout.pointer(*key), I64, 1)
+            place = self.e.at_entry("element", PTR, self.table, at, x=PTR)
+            self._bases[key] = self.e.at_entry("load", PTR, place)
         return self._bases[key]
 
     def array(self, slot: int, part: int, kind: str) -> Lanes:
@@ -44,15 +52,13 @@ class Writer:
         """A value that is the same for all agents: in every lane, or a single one."""
 
         def make() -> Lanes:
-            numbers, at = self.base("numbers"), self.e.constant(self.layout.number(*key), I64, one=True)
-            place = self.e.op(f"getelementptr i64, ptr {numbers.name}, i64 {at.name}", PTR, one=True)
-            zero = self.e.constant(0, I64, one=True)
-            return self.e.load_one(place, zero, kind)
+            place = self.e.address(self.base("numbers"), self.layout.number(*key), I64)
+            return self.e.read_one(place, 0, kind)
 
         single: Lanes = self.e.once(("number", kind, *key), make)
         if one:
             return single
-        lanes: Lanes = self.e.once(("numbers", kind, *key), lambda: self.e.splat(single))
+        lanes: Lanes = self.e.once(("numbers", kind, *key), lambda: self.e.widened(single))
         return lanes
 
     def apply(self, op: str, *args: Lanes) -> Any:
@@ -63,16 +69,9 @@ class Writer:
         name = elementwise(self.module, f"f.{op}", tuple(each.kind for each in args), formula)
         return self.e.call(name, F32, *args)
 
-    def _body(self) -> str:
-        return "\n".join((*self.e.allocas, *self.e.entry, *self.e.lines))
-
-    def function(self, name: str) -> str:
-        """The text of a function that is called from outside."""
-        return entry(self.module, name, self._body())
-
-    def inner(self, name: str, arguments: str) -> str:
-        """The text of a function that others of the module call."""
-        return f"define internal void @{name}(ptr %t, {arguments}) {{\nentry:\n{self._body()}\n  ret void\n}}"
+    def add(self, name: str) -> None:
+        """Add the function to the module, to be called from outside."""
+        self.e.end(name, (self.table, self.begin, self.end), attribute="noinline", outer=outer(self.module, name))
 
 
 @dataclass(slots=True, eq=False)
@@ -158,35 +157,44 @@ class BlockWriter(Writer):
     def write(self, name: str) -> None:
         """Add the function to the module."""
         e = self.e
-        self._marks = marks_of(self, self.code.lines)
-        rows = e.op("sub i64 %end, %begin", I64, one=True)
+        rows = self.end - self.begin
         with e.loop(rows, WIDTH) as offset:
             self.offset = offset
-            self.row = e.op(f"add i64 %begin, {offset.name}", I64, one=True)
+            self.row = self.begin + offset
             root = self.compiler.root
-            inside = (e.splat(offset) + e.iota()) < e.splat(rows)
-            mask = inside & ~e.load(self.base("quarantined"), self.row, BOOL)
+            mask = (offset + e.iota() < rows) & ~e.read(self.base("quarantined"), self.row, BOOL)
             if root.rows in self.schedule.left and self.stage == 0:
-                e.store(self.array(root.rows, 0, BOOL), offset, mask)
+                e.write(self.array(root.rows, 0, BOOL), offset, mask)
             e.known[-1][root.rows] = mask
             self.mask.append(mask)
-            top = len(e.lines)
+            top, place = e.block_now, len(e.block_now.body)
             self._scope(root)
-            rest, e.lines = e.lines, []
-            with self._marks.elsewhere():
-                for slot in self._nobody:
-                    e.store(self.array(slot, 0, BOOL), offset, e.constant(False, BOOL))
-                for do in self.at_top:
-                    do()
-            e.lines = rest[:top] + e.lines + rest[top:]
-        self._marks.count()
-        self.module.functions[name] = self.function(name)
+            last, e.block_now = e.block_now, Block("", [])
+            for slot in self._nobody:
+                e.write(self.array(slot, 0, BOOL), offset, e.constant(False, BOOL))
+            for do in self.at_top:
+                do()
+            top.body[place:place] = e.block_now.body
+            e.block_now = last
+        if self.code.lines is not None:
+            mark(self)
+        self.add(name)
 
     # --- instructions --------------------------------------------------------------------------------------------------
 
+    def _line(self, each: Instruction) -> AbstractContextManager[None]:
+        """What is written within belongs to an instruction, where lines are timed."""
+        return nullcontext() if self.code.lines is None else self._timed(self.code.lines.counter(each))
+
+    @contextmanager
+    def _timed(self, counter: int) -> Iterator[None]:
+        before, self.e.line = self.e.line, counter
+        yield
+        self.e.line = before
+
     def _scope(self, scope: Scope) -> None:
         for each in scope.code:
-            with self._marks.of(each):
+            with self._line(each):
                 match each.does:
                     case Does.REGION:
                         self._region(each)
@@ -204,9 +212,9 @@ class BlockWriter(Writer):
     def _needed(self, each: Instruction, mask: Lanes) -> None:
         """Note whether somebody needs a call."""
         e = self.e
-        place = e.address(self.base("needs"), e.constant(len(self.code.needs), I64, one=True), I8).name
+        place = e.address(self.base("needs"), len(self.code.needs), I8)
         self.code.needs.append(each)
-        e.put(place, e.one(f"or i8 {e.get(place, I8, one=True).name}, {e.mask_bits(mask).name}", I8))
+        e.put(place, e.load(place, I8) | e.mask_bits(mask))
 
     def _guard(self, each: Instruction) -> None:
         """Note who needs a call, where that can be told, and leave what the others get."""
@@ -220,9 +228,9 @@ class BlockWriter(Writer):
         self._needed(each, needed)
         slot = self.code.guarded.setdefault(each, _GUARDED - len(self.code.guarded))
         self._nobody.append(slot)
-        self.e.store(self.array(slot, 0, BOOL), self.offset, needed)
+        self.e.write(self.array(slot, 0, BOOL), self.offset, needed)
         for part, (value, kind) in enumerate(zip(others, self._kinds[each.out], strict=True)):
-            self.e.store(self.array(each.out, part, kind), self.offset, self.e.constant(value, kind))
+            self.e.write(self.array(each.out, part, kind), self.offset, self.e.constant(value, kind))
 
     def _region(self, each: Instruction) -> None:
         inner = each.inner
@@ -261,7 +269,7 @@ class BlockWriter(Writer):
         has = self.base("kept", number, "has")
 
         def missing() -> Lanes:
-            asks = self.mask[-1] & ~e.load(has, self.row, BOOL)
+            asks = self.mask[-1] & ~e.read(has, self.row, BOOL)
             return asks & reached(self, node, self.code.bounds[each.out]) if each.out in self.code.bounds else asks
 
         mask = self._mask(inner, missing)
@@ -271,8 +279,8 @@ class BlockWriter(Writer):
             if self.schedule.at[each] == self.stage:
                 found = self.slot(each.result)
                 for part, value in enumerate(found if isinstance(found, tuple) else (found,)):
-                    e.store_where(mask, self.base("kept", number, part), self.row, value)
-                e.store_where(mask, has, self.row, e.constant(True, BOOL))
+                    e.write_where(mask, self.base("kept", number, part), self.row, value)
+                e.write_where(mask, has, self.row, e.constant(True, BOOL))
             self.mask.pop()
         if self.schedule.at[each] == self.stage and each.out in self.schedule.left:
             self.slot(each.out)
@@ -290,7 +298,7 @@ class BlockWriter(Writer):
     def _made(self, slot: int) -> Any:
         if slot in self._kept:
             number, kinds = self.code.kept.index(self._kept[slot]), self._kinds[slot]
-            parts = tuple(self.e.load(self.base("kept", number, k), self.row, kind) for k, kind in enumerate(kinds))
+            parts = tuple(self.e.read(self.base("kept", number, k), self.row, kind) for k, kind in enumerate(kinds))
             if slot in self.code.bounds:
                 parts = (strength(self, self._kept[slot], self.code.bounds[slot], parts[0]), *parts[1:])
             self._leave(slot, parts)
@@ -299,9 +307,9 @@ class BlockWriter(Writer):
         node = None if each is None else each.what
         anew = isinstance(node, ir.Node) and node.op in ("snap", "id") and slot not in self.schedule.left
         if each is None or each not in self.schedule.native or (self.schedule.home[slot] != self.stage and not anew):
-            parts = tuple(self.e.load(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot]))
+            parts = tuple(self.e.read(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot]))
             return parts if len(parts) > 1 else parts[0]
-        with self._marks.of(each):
+        with self._line(each):
             if each.does is Does.REDUCE:
                 self._reduce(self, each)
                 return self.e.known[-1][slot]
@@ -322,7 +330,7 @@ class BlockWriter(Writer):
     def _leave(self, slot: int, value: Any) -> None:
         if slot in self.schedule.left:
             for part, each in enumerate(value if isinstance(value, tuple) else (value,)):
-                self.e.store(self.array(slot, part, each.kind), self.offset, each)
+                self.e.write(self.array(slot, part, each.kind), self.offset, each)
 
     def waiting(self, first: Instruction) -> list[Instruction]:
         """Other reductions over the same species or items that can be found at the same time as one: what they need does not wait
@@ -365,12 +373,12 @@ class BlockWriter(Writer):
     def _store(self, each: Instruction, what: ir.Store) -> None:
         value, mask = self.slot(each.inputs[0]), self.mask[-1]
         if value.kind == F32:
-            good = self.e.intrinsic("fabs", value) < float("inf")
+            good = np.isfinite(value)
             if what.infinite:
                 good = good | (value == float("inf"))
             self.refuse(mask & ~good, what.register, what.span)
             mask = mask & good
-        self.e.store_where(mask, self.base("now", what.register), self.row, value)
+        self.e.write_where(mask, self.base("now", what.register), self.row, value)
 
     def refuse(self, bad: Lanes, what: str, span: Any) -> None:
         """Note the rows whose value is not finite: first of the eight, then the number of what is refused above their bits."""
@@ -378,13 +386,9 @@ class BlockWriter(Writer):
         with e.inside(e.some(bad)):
             faults.append((what, span))  # one for each place that notes: there is room for one of each by eight rows
             notes = self.base("notes")
-            count = e.load_one(notes, e.constant(0, I64, one=True), I64)
-            place = e.op(f"mul i64 {count.name}, 2", I64, one=True)
-            first = e.op(f"getelementptr i64, ptr {notes.name}, i64 {place.name}", PTR, one=True)
-            bits = e.op(f"zext i8 {e.mask_bits(bad).name} to i64", I64, one=True)
-            told = e.op(f"or i64 {bits.name}, {(len(faults) - 1) << WIDTH}", I64, one=True)
+            count = e.read_one(notes, 0, I64)
+            first = e.address(notes, count * 2, I64)
+            told = e.mask_word(bad) | ((len(faults) - 1) << WIDTH)
             for k, value in enumerate((self.row, told)):
-                at = e.op(f"getelementptr i64, ptr {first.name}, i64 {k + 1}", PTR, one=True)
-                e.do(f"store {value.typed}, ptr {at.name}")
-            more = e.op(f"add i64 {count.name}, 1", I64, one=True)
-            e.do(f"store {more.typed}, ptr {notes.name}")
+                e.put(e.address(first, k + 1, I64), value)
+            e.put(notes, count + 1)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.lanes import WIDTH
+from antdsl.machine_code.kinds import WIDTH
 from antdsl.machine_code.memory import address
 from antdsl.numerics import parallel
 from antdsl.numerics.cores import cores

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.nearby import Ask
-from antdsl.machine_code.lanes import BOOL, F32, F64, I32, I64, WIDTH
+from antdsl.machine_code.kinds import BOOL, F32, F64, I32, I64, WIDTH
 from antdsl.machine_code.memory import address
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import Instruction

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 
-from antdsl.machine_code.lanes import BOOL, F32, I32, I64
+from antdsl.machine_code.kinds import BOOL, F32, I32, I64
 from antdsl.plan import ir
 
 KINDS = {ir.Kind.F32: F32, ir.Kind.BOOL: BOOL, ir.Kind.I32: I32, ir.Kind.I64: I64}

@@ -6,26 +6,21 @@ finds what several lines ask, counts for the line where it stands in the code.""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.lanes import BOOL, I64, PTR, Lanes
-from antdsl.machine_code.line_marks import NO_MARKS, Marks
+from antdsl.machine_code.kernels.ir import Block
+from antdsl.machine_code.kernels.values import Number
+from antdsl.machine_code.kinds import I64
+from antdsl.machine_code.lanes import Lanes
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction
 from antdsl.runtime.backends.metering import instructions_of
 
 if TYPE_CHECKING:
     from antdsl.runtime.backends.native.block import Writer
-
-_COUNTER = "llvm.readcyclecounter"
-_FENCE = "llvm.x86.sse2.lfence"  # waits for all instructions before it, which are at work side by side
-_NAMES = re.compile(r"%[\w.]+")
 
 
 class Lines:
@@ -48,97 +43,73 @@ class Lines:
         return self._counters[key]
 
 
-class LineMarks:
-    """Writes the marks of a function. `current` is the counter of what the text has come to; a mark is written before the next
-    instruction of another one, so that lines which need no instruction of their own have none."""
+class _Marks:
+    """Writes the instructions of a function again, with marks between those of different counters."""
 
-    def __init__(self, w: Writer, lines: Lines) -> None:
-        self.e, self.lines, self.current = w.e, lines, 0
-        self._wanted = 0
-        self._ticks = w.base("ticks").name
-        self._last = w.e.slot(I64, one=True)
-        self._kept: dict[str, str] = {}  # places on the stack that values are kept in, by type
-        self._values: list[Lanes] = []  # worked out since the last mark in the block that the text has come to
-        self._texts: list[str] = []  # what has been emitted since
-        w.module.declare(_COUNTER, I64, [])
+    def __init__(self, w: Writer) -> None:
+        self.e, self._ticks, self._last = w.e, w.base("ticks"), w.e.slot(I64)
         self._fenced = w.module.target.x86
-        if self._fenced:
-            w.module.declare(_FENCE, "void", [])
-        w.e.put(self._last, self._now())
-        w.e.marks = self
+        self._kept: dict[str, Number] = {}  # places on the stack that values are kept in, by type
+        self._since = 0  # where in the block the last mark ends
 
-    @contextmanager
-    def of(self, instruction: Instruction) -> Iterator[None]:
-        """What is emitted within belongs to an instruction."""
-        before, self._wanted = self._wanted, self.lines.counter(instruction)
-        yield
-        self._wanted = before
+    def write(self) -> None:
+        e, blocks = self.e, self.e.blocks
+        e.blocks, e.block_now = blocks[:1], Block(blocks[0].label, [])
+        e.blocks[0] = e.block_now
+        e.put(self._last, self._now())
+        current = 0
+        for k, block in enumerate(blocks):
+            if k:
+                e.begin(block.label)
+            self._since = len(e.block_now.body)
+            for each in block.body:
+                if each.line != current:
+                    self._count(current)
+                    current = each.line
+                e.block_now.body.append(each)
+        self._count(current)
 
-    @contextmanager
-    def elsewhere(self) -> Iterator[None]:
-        """What is emitted within belongs to no line, and is put where no line has begun."""
-        before, self.current = self.current, 0
-        yield
-        self.current = before
-        self.block()
-
-    def emitted(self, text: str, value: Lanes | None = None) -> None:
-        """An instruction has been emitted, with the value that it gives."""
-        self._texts.append(text)
-        if value is not None:
-            self._values.append(value)
-
-    def block(self) -> None:
-        """Another block begins."""
-        self._texts.clear()
-        self._values.clear()
-
-    def before(self) -> None:
-        """An instruction is emitted next."""
-        if self._wanted != self.current:
-            self.count()
-
-    def count(self) -> None:
-        """Add what has passed since the last mark."""
-        e, number, self.current = self.e, self.current, self._wanted
+    def _count(self, number: int) -> None:
+        """Add what has passed since the last mark to a counter."""
+        e = self.e
         self._keep()
-        last = e.get(self._last, I64, one=True)
-        now = self._now()
-        passed = e.one(f"sub i64 {now.name}, {last.name}", I64)
-        place = e.one(f"getelementptr i64, ptr {self._ticks}, i64 {number}", PTR).name
-        e.put(place, e.one(f"add i64 {e.get(place, I64, one=True).name}, {passed.name}", I64))
+        last, now = e.load(self._last, I64), self._now()
+        passed, place = now - last, e.address(self._ticks, number, I64)
+        e.put(place, e.load(place, I64) + passed)
         e.put(self._last, now)
         self._border(now)
 
     def _now(self) -> Lanes:
         """The counter, once all before it is done: else a line's divisions and roots are those of a later one."""
         if self._fenced:
-            self.e.do(f"call void @{_FENCE}()")
-        return self.e.one(f"call i64 @{_COUNTER}()", I64)
+            self.e.do("wait")
+        return self.e.op("ticks", I64, lanes=1)
 
     def _keep(self) -> None:
         """Have the values that nothing has read yet stored, which is not moved past the counter: else LLVM works them out where
         they are read, in another line."""
-        read = set(_NAMES.findall(" ".join(self._texts)))
-        for value in [each for each in self._values if each.name not in read]:
+        written = self.e.block_now.body[self._since :]
+        read = {operand.name for each in written for operand in each.operands}
+        for value in [each.result for each in written if each.result is not None and each.result.name not in read]:
             if value.type not in self._kept:
-                self._kept[value.type] = self.e.slot(value.kind, one=value.one)
-            self.e.do(f"store volatile {value.typed}, ptr {self._kept[value.type]}")
+                self._kept[value.type] = self.e.slot(value.kind, value.lanes)
+            self.e.do("volatile", value, self._kept[value.type])
 
     def _border(self, count: Lanes) -> None:
         """Operations that follow are not moved before this: LLVM puts those of a block in an order of its own, and another block
         begins where there is a branch that it cannot know to be always taken. No count is 0."""
         e, never, following = self.e, self.e.label("never"), self.e.label("marked")
-        e.branch(e.one(f"icmp ne i64 {count.name}, 0", BOOL), following, never)
+        e.branch(count != 0, following, never)
         e.begin(never)
-        e.do('call void asm sideeffect "", ""()')
+        e.do("border")
         e.jump(following)
         e.begin(following)
+        self._since = 0
 
 
-def marks_of(w: Writer, lines: Lines | None) -> Marks:
-    """The marks of a function, where its lines are counted."""
-    return NO_MARKS if lines is None else LineMarks(w, lines)
+def mark(w: Writer) -> None:
+    """Put marks into a function that is written but for its end."""
+    _Marks(w).write()
 
 
 @dataclass(slots=True, eq=False)

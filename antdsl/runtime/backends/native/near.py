@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from antdsl.machine_code.fours import four_at, quadruples
-from antdsl.machine_code.lanes import I32, I64, WIDTH, Lanes
+from antdsl.machine_code.kinds import I32, I64, WIDTH
+from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Writer
+from antdsl.runtime.backends.native.fours import four_at, quadruples
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.world import AXES
 
@@ -79,14 +80,8 @@ class Found:
         e, places = self.w.e, self.w.base("grid", self.near.number, "places")
 
         def make() -> Lanes:
-            value = f"<{WIDTH} x i32> poison"
-            for lane in range(WIDTH):
-                at = e.one(f"extractelement {self.at.typed}, i64 {lane}", I32)
-                four = four_at(e, places, at)
-                value = e.op(
-                    f"insertelement {value}, {e.get(e.field(four.name, 12), I32, one=True).typed}, i64 {lane}", I32
-                ).typed
-            return Lanes(e, I32, value.rpartition(" ")[2])
+            fours = (four_at(e, places, e.one(self.at, lane)) for lane in range(WIDTH))
+            return e.together(e.load(e.field(four, 12), I32) for four in fours)
 
         found: Lanes = e.once(("rows", self.rows.name), make)
         return found

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from antdsl.machine_code.lanes import Module
 from antdsl.machine_code.machine import Target
+from antdsl.machine_code.module import Module
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction

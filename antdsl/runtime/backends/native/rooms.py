@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.lanes import WIDTH
+from antdsl.machine_code.kinds import WIDTH
 from antdsl.machine_code.memory import address, has_room, roomy
 from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.world import Population

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.lanes import WIDTH
+from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
 from antdsl.numerics.cores import EACH, cores
 from antdsl.plan import ir

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from antdsl.machine_code.lanes import BOOL, I32, Lanes
+from antdsl.machine_code.kinds import BOOL, I32
+from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
 from antdsl.runtime.backends.native.schedule import Schedule
@@ -16,7 +17,7 @@ _COMPARED = frozenset(("lt", "le", "gt", "ge"))
 
 def own_cell(w: Any, field: str) -> Lanes:
     """The agent's own cell; that past the end for none."""
-    cell = w.e.load(w.base("cell", field), w.row, I32)
+    cell = w.e.read(w.base("cell", field), w.row, I32)
     found: Lanes = w.e.where(cell < 0, w.number(I32, "cells", field), cell)
     return found
 

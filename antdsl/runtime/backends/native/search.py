@@ -16,15 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from antdsl import limits
-from antdsl.machine_code.emitter import Emitter
-from antdsl.machine_code.fours import four_at
-from antdsl.machine_code.lanes import BOOL, F32, I8, I32, I64, PTR, WIDTH, Lanes
+from antdsl.machine_code.kernels.values import Number, text_type
+from antdsl.machine_code.kinds import BOOL, F32, I8, I32, I64, PTR, WIDTH
+from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.native.block import BlockWriter, Near, Writer
 from antdsl.runtime.backends.native.cells import BEYOND, Rows, write_down
 from antdsl.runtime.backends.native.crowds import write_many
+from antdsl.runtime.backends.native.fours import four_at
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.near import PLACE, STRIDE, Search, measured
 from antdsl.runtime.backends.native.schedule import operands_of
@@ -47,9 +48,9 @@ class Group:
 
     number: int
     instructions: list[Instruction]
-    own: str
-    out: str
-    done: str
+    own: Number
+    out: Number
+    done: Number
     near: Search
 
 
@@ -61,22 +62,24 @@ def neighbours(b: BlockWriter, instruction: Instruction) -> None:
     if not shared:
         _made(b, group, e.mask_bits(mask))
     else:
-        done = e.get(group.done, I8, one=True)
-        asking = e.mask_bits(mask)
-        missing = e.one(f"and i8 {asking.name}, {e.one(f'xor i8 {done.name}, -1', I8).name}", I8)
-        with e.inside(e.one(f"icmp ne i8 {missing.name}, 0", BOOL)):
+        done = e.load(group.done, I8)
+        missing = e.mask_bits(mask) & ~done
+        with e.inside(missing != 0):
             _made(b, group, missing)
-            e.put(group.done, e.one(f"or i8 {done.name}, {missing.name}", I8))
+            e.put(group.done, done | missing)
     for k, each in enumerate(group.instructions):
         if each.scope is instruction.scope and not any(each.out in names for names in e.known):
             kind = KINDS[group.near.nodes[k].kind]
-            place = e.field(group.out, STRIDE * k)
-            b.known(each.out, e.get(place, I8) != 0 if kind == BOOL else e.get(place, kind))
+            b.known(each.out, _of_area(e, group.out, k, kind))
     for chosen, k in group.near.stops.items():
         if any(each.scope is instruction.scope and each.what.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
-            crowd = (e.get(e.field(group.out, STRIDE * k), I8) != 0) & mask
-            with e.inside(e.some(crowd)):
-                e.do(f"store i64 1, ptr {b.base('counts').name}")
+            with e.inside(e.some(_of_area(e, group.out, k, BOOL) & mask)):
+                e.put(b.base("counts"), e.constant(1, I64, 1))
+
+
+def _of_area(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
+    """An operand or a result of a search."""
+    return e.convert(e.load(e.field(area, STRIDE * k), I8 if kind == BOOL else kind, WIDTH), kind)
 
 
 def _group_of(b: BlockWriter, first: Instruction) -> Group:
@@ -93,8 +96,9 @@ def _group_of(b: BlockWriter, first: Instruction) -> Group:
         operands += len(operands_of(instruction)) + 4
     e = b.e
     results = 2 * len(nodes)
-    group = Group(number, together, e.slot(I64, count=operands), e.slot(I64, count=results), e.slot(I8, one=True), near)
-    b.at_top.append(lambda: e.do(f"store i8 0, ptr {group.done}"))
+    own, out = (e.room(count, text_type(I64, WIDTH)) for count in (operands, results))
+    group = Group(number, together, own, out, e.slot(I8), near)
+    b.at_top.append(lambda: e.put(group.done, e.constant(0, I8, 1)))
     for each in together:
         b.groups[each] = group
     return group
@@ -135,10 +139,10 @@ def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
         near.beside = [" ".join(names[k : k + 4]) for k in range(0, len(names), 4)]
         b.code.near.append(Near(near.other, list(near.reach), near.beside))
     for k, value in enumerate(values):
-        e.put(e.field(group.own, STRIDE * k), e.convert(value, I8) if value.kind == BOOL else value)
+        e.put(e.field(group.own, STRIDE * k), e.widened(e.as_stored(value)))
     if fresh:
         _write(b, near)
-    e.do(f"call void @{near.name}(ptr %t, i64 {b.row.name}, i8 {asking.name}, ptr {group.own}, ptr {group.out})")
+    e.do("call", b.table, b.row, asking, group.own, group.out, x=f"@{near.name}")
 
 
 # --- eight agents side by side ---------------------------------------------------------------------------------------
@@ -148,26 +152,25 @@ def _write(b: BlockWriter, near: Search) -> None:
     """The function of a search for eight agents, and that for one with very many neighbours."""
     w = Writer(b.module, b.layout)
     e = w.e
-    row = Lanes(e, I64, "%row", one=True)
-    asks = e.of_bits(Lanes(e, I8, "%mask", one=True))
+    row, bits, own, out = e.named(I64, "%row"), e.named(I8, "%mask"), e.named(PTR, "%own"), e.named(PTR, "%out")
+    asks = e.of_bits(bits)
 
     def mine(k: int) -> Lanes:
-        place, kind = e.field("%own", STRIDE * k), near.kinds[k]
-        return e.get(place, I8) != 0 if kind == BOOL else e.get(place, kind)
+        return _of_area(e, own, k, near.kinds[k])
 
-    place = [e.load(w.base("start", f"position.{axis}"), row, F32) for axis in AXES]
+    place = [e.read(w.base("start", f"position.{axis}"), row, F32) for axis in AXES]
     radius = {chosen: mine(k) for chosen, k in near.reach.items()}
     search = Rows(w, near.number, place, list(radius.values()), asks)
     search.note()
-    heading = [e.load(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
+    heading = [e.read(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
     seen = _Seen(e, radius, {chosen: mine(k) for chosen, k in near.view.items()}, search, heading)
-    itself = e.load(w.base("grid", near.number, "at"), row, I32) if near.other == b.species else None
+    itself = e.read(w.base("grid", near.number, "at"), row, I32) if near.other == b.species else None
     buffer, number, over = _candidates(w, near, search, asks, seen, itself)
     sums = [Sum(e, node, many=False) for node in near.nodes]
     for each in sums:
         each.start()
     with e.loop(e.convert(e.greatest(number), I64)) as k:
-        there = e.convert(e.splat(k), I32) < number
+        there = e.convert(k, I32) < number
         found = measured(w, near, _across(e, buffer, k), place, there)
 
         def inside(chosen: ir.Node) -> Lanes:
@@ -183,28 +186,23 @@ def _write(b: BlockWriter, near: Search) -> None:
             reached = e.once(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
             take(each, node, pairs, reached, found.ids)
     fits = asks & ~over
-    for result, (each, node) in enumerate(zip(sums, near.nodes, strict=True)):
-        value = each.result()
-        stored = e.convert(value, I8) if KINDS[node.kind] == BOOL else value
-        start = e.field("%out", STRIDE * result)
-        e.put(start, e.where(fits, stored, e.get(start, stored.kind)))
+    for result, each in enumerate(sums):
+        stored = e.as_stored(each.result())
+        start = e.field(out, STRIDE * result)
+        e.put(start, e.where(fits, stored, e.load(start, stored.kind, WIDTH)))
     for stop in near.stops.values():
-        start = e.field("%out", STRIDE * stop)
-        e.put(start, e.where(fits, e.constant(0, I8), e.get(start, I8)))
+        start = e.field(out, STRIDE * stop)
+        e.put(start, e.where(fits, e.constant(0, I8), e.load(start, I8, WIDTH)))
     with e.inside(e.some(over)):
-        bits = e.one(f"zext i8 {e.mask_bits(over).name} to i64", I64)
-        e.do(f"call void @{near.name}.many(ptr %t, i64 %row, i64 {bits.name}, ptr %own, ptr %out)")
-    b.module.functions[near.name] = w.inner(near.name, "i64 %row, i8 %mask, ptr %own, ptr %out")
+        e.do("call", w.table, row, e.mask_word(over), own, out, x=f"@{near.name}.many")
     write_many(b, near)
+    e.end(near.name, (w.table, row, bits, own, out))
 
 
-def _across(e: Emitter, buffer: Lanes, k: Lanes) -> Lanes:
+def _across(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
     """The number at a place of each of the eight agents' lists."""
-    first, value = e.address(buffer, k, I32), f"<{WIDTH} x i32> poison"
-    for lane in range(WIDTH):
-        single = e.get(e.field(first.name, 4 * _LIST * lane), I32, one=True)
-        value = e.op(f"insertelement {value}, {single.typed}, i64 {lane}", I32).typed
-    return Lanes(e, I32, value.rpartition(" ")[2])
+    first = e.address(buffer, k, I32)
+    return e.together(e.load(e.field(first, 4 * _LIST * lane), I32) for lane in range(WIDTH))
 
 
 class _Seen:
@@ -212,7 +210,7 @@ class _Seen:
     or out of view. Of each eight asking agents it keeps the numbers that this takes, to be read one agent at a time."""
 
     def __init__(
-        self, e: Emitter, radius: Mapping[ir.Node, Lanes], view: Mapping[ir.Node, Lanes], search: Rows, heading: list[Lanes]
+        self, e: LaneBuilder, radius: Mapping[ir.Node, Lanes], view: Mapping[ir.Node, Lanes], search: Rows, heading: list[Lanes]
     ) -> None:
         self.e, self._stack = e, search.stack
         self._heading = [self._kept(each) for each in heading]
@@ -220,16 +218,16 @@ class _Seen:
         limits_of = {chosen: (each * each) * np.float32(BEYOND) + _TINY for chosen, each in widest.items()}
         if not view:
             limits_of = dict(list(limits_of.items())[:1])
-        self._sets: list[tuple[str, str]] = []
+        self._sets: list[tuple[Number, Number | None]] = []
         for chosen, limit in limits_of.items():
-            least = ""
+            least = None
             if chosen in view:
                 cosine = view[chosen]
                 least = self._kept(cosine * np.abs(cosine) - (cosine * cosine) * _SLACK)
             self._sets.append((self._kept(limit), least))
 
-    def _kept(self, value: Lanes) -> str:
-        place = self.e.slot(F32)
+    def _kept(self, value: Lanes) -> Number:
+        place = self.e.slot(F32, WIDTH)
         self.e.put(place, value)
         return place
 
@@ -237,12 +235,12 @@ class _Seen:
         """What asks it of eight candidates of one agent, given their places."""
         e = self.e
 
-        def one(place: str) -> Lanes:
-            return e.splat(e.load_one(Lanes(e, PTR, place, one=True), lane, F32))
+        def one(place: Number) -> Lanes:
+            return e.widened(e.read_one(place, lane, F32))
 
         own = [one(e.field(self._stack, 32 * k)) for k in range(3)]
         heading = [one(each) for each in self._heading]
-        sets = [(one(limit), one(least) if least else None) for limit, least in self._sets]
+        sets = [(one(limit), None if least is None else one(least)) for limit, least in self._sets]
 
         def test(places: list[Lanes]) -> Lanes:
             dx, dy, dz = (there - here for there, here in zip(places, own, strict=True))
@@ -268,9 +266,9 @@ def _candidates(
     too many candidates, whose lists are not gone through."""
     e = w.e
     buffer = w.base("candidates")
-    asked, found, number, own_place = (e.slot(I32) for _ in range(4))
-    begins, ends = e.slot(I32, count=_ROWS), e.slot(I32, count=_ROWS)
-    total, numbers = e.slot(I64, one=True), e.slot(I32)
+    asked, found, number, own_place = (e.slot(I32, WIDTH) for _ in range(4))
+    begins, ends = (e.room(_ROWS, text_type(I32, WIDTH)) for _ in range(2))
+    total, numbers = e.slot(I64), e.slot(I32, WIDTH)
     for slot in (asked, found):
         e.put(slot, e.constant(0, I32))
     if itself is not None:
@@ -278,65 +276,58 @@ def _candidates(
     columns = [w.base("grid", near.number, axis) for axis in AXES]
     fours = [w.base("grid", near.number, each) for each in ("places", *near.beside)]
 
-    def each_of(slot: str, lane: Lanes) -> Lanes:
-        return e.load_one(Lanes(e, PTR, slot, one=True), lane, I32)
-
     def some(lane: Lanes, rows: Lanes) -> None:
         """Those of one agent, in some rows of cells."""
         test = seen.of(lane)
-        mine = None if itself is None else e.splat(each_of(own_place, lane))
-        own = e.address(buffer, e.one(f"mul i64 {lane.name}, {_LIST}", I64), I32)
-        so_far = e.address(Lanes(e, PTR, found, one=True), lane, I32).name
-        e.put(total, e.convert(e.get(so_far, I32, one=True), I64))
+        mine = None if itself is None else e.widened(e.read_one(own_place, lane, I32))
+        own = e.address(buffer, lane * _LIST, I32)
+        so_far = e.address(found, lane, I32)
+        e.put(total, e.convert(e.load(so_far, I32), I64))
         with e.loop(rows) as row:
-            index = e.one(f"add i64 {e.one(f'shl i64 {row.name}, 3', I64).name}, {lane.name}", I64)
-            begin, end = each_of(begins, index), each_of(ends, index)
-            start, many = e.convert(begin, I64), e.convert(e.one(f"sub i32 {end.name}, {begin.name}", I32), I64)
-            last = e.splat(end)
-            e.put(numbers, e.splat(begin) + e.convert(e.iota(), I32))
+            index = (row << 3) + lane
+            begin, end = (e.read_one(each, index, I32) for each in (begins, ends))
+            start, many = e.convert(begin, I64), e.convert(end - begin, I64)
+            last = e.widened(end)
+            e.put(numbers, begin + e.convert(e.iota(), I32))
             with e.loop(many, WIDTH) as k:
-                at = e.one(f"add i64 {start.name}, {k.name}", I64)
+                at = start + k
                 for each in fours:  # for when the list is gone through: eight of them lie in three lines of memory at most
                     for offset in (0, _LINE, WIDTH * 16 - 4):
-                        e.fetch(e.field(four_at(e, each, at).name, offset))
-                now = e.get(numbers, I32)
+                        e.fetch(e.field(four_at(e, each, at), offset))
+                now = e.load(numbers, I32, WIDTH)
                 e.put(numbers, now + WIDTH)
-                inside = test([e.load(column, at, F32) for column in columns]) & (now < last)
+                inside = test([e.read(column, at, F32) for column in columns]) & (now < last)
                 if mine is not None:
                     inside = inside & (now != mine)
                 write_down(e, own, total, now, inside)
-        e.put(so_far, e.convert(e.get(total, I64, one=True), I32))
+        e.put(so_far, e.convert(e.load(total, I64), I32))
 
     every = search.many()
     with e.loop(every, _ROWS) as first:
-        rest = e.one(f"sub i64 {every.name}, {first.name}", I64)
-        rows = e.intrinsic("smin", rest, e.constant(_ROWS, I64, one=True))
+        rows = e.op("smin", I64, every - first, e.constant(_ROWS, I64, 1))
         e.put(number, e.constant(0, I32))
         with e.loop(rows) as row:
             begin, count = search.following()
-            sums = e.get(asked, I32) + count
+            sums = e.load(asked, I32, WIDTH) + count
             e.put(asked, sums)
             count = e.where(sums <= MOST, count, e.constant(0, I32))
-            e.put(number, e.get(number, I32) | count)
-            at = e.one(f"shl i64 {row.name}, 3", I64)
-            e.store(Lanes(e, PTR, begins, one=True), at, begin)
-            e.store(Lanes(e, PTR, ends, one=True), at, begin + count)
-        with (
-            e.loop(e.constant(WIDTH, I64, one=True)) as lane,
-            e.inside(e.one(f"icmp sgt i32 {each_of(number, lane).name}, 0", BOOL)),
-        ):
+            e.put(number, e.load(number, I32, WIDTH) | count)
+            at = row << 3
+            e.write(begins, at, begin)
+            e.write(ends, at, begin + count)
+        with e.loop(WIDTH) as lane, e.inside(e.read_one(number, lane, I32) > 0):
             some(lane, rows)
-    counted = e.get(found, I32)
-    over = asks & (e.get(asked, I32) > MOST)
+    counted = e.load(found, I32, WIDTH)
+    over = asks & (e.load(asked, I32, WIDTH) > MOST)
     counted = e.where(asks & ~over, counted, e.constant(0, I32))
     e.put(number, counted)
     most, nobody = e.greatest(counted), e.constant(0, I32)
-    with e.loop(e.constant(WIDTH, I64, one=True)) as lane:  # all lists go on to the end of the longest one
-        many = each_of(number, lane)
-        own = e.address(buffer, e.one(f"mul i64 {lane.name}, {_LIST}", I64), I32)
+    with e.loop(WIDTH) as lane:  # all lists go on to the end of the longest one
+        many = e.read_one(number, lane, I32)
+        own = e.address(buffer, lane * _LIST, I32)
         end = e.address(own, e.convert(many, I64), I32)
-        short = e.convert(e.one(f"sub i32 {most.name}, {many.name}", I32), I64)
-        e.store(end, e.constant(0, I64, one=True), nobody)
-        with e.inside(e.one(f"icmp sgt i64 {short.name}, {WIDTH}", BOOL)), e.loop(short, WIDTH) as k:
-            e.store(end, k, nobody)
+        short = e.convert(most - many, I64)
+        e.write(end, 0, nobody)
+        with e.inside(short > WIDTH), e.loop(short, WIDTH) as k:
+            e.write(end, k, nobody)
     return buffer, counted, over

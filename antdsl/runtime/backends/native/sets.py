@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.lanes import F32, I32, I64, Lanes
+from antdsl.machine_code.kinds import F32, I32, I64
+from antdsl.machine_code.lanes import Lanes
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
@@ -65,12 +66,12 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
     own = own_values(b, instructions)
     of_items = nodes[0].args[0].op == "set.items"
     name = nodes[0].args[0].attrs[0]
-    place = [e.load(b.base("start", f"position.{axis}"), b.row, F32) for axis in AXES]
+    place = [e.read(b.base("start", f"position.{axis}"), b.row, F32) for axis in AXES]
     reach = {chosen: b.slot(slots[0]) if of_items else None for chosen, slots in sets.items()}
     for make in own.values():
         make()  # here, not within the loop
     mask = b.mask[-1]
-    itself = None if of_items or name != b.species else e.load(b.base("ids"), b.row, I64)
+    itself = None if of_items or name != b.species else e.read(b.base("ids"), b.row, I64)
     sums = [Sum(e, node, many=True) for node in nodes]
     for each in sums:
         each.start()
@@ -79,7 +80,7 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
 
         def read(attribute: str, kind: str = F32) -> Lanes:
             key = ("item", name, attribute) if of_items else ("other", name, attribute)
-            return e.splat(e.load_one(b.base(*key), number, kind))
+            return e.widened(e.read_one(b.base(*key), number, kind))
 
         dx, dy, dz = (read(axis if of_items else f"position.{axis}") - mine for axis, mine in zip(AXES, place, strict=True))
         distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
@@ -89,7 +90,7 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
             if node.op in of_pair:
                 return of_pair[node.op]
             if node.op == "other.row":
-                return e.splat(e.convert(number, I32))
+                return e.widened(e.convert(number, I32))
             if node.op == "other.id":
                 return read("unsorted ids", I64)
             return read(node.attrs[0], KINDS[node.kind])
@@ -101,7 +102,7 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
                 near = near & (distance <= reach[node.args[0]])
             elif itself is not None:
                 near = near & (read("unsorted ids", I64) != itself)
-            take(each, node, pairs, near, (lambda: e.splat(number)) if of_items else (lambda: read("unsorted ids", I64)))
+            take(each, node, pairs, near, (lambda: e.widened(number)) if of_items else (lambda: read("unsorted ids", I64)))
     for each, instruction in zip(sums, instructions, strict=True):
         b.known(instruction.out, each.result())
 

@@ -4,13 +4,14 @@ Terms of sums are multiples of one quantum and add without rounding, so their or
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.emitter import Emitter
-from antdsl.machine_code.lanes import F32, F64, I32, I64, WIDTH, Lanes
+from antdsl.machine_code.kernels.values import Number
+from antdsl.machine_code.kinds import F32, F64, I32, I64, WIDTH
+from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.numerics import exact_sums
 from antdsl.plan import ir
 
@@ -21,26 +22,16 @@ NO_LABEL = (1 << 63) - 1
 class Sum:
     """Running values of one reduction, on the stack: of eight agents, or of one agent in eight parts."""
 
-    e: Emitter
+    e: LaneBuilder
     node: ir.Node
     many: bool  # more terms than float64 adds exactly
-    a: str = ""
-    b: str = ""
-
-    @property
-    def _two(self) -> bool:
-        return self.many or self.node.op != "reduce.sum"
+    _parts: list[tuple[Number, str]] = field(default_factory=list)  # their places, with their kinds
 
     def start(self) -> None:
-        e, op = self.e, self.node.op
-        first, second = START[op]
-        if not self.a:
-            self.a = e.slot(first[0])
-            self.b = e.slot(second[0]) if second is not None and self._two else ""
-        for place, row in ((self.a, first), (self.b, second)):
-            if row is not None and place:
-                value = e.constant(*reversed(row))
-                e.do(f"store {value.typed}, ptr {place}")
+        for k, row in enumerate(START[self.node.op]):
+            if k == 0 or self.many or self.node.op != "reduce.sum":
+                self._parts.append((self.e.slot(row[0], WIDTH), row[0]))
+                self._put(k, self.e.constant(row[1], row[0]))
 
     def take(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
         """Take in a term of each lane for which a condition holds."""
@@ -53,34 +44,35 @@ class Sum:
                     quantum = int(self.node.attrs[0])
                     magic = float(np.ldexp(1.5, quantum + exact_sums.HALF + 52))
                     high = (term + magic) - magic
-                    self._put(self.a, self._at(self.a, F64) + high)
-                    self._put(self.b, self._at(self.b, F64) + (term - high))
+                    self._put(0, self._at(0) + high)
+                    self._put(1, self._at(1) + (term - high))
                 else:
-                    self._put(self.a, self._at(self.a, F64) + term)
+                    self._put(0, self._at(0) + term)
             case "reduce.count":
-                self._put(self.a, self._at(self.a, I32) + e.convert(mask, I32))
+                self._put(0, self._at(0) + e.convert(mask, I32))
             case "reduce.any":
-                self._put(self.a, self._at(self.a, I32) | e.convert(mask, I32))
+                self._put(0, self._at(0) | e.convert(mask, I32))
             case "reduce.min":
                 assert body is not None
-                least = self._at(self.a, F32)
-                self._put(self.a, e.where(mask & (body < least), body, least))
+                least = self._at(0)
+                self._put(0, e.where(mask & (body < least), body, least))
             case "reduce.max":
                 assert body is not None
-                most = self._at(self.a, F32)
-                self._put(self.a, e.where(mask & (body > most), body, most))
+                most = self._at(0)
+                self._put(0, e.where(mask & (body > most), body, most))
             case _:
                 assert body is not None and label is not None
-                least, whose = self._at(self.a, F32), self._at(self.b, I64)
+                least, whose = self._at(0), self._at(1)
                 better = mask & ((body < least) | ((body == least) & (label < whose)))
-                self._put(self.a, e.where(better, body, least))
-                self._put(self.b, e.where(better, label, whose))
+                self._put(0, e.where(better, body, least))
+                self._put(1, e.where(better, label, whose))
 
-    def _at(self, place: str, kind: str) -> Lanes:
-        return self.e.get(place, kind)
+    def _at(self, part: int) -> Lanes:
+        place, kind = self._parts[part]
+        return self.e.load(place, kind, WIDTH)
 
-    def _put(self, place: str, value: Lanes) -> None:
-        self.e.put(place, value)
+    def _put(self, part: int, value: Lanes) -> None:
+        self.e.put(self._parts[part][0], value)
 
     def _rounded(self, body: Lanes) -> Lanes:
         """A term as a multiple of the quantum, as `exact_sums.rounded` gives it."""
@@ -99,62 +91,52 @@ class Sum:
         e = self.e
         match self.node.op:
             case "reduce.sum":
-                total = self._at(self.a, F64)
+                total = self._at(0)
                 if self.many:
-                    total = total + self._at(self.b, F64)
+                    total = total + self._at(1)
                 return e.convert(total, F32)
             case "reduce.count":
-                return e.convert(self._at(self.a, I32), F32)
+                return e.convert(self._at(0), F32)
             case "reduce.any":
-                return self._at(self.a, I32) != 0
+                return self._at(0) != 0
             case "reduce.min" | "reduce.max":
-                return self._at(self.a, F32) + np.float32(0)
-        label = self._at(self.b, I64)
+                return self._at(0) + np.float32(0)
+        label = self._at(1)
         label = e.where(label == NO_LABEL, e.constant(-1, I64), label)
         return label if self.node.op == "reduce.agent" else e.convert(label, I32)
 
     def fold(self) -> None:
         """Put what the eight parts hold together, into each of them."""
-        e = self.e
-        for width in (4, 2, 1):
-            order = ", ".join(f"i32 {(k + width) % WIDTH}" for k in range(WIDTH))
-            turned = {}
-            for place, row in zip((self.a, self.b), START[self.node.op], strict=True):
-                if row is not None and place:
-                    value = self._at(place, row[0])
-                    turned[place] = e.op(
-                        f"shufflevector {value.typed}, <{WIDTH} x {row[0]}> poison, <{WIDTH} x i32> <{order}>", row[0]
-                    )
-            self._fold(turned)
+        for half in (4, 2, 1):
+            self._fold([self.e.turned(self._at(k), half) for k in range(len(self._parts))])
 
-    def _fold(self, other: dict[str, Lanes]) -> None:
-        e = self.e
-        a = other[self.a]
+    def _fold(self, other: list[Lanes]) -> None:
+        e, a = self.e, other[0]
         match self.node.op:
             case "reduce.sum" | "reduce.count":
-                for place, value in other.items():
-                    self._put(place, self._at(place, value.kind) + value)
+                for k, value in enumerate(other):
+                    self._put(k, self._at(k) + value)
             case "reduce.any":
-                self._put(self.a, self._at(self.a, I32) | a)
+                self._put(0, self._at(0) | a)
             case "reduce.min":
-                mine = self._at(self.a, F32)
-                self._put(self.a, e.where(a < mine, a, mine))
+                mine = self._at(0)
+                self._put(0, e.where(a < mine, a, mine))
             case "reduce.max":
-                mine = self._at(self.a, F32)
-                self._put(self.a, e.where(a > mine, a, mine))
+                mine = self._at(0)
+                self._put(0, e.where(a > mine, a, mine))
             case _:
-                mine, whose, label = self._at(self.a, F32), self._at(self.b, I64), other[self.b]
+                mine, whose, label = self._at(0), self._at(1), other[1]
                 better = (a < mine) | ((a == mine) & (label < whose))
-                self._put(self.a, e.where(better, a, mine))
-                self._put(self.b, e.where(better, label, whose))
+                self._put(0, e.where(better, a, mine))
+                self._put(1, e.where(better, label, whose))
 
 
-START: dict[str, tuple[tuple[str, Any], tuple[str, Any] | None]] = {
+START: dict[str, tuple[tuple[str, Any], ...]] = {
     "reduce.sum": ((F64, 0.0), (F64, 0.0)),
-    "reduce.count": ((I32, 0), None),
-    "reduce.any": ((I32, 0), None),
-    "reduce.min": ((F32, np.inf), None),
-    "reduce.max": ((F32, -np.inf), None),
+    "reduce.count": ((I32, 0),),
+    "reduce.any": ((I32, 0),),
+    "reduce.min": ((F32, np.inf),),
+    "reduce.max": ((F32, -np.inf),),
     "reduce.agent": ((F32, np.inf), (I64, NO_LABEL)),
     "reduce.item": ((F32, np.inf), (I64, NO_LABEL)),
 }

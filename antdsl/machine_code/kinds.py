@@ -1,0 +1,29 @@
+"""Kinds of numbers in machine code, and how many of them are worked with side by side."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+WIDTH = 8  # agents, or turns of a loop, that are done side by side
+F32, F64, BOOL, I8, I32, I64, PTR = "float", "double", "i1", "i8", "i32", "i64", "ptr"
+TYPES: Mapping[Any, str] = {
+    np.dtype(np.float32): F32, np.dtype(np.float64): F64, np.dtype(np.bool_): BOOL, np.dtype(np.int32): I32,
+    np.dtype(np.int64): I64, np.dtype(np.uint64): I64, np.dtype(np.intp): I64, np.dtype(np.int8): I8, np.dtype(np.uint8): I8,
+}  # fmt: skip
+FLOATS = (F32, F64)
+BITS = {BOOL: 1, I8: 8, I32: 32, I64: 64}
+
+
+def literal(value: Any, kind: str) -> str:
+    """A number in LLVM's language; of a float the bits."""
+    if kind in FLOATS:
+        number = float(np.float32(value)) if kind == F32 else float(value)
+        return f"0x{struct.unpack('>Q', struct.pack('>d', number))[0]:016X}"
+    if kind == BOOL:
+        return "true" if value else "false"
+    whole = int(value)
+    return str(whole - (1 << 64) if kind == I64 and whole >= 1 << 63 else whole)

@@ -1,0 +1,46 @@
+"""Functions of one text in LLVM's language, for a processor."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from antdsl.machine_code.kernels.ir import Function
+    from antdsl.machine_code.machine import Target
+
+_NAMED = re.compile(r"@[\w.]+")
+
+
+class Module:
+    """Texts of functions by their names, and declarations of what they call of LLVM."""
+
+    def __init__(self, target: Target) -> None:
+        self.target = target
+        self.declared: dict[str, str] = {}  # by names with an @
+        self.functions: dict[str, str] = {}
+        self.made: dict[str, Function] = {}  # what is known of those that are written, without their instructions
+
+    def declare(self, name: str, result: str, arguments: list[str]) -> None:
+        self.declared.setdefault(f"@{name}", f"declare {result} @{name}({', '.join(arguments)})")
+
+    def text(self) -> str:
+        """All of it."""
+        return "\n".join((*self.declared.values(), *self.functions.values())) + "\n"
+
+    def entries(self) -> list[str]:
+        """The functions that are called from outside."""
+        return [name for name, text in self.functions.items() if text.startswith("define void")]
+
+    def unit(self, entry: str) -> str:
+        """A function with all that it calls, which can be compiled without the others."""
+        output: dict[str, set[str]] = {}
+        coming = [entry]
+        while coming:
+            name = coming.pop()
+            if name not in output and name in self.functions:
+                output[name] = set(_NAMED.findall(self.functions[name]))
+                coming += [each[1:] for each in output[name]]
+        named = set[str]().union(*output.values())
+        declared = [text for name, text in self.declared.items() if name in named]
+        return "\n".join((*declared, *(text for name, text in self.functions.items() if name in output))) + "\n"

@@ -1,0 +1,54 @@
+"""The instructions of a plan, interpreted, against NumPy: the bits of every operation and statement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import plans
+import pytest
+from compilers import need_llvmlite
+
+from antdsl.machine_code import lanes, machine
+from antdsl.machine_code.kernels import rendering
+from antdsl.machine_code.kernels.interpret import interpreted
+from antdsl.machine_code.kernels.ir import Function
+from antdsl.runtime import Options, bind, state_hash, step
+from antdsl.runtime.backends.native import ready
+from antdsl.runtime.backends.native.programs import program
+
+FRAMES = 1
+
+
+@dataclass
+class Interpreted:
+    """Stands for the code of a text."""
+
+    functions: list[Function]
+
+    def function(self, name: str) -> Any:
+        return interpreted(self.functions, f"@{name}.inside")
+
+
+@pytest.mark.parametrize("avx2", [True, False])
+def test_the_instructions_of_a_plan_mean_what_numpy_does(monkeypatch: pytest.MonkeyPatch, avx2: bool) -> None:
+    need_llvmlite()
+    functions: list[Function] = []
+    render = rendering.function_text
+
+    def noted(function: Function, declared: dict[str, str]) -> str:
+        functions.append(function)
+        return render(function, declared)
+
+    monkeypatch.setattr(lanes, "function_text", noted)
+    target = machine.Target("x86_64-unknown-linux-gnu", "x86-64", "+avx2" if avx2 else "")
+    monkeypatch.setattr(ready, "program", lambda plan, blocks, facts, _: program(plan, blocks, facts, target))
+    monkeypatch.setattr(ready, "codes", SimpleNamespace(code=lambda text: Interpreted(functions)))
+    plan, setting = plans.rich(), plans.setting(11)
+    worlds = [bind(plan, setting, Options("numpy")), bind(plan, setting, Options("native", wait_for_code=True))]
+    for _ in range(FRAMES):
+        for world in worlds:
+            step(world)
+        assert state_hash(worlds[0]) == state_hash(worlds[1])
+    assert worlds[1].backend.ready is not None and functions  # type: ignore[attr-defined]
