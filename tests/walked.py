@@ -28,7 +28,7 @@ class Hop:
     face: int
     start: Floats
     up: Floats
-    path: Floats
+    way: Floats
     end: Floats
     above: Floats
 
@@ -41,7 +41,7 @@ class Landing:
     face: int
     place: Floats
     side: float
-    moved: float
+    gone: float
     rise: float = 0.0
     shut: bool = False
 
@@ -54,13 +54,13 @@ class Walker:
     face: int
     place: Floats
     side: float
-    path: Floats
+    way: Floats
     heading: Floats
     left: float
     body: float
     over: float
     straight: bool
-    moved: float = 0.0
+    gone: float = 0.0
     blocked: bool = False
     spent: int = 0
     hops: list[Hop] = field(default_factory=list)
@@ -120,8 +120,8 @@ class Reference:
         level = np.abs(down) <= LEVEL * size * self.sides[near]
         with np.errstate(all="ignore"):
             part = (off * across).sum(axis=1) / down
-            target = off + part[:, None] * step
-            one, two = (target * self.second[near]).sum(axis=1), (target * self.third[near]).sum(axis=1)
+            there = off + part[:, None] * step
+            one, two = (there * self.second[near]).sum(axis=1), (there * self.third[near]).sum(axis=1)
             hit = ~level & (one >= -EDGE) & (two >= -EDGE) & (one + two <= 1 + EDGE) & (part >= 0) & (part <= most)
         if not hit.any():
             return -1, np.inf, origin
@@ -146,10 +146,10 @@ class Reference:
     def beyond_edge(self, face: int, side: float, edge: int) -> int:
         return int(self.table.link[1 if side < 0 else 0, 3 * face + edge])
 
-    def together(self, face: int, side: float, other: int, target: float) -> bool:
+    def together(self, face: int, side: float, other: int, there: float) -> bool:
         """Whether sides of faces are of two pieces, or may be come to from each other in one."""
-        path, piece = self.table.way, self.table.piece
-        return bool(piece[face] != piece[other] or path[int(side < 0), face] == path[int(target < 0), other])
+        way, piece = self.table.way, self.table.piece
+        return bool(piece[face] != piece[other] or way[int(side < 0), face] == way[int(there < 0), other])
 
     def edge(self, face: int, k: int) -> tuple[Floats, Floats, Floats]:
         """Where the edge opposite a corner begins, its direction, and that across it out of the face."""
@@ -172,8 +172,8 @@ class Reference:
     ) -> Step:
         normal = self.normal[face]
         side = -1.0 if up @ normal < 0 else 1.0
-        path, left = self._laid(face, wish, self.table.axis1[:, face])
-        w = Walker(face, place, side, path, self._laid(face, heading, path)[0], left, body, over * side, straight)
+        way, left = self._laid(face, wish, self.table.axis1[:, face])
+        w = Walker(face, place, side, way, self._laid(face, heading, way)[0], left, body, over * side, straight)
         self.look_around(place, 2 * left + 2 * body + 1e3 * self.scale.noise)
         if w.over != 0 and w.left > 0:
             self._hang(w)
@@ -225,21 +225,21 @@ class Reference:
             self._border(w, out)
             return
         start, along, across = self.edge(w.face, out)
-        target, other = link >> 3, (link >> 1) & 3
-        begin, onward, outward = self.edge(target, other)
+        there, other = link >> 3, (link >> 1) & 3
+        begin, onward, outward = self.edge(there, other)
         if onward @ along < 0:
-            begin, onward = self.corners[target, (other + 2) % 3], -onward
+            begin, onward = self.corners[there, (other + 2) % 3], -onward
         turned = [(v @ along) * onward - (v @ across) * outward for v in (w.way, w.heading)]
-        w.place = self.onto(target, begin + onward * float((w.place - start) @ along))
-        w.face, w.way, w.heading = target, *turned
+        w.place = self.onto(there, begin + onward * float((w.place - start) @ along))
+        w.face, w.way, w.heading = there, *turned
         w.side = -w.side if link & 1 else w.side
 
     def _land(self, w: Walker, to: Landing) -> None:
-        previous, following, path = self.normal[w.face] * w.side, self.normal[to.face] * to.side, w.way
-        w.hops.append(Hop(to.face, w.place + previous * to.rise, previous, path, to.place, following))
+        previous, following, way = self.normal[w.face] * w.side, self.normal[to.face] * to.side, w.way
+        w.hops.append(Hop(to.face, w.place + previous * to.rise, previous, way, to.place, following))
         turned = []
         for v in (w.way, w.heading):
-            v = _turned(v, previous, following, path)
+            v = _turned(v, previous, following, way)
             flat = v - (v @ following) * following
             size = _length(flat)
             turned.append(flat / size if size > 1e-9 else self.table.axis1[:, to.face])
@@ -258,10 +258,10 @@ class Reference:
     def _rise(self, w: Walker, level: float) -> bool:
         most = level - w.over
         climb = min(abs(most), w.left)
-        target = climb >= abs(most)
-        w.over = level if target else w.over + np.copysign(climb, most)
+        there = climb >= abs(most)
+        w.over = level if there else w.over + np.copysign(climb, most)
         w.left, w.gone = w.left - climb, w.gone + climb
-        return target
+        return there
 
     def _hang(self, w: Walker) -> None:
         """Go on over the border that is stepped over, or back."""
@@ -277,11 +277,11 @@ class Reference:
 
     def _border(self, w: Walker, edge: int) -> None:
         landing = self.beyond(w.face, w.place, w.side, w.body, edge)
-        target = self._rise(w, 0.0 if landing is None else landing.rise)
-        if landing is not None and target and w.left >= landing.gone:
+        there = self._rise(w, 0.0 if landing is None else landing.rise)
+        if landing is not None and there and w.left >= landing.gone:
             w.over = 0.0
             self._land(w, landing)
-        elif landing is not None or not target:
+        elif landing is not None or not there:
             w.blocked |= w.gone == 0
             w.left = 0.0
         else:
@@ -314,22 +314,22 @@ class Reference:
             if not through or abs(begins) <= touch or float(((self.corners[other] - w.place) @ up).max()) <= touch:
                 continue
             previous = float(np.clip(begins / (begins - ends) if begins != ends else begins, 0, 1)) * length
-            target = w.place + w.way * previous
-            if self._within(other, target, 4 * touch) and self._leads_through(w, other, begins, target):
+            there = w.place + w.way * previous
+            if self._within(other, there, 4 * touch) and self._leads_through(w, other, begins, there):
                 leans = -float(up @ n) / (float(n @ w.way) or 1.0)
-                result.append((previous + OFF * touch * float(np.clip(leans, -LEANING, LEANING)), other, previous, target))
+                result.append((previous + OFF * touch * float(np.clip(leans, -LEANING, LEANING)), other, previous, there))
         if not result:
             return None
-        _, other, previous, target = min(result, key=lambda each: each[:2])
+        _, other, previous, there = min(result, key=lambda each: each[:2])
         n, towards = self.normal[other], float(self.normal[other] @ w.way)
         steep = up - (up @ n) * n
         off = steep * (OFF * touch / max(float(steep @ steep), STEEP))
         back = not self.together(own, w.side, other, -1.0 if towards > 0 else 1.0)
-        if back or self._tight(other, own, target, off):
+        if back or self._tight(other, own, there, off):
             soonest = min(each[2] for each in result)
             near = max(soonest - OFF * touch / max(abs(towards), 1 / LEANING), 0.0) if back else 0.0
             return Landing(own, self.onto(own, w.place + w.way * near), self.side_of(own, -up), near, shut=True)
-        return Landing(other, self.onto(other, target + off), -1.0 if towards > 0 else 1.0, previous)
+        return Landing(other, self.onto(other, there + off), -1.0 if towards > 0 else 1.0, previous)
 
     def _within(self, face: int, place: Floats, touch: float) -> bool:
         t = self.table
@@ -337,7 +337,7 @@ class Reference:
         one, two = self.weights(face, place)
         return bool(one >= -over and two >= -over and one + two <= 1 + over)
 
-    def _leads_through(self, w: Walker, other: int, begins: float, target: Floats) -> bool:
+    def _leads_through(self, w: Walker, other: int, begins: float, there: Floats) -> bool:
         """Whether the way goes on behind a face that it comes to: where the own face only touches it, the next may fold back."""
 
         def lowest(face: int) -> float:
@@ -346,7 +346,7 @@ class Reference:
 
         if lowest(w.face) < -self.scale.touch:
             return True
-        one, two = self.weights(w.face, self.onto(w.face, target))
+        one, two = self.weights(w.face, self.onto(w.face, there))
         link = self.beyond_edge(w.face, w.side, int(np.argmin([1 - one - two, one, two])))
         return link == NO_LINK or lowest(link >> 3) < -self.scale.touch
 
@@ -379,11 +379,11 @@ class Reference:
             high = high * part / 2
         eye, step, down = w.place + up * high, w.way * length, -up * high
         towards = step
-        face, part, target = self.first(eye, step, fine, piece=piece)
-        moved = min(part, 1.0) * length
+        face, part, there = self.first(eye, step, fine, piece=piece)
+        gone = min(part, 1.0) * length
         if face < 0:
-            towards, moved = down, length
-            face, _, target = self.first(eye + step, down, 0.0, piece=piece)
+            towards, gone = down, length
+            face, _, there = self.first(eye + step, down, 0.0, piece=piece)
         if face < 0:
             return None, False
         legs = [(w.place + up * fine, up * (high - fine), 0.0), (eye, step, fine)]
@@ -391,8 +391,8 @@ class Reference:
             legs.append((eye + step, down, 0.0))
         first = [self.first(*leg, own=w.face)[0] for leg in legs]
         hidden = any(each >= 0 and self.table.piece[each] == piece for each in first)
-        path = min(float(np.hypot(moved, high)), w.left)
-        return Landing(face, self.onto(face, target), self.side_of(face, towards), path), hidden
+        way = min(float(np.hypot(gone, high)), w.left)
+        return Landing(face, self.onto(face, there), self.side_of(face, towards), way), hidden
 
     # ---- what is beyond a border
 
@@ -407,23 +407,23 @@ class Reference:
             high = (fine + part * (high - fine)) / 2
         if self.first(place + up * high, out * gap, 0.0, own=own)[0] >= 0:
             high = min(high, LIFT * body)
-        face, part, target = self.first(place + up * high, out * gap, 0.0, own=own)
+        face, part, there = self.first(place + up * high, out * gap, 0.0, own=own)
         if face >= 0:
-            return self._led(own, side, face, target, out, part * gap, high, gap)
+            return self._led(own, side, face, there, out, part * gap, high, gap)
         over, fall = place + out * gap, -up * (high + HIGH * body)
-        face, part, target = self.first(over + up * high, fall, 0.0, own=own)
+        face, part, there = self.first(over + up * high, fall, 0.0, own=own)
         lowest = -HIGH * body if face < 0 else high - part * (high + HIGH * body)
         if face >= 0 and self._leads(own, side, face, fall):
-            face, target, moved, rise, fall = self._nearest(own, place, up, face, lowest, high, gap, fall)
-            return self._down(own, side, place, hair, up, face, target, fall, moved, rise, gap)
+            face, there, gone, rise, fall = self._nearest(own, place, up, face, lowest, high, gap, fall)
+            return self._down(own, side, place, hair, up, face, there, fall, gone, rise, gap)
         for depth in (GAP * body, DEEP * body):
             if lowest < -depth:
-                face, part, target = self.first(over - up * depth, -2 * gap * out, 0.0, own=own)
+                face, part, there = self.first(over - up * depth, -2 * gap * out, 0.0, own=own)
                 if face >= 0:
                     if not self._leads(own, side, face, -out):
                         return None
-                    moved = abs(gap - part * 2 * gap)
-                    return self._down(own, side, place, hair, up, face, target, -out, moved, -depth, gap)
+                    gone = abs(gap - part * 2 * gap)
+                    return self._down(own, side, place, hair, up, face, there, -out, gone, -depth, gap)
         return None
 
     def _nearest(
@@ -434,12 +434,12 @@ class Reference:
         level = min(plane, high) if plane > lowest else lowest
         level = 0.0 if abs(level) <= gap else level
         above = place + up * level
-        target = _nearest_of(self.corners[face], above)
-        away = _length(target - above)
-        first, part, previous = self.first(above, target - above, 0.0, own=own)
+        there = _nearest_of(self.corners[face], above)
+        away = _length(there - above)
+        first, part, previous = self.first(above, there - above, 0.0, own=own)
         if part * away < away - self.scale.fine:
-            return first, previous, part * away, level, target - above
-        return face, target, away, level, fall
+            return first, previous, part * away, level, there - above
+        return face, there, away, level, fall
 
     def _down(
         self,
@@ -449,9 +449,9 @@ class Reference:
         hair: Floats,
         up: Floats,
         face: int,
-        target: Floats,
+        there: Floats,
         towards: Floats,
-        moved: float,
+        gone: float,
         rise: float,
         gap: float,
     ) -> Landing | None:
@@ -462,29 +462,29 @@ class Reference:
             sooner, part, hit = self.first(place + hair - up * fine, fall, 0.0, own=own)
             if sooner >= 0:
                 return self._led(own, side, sooner, hit, fall, 0.0, part * (rise + fine) - fine, gap)
-        return self._led(own, side, face, target, towards, moved, rise, gap)
+        return self._led(own, side, face, there, towards, gone, rise, gap)
 
     def _led(
-        self, own: int, side: float, face: int, target: Floats, towards: Floats, moved: float, rise: float, gap: float
+        self, own: int, side: float, face: int, there: Floats, towards: Floats, gone: float, rise: float, gap: float
     ) -> Landing | None:
         if not self._leads(own, side, face, towards):
             return None
         if abs(rise) <= gap:
-            moved, rise = float(np.hypot(moved, rise)), 0.0
-        return Landing(face, self.onto(face, target), self.side_of(face, towards), moved, rise)
+            gone, rise = float(np.hypot(gone, rise)), 0.0
+        return Landing(face, self.onto(face, there), self.side_of(face, towards), gone, rise)
 
     def _leads(self, own: int, side: float, face: int, towards: Floats) -> bool:
         """Nothing leads to the other side of what is walked on, nor to what turns back below it as that side does."""
-        target = self.side_of(face, towards)
-        level = float((self.normal[face] * target) @ (self.normal[own] * side))
-        return level > TURNED and self.together(own, side, face, target)
+        there = self.side_of(face, towards)
+        level = float((self.normal[face] * there) @ (self.normal[own] * side))
+        return level > TURNED and self.together(own, side, face, there)
 
 
-def _turned(v: Floats, previous: Floats, following: Floats, path: Floats) -> Floats:
+def _turned(v: Floats, previous: Floats, following: Floats, way: Floats) -> Floats:
     """A vector turned by the least turn that takes one unit vector into another (Rodrigues); half a turn goes over a way."""
     axis, cosine = _cross(previous, following), float(previous @ following)
     if cosine < -1 + 1e-9:
-        hinge = _cross(previous, path)
+        hinge = _cross(previous, way)
         return 2 * (hinge @ v) * hinge - v
     sine = _length(axis)
     if sine == 0:

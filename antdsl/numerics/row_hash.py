@@ -58,6 +58,8 @@ class RowHash:
         piece."""
         arrays = list(columns) if ids is None else [ids, *columns]
         count = len(arrays[0])
+        if not count:  # arrays without rows have any strides
+            return _told((0, 0))
         table = self._table
         if table is None or len(arrays) != len(self._arrays) or not table.lie(arrays, self._arrays):
             self._table = table = Table(arrays, keys, ids=ids is not None)

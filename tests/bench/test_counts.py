@@ -20,18 +20,11 @@ from counts import RECORDED, grown
 from antdsl.bench.cases import case_of
 from antdsl.bench.counting import SETTLED, count_step, counts_of
 from antdsl.machine_code.kernels import sources
-from antdsl.numerics import parallel
 from antdsl.runtime import Options, World, bind, state_hash, step, stepping
 from antdsl.senses.overlaps import worst
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "tests" / "benchmarks"
-
-
-@pytest.fixture(autouse=True)
-def without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels come in where steps have cost enough, which depends on the machine."""
-    monkeypatch.setattr(parallel, "available", lambda: False)
 
 
 @pytest.fixture

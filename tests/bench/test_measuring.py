@@ -6,6 +6,7 @@ import importlib
 import json
 import os
 import sys
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from antdsl.cli.printing.bench_tables import show
 from antdsl.machine_code import machine as native_machine
 from antdsl.machine_code.object_cache import VARIABLE
 from antdsl.runtime.backends import NumpyBackend
+from antdsl.runtime.backends.native import ready
 from antdsl.runtime.world import Population, World
 from antdsl.source import Source
 from antdsl.syntax import format as formatted
@@ -148,7 +150,9 @@ def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pyte
 def test_where_there_is_no_machine_code_that_is_told_with_the_times(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(native_machine, "unavailable", lambda: "llvmlite is not there: install it")
+    coming: Future[None] = Future()
+    coming.set_exception(ready.Unavailable("llvmlite is not there: install it"))
+    monkeypatch.setattr("antdsl.runtime.backends.native.backend.beside", lambda *_: coming)
     found = measure(Job("node", 1, ("native", "numpy"), turns=1, steps=1))
     (line,) = told(Result((found,)))
     assert line.startswith("native: NumPy runs instead of machine code") and line.endswith("llvmlite is not there: install it")

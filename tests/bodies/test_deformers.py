@@ -27,10 +27,10 @@ FACES = np.zeros((0, 3), np.int32)
 
 def skinned(scales: bool, sheared: bool = False) -> tuple[Definition, Poses]:
     """A shape of 120 points that follow four of nine joints each, and the poses of seven agents."""
-    made, random = wild(9, 11, scales=scales, sheared=sheared), np.random.default_rng(12)
+    built, random = wild(9, 11, scales=scales, sheared=sheared), np.random.default_rng(12)
     points, normals = random.normal(size=(2, 120, 3)).astype(np.float32)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    names = tuple(random.permutation(made.rig.names))
+    names = tuple(random.permutation(built.rig.names))
     weights = random.uniform(size=(120, 4)) ** 3
     weights[::5, 1:] = 0
     weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
@@ -38,24 +38,24 @@ def skinned(scales: bool, sheared: bool = False) -> tuple[Definition, Poses]:
     capture = Capture(names, random.integers(0, 9, (120, 4)).astype(np.int32), weights, inverse)
     body = Shape("body", points, FACES, normals, attributes={"twist": random.uniform(size=120).astype(np.float32)},
                  capture=capture, dual_quaternion_blend="twist")  # fmt: skip
-    made = replace(made, shapes={"body": body})
+    built = replace(built, shapes={"body": body})
     playing = Playing.alike(
         ClipTree.flat(2),
         np.tile(np.array([[0, 1]], np.int32), (7, 1)),
         random.uniform(0, 1, (7, 2)),
         random.uniform(size=(7, 2)).astype(np.float32),
     )
-    return made, posed(clip_table(made), {}, playing)
+    return built, posed(clip_table(built), {}, playing)
 
 
-def theirs(made: Definition, poses: Poses, method: str) -> tuple[NDArray[Any], NDArray[Any]]:
+def theirs(built: Definition, poses: Poses, method: str) -> tuple[NDArray[Any], NDArray[Any]]:
     """Points and normals by UsdSkel, agent by agent."""
     skel, gf, vt = (pytest.importorskip(f"pxr.{name}") for name in ("UsdSkel", "Gf", "Vt"))
-    shape = made.shapes["body"]
+    shape = built.shapes["body"]
     capture = shape.capture
     assert capture is not None and shape.normals is not None
-    at = [made.rig.names.index(name) for name in capture.names]
-    found = []
+    at = [built.rig.names.index(name) for name in capture.names]
+    result = []
     for world in poses.world.astype(np.float64):
         full = np.concatenate([world, np.tile([[[0, 0, 0, 1.0]]], (len(world), 1, 1))], 1)[at] @ capture.inverse
         points, normals = vt.Vec3fArray.FromNumpy(shape.points.copy()), vt.Vec3fArray.FromNumpy(shape.normals.copy())
@@ -64,39 +64,39 @@ def theirs(made: Definition, poses: Poses, method: str) -> tuple[NDArray[Any], N
         turns = vt.Matrix3dArray([gf.Matrix3d(np.linalg.inv(each[:3, :3]).tolist()) for each in full])
         assert skel.SkinPoints(method, gf.Matrix4d(1), moves, joints, weights, 4, points)
         assert skel.SkinNormals(method, gf.Matrix3d(1), turns, joints, weights, 4, normals)
-        found.append((np.array(points), np.array(normals)))
-    points, normals = np.array(found).transpose(1, 0, 2, 3)
+        result.append((np.array(points), np.array(normals)))
+    points, normals = np.array(result).transpose(1, 0, 2, 3)
     return points, normals / np.linalg.norm(normals, axis=2, keepdims=True)
 
 
 @pytest.mark.parametrize("scales", [False, True], ids=["rigid", "scaled"])
 def test_linear_skinning_is_that_of_an_independent_implementation(scales: bool) -> None:
-    made, poses = skinned(scales, sheared=scales)
-    found = bound(made, Binding("", "body", deformer="linearskinning"), poses)
-    points, normals = theirs(made, poses, "classicLinear")
-    assert np.abs(found.points - points).max() < 1e-5 * max(1, np.abs(points).max())
-    assert found.normals is not None and np.abs(found.normals - normals).max() < 1e-5
+    built, poses = skinned(scales, sheared=scales)
+    result = bound(built, Binding("", "body", deformer="linearskinning"), poses)
+    points, normals = theirs(built, poses, "classicLinear")
+    assert np.abs(result.points - points).max() < 1e-5 * max(1, np.abs(points).max())
+    assert result.normals is not None and np.abs(result.normals - normals).max() < 1e-5
 
 
 def test_dual_quaternion_skinning_is_that_of_an_independent_implementation() -> None:
-    made, poses = skinned(scales=False)
-    found = bound(made, Binding("", "body", deformer="dualquatskinning"), poses)
-    points, normals = theirs(made, poses, "dualQuaternion")
-    assert np.abs(found.points - points).max() < 1e-5 * max(1, np.abs(points).max())
-    assert found.normals is not None and np.abs(found.normals - normals).max() < 1e-5
+    built, poses = skinned(scales=False)
+    result = bound(built, Binding("", "body", deformer="dualquatskinning"), poses)
+    points, normals = theirs(built, poses, "dualQuaternion")
+    assert np.abs(result.points - points).max() < 1e-5 * max(1, np.abs(points).max())
+    assert result.normals is not None and np.abs(result.normals - normals).max() < 1e-5
 
 
 def test_dual_quaternions_take_scale_and_shear_as_an_independent_implementation_does() -> None:
-    made, poses = skinned(scales=True, sheared=True)
-    found = bound(made, Binding("", "body", deformer="dualquatskinning"), poses)
-    points, _ = theirs(made, poses, "dualQuaternion")
-    assert np.abs(found.points - points).max() < 1e-5 * np.abs(points).max()
+    built, poses = skinned(scales=True, sheared=True)
+    result = bound(built, Binding("", "body", deformer="dualquatskinning"), poses)
+    points, _ = theirs(built, poses, "dualQuaternion")
+    assert np.abs(result.points - points).max() < 1e-5 * np.abs(points).max()
 
 
 def twisted() -> tuple[Definition, Poses]:
     """A ring of points half way along a bone that is twisted by 180 degrees at its end, scaled there or not."""
     rest = {"end": matrix((2, 0, 0))}
-    made = definition(
+    built = definition(
         {"root": "", "end": "root"}, still("twist", {"root": {}, "end": {"t": (2, 0, 0), "r": turn("x", 170)}}), rest=rest
     )
     points = np.array([[1, 1, 0], [1, 0, 1], [1, -1, 0]], np.float32)
@@ -104,29 +104,29 @@ def twisted() -> tuple[Definition, Poses]:
                       np.stack([np.eye(4), np.linalg.inv(rest["end"])]))  # fmt: skip
     shape = Shape("bone", points, FACES, points - [[1, 0, 0]], attributes={"dq": np.array([0, 0.5, 1], np.float32)},
                   capture=capture, dual_quaternion_blend="dq")  # fmt: skip
-    made = replace(made, shapes={"bone": shape})
+    built = replace(built, shapes={"bone": shape})
     playing = Playing.alike(ClipTree.flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32))
-    return made, posed(clip_table(made), {}, playing)
+    return built, posed(clip_table(built), {}, playing)
 
 
 def test_a_twist_collapses_linearly_and_keeps_its_volume_by_dual_quaternions() -> None:
-    made, poses = twisted()
+    built, poses = twisted()
     radius = {}
     for name in ("linearskinning", "dualquatskinning", "dualquatblendskinning"):
-        found = bound(made, Binding("", "bone", deformer=name), poses)
-        radius[name] = np.linalg.norm(found.points[0, :, 1:], axis=1)
+        result = bound(built, Binding("", "bone", deformer=name), poses)
+        radius[name] = np.linalg.norm(result.points[0, :, 1:], axis=1)
     assert np.allclose(radius["linearskinning"], np.cos(np.radians(85)), atol=1e-6)
     assert np.allclose(radius["dualquatskinning"], 1, atol=1e-6)
     straight, turned = (
-        bound(made, Binding("", "bone", deformer=name), poses).points[0] for name in ("linearskinning", "dualquatskinning")
+        bound(built, Binding("", "bone", deformer=name), poses).points[0] for name in ("linearskinning", "dualquatskinning")
     )
-    mixed = bound(made, Binding("", "bone", deformer="dualquatblendskinning"), poses).points[0]
+    mixed = bound(built, Binding("", "bone", deformer="dualquatblendskinning"), poses).points[0]
     assert np.allclose(mixed, [straight[0], (straight[1] + turned[1]) / 2, turned[2]], atol=1e-6)  # by the attribute: 0, 0.5, 1
 
 
 def test_a_point_of_one_joint_goes_the_same_way_by_both_methods_whatever_the_joint_holds() -> None:
-    made, poses = skinned(scales=True, sheared=True)
-    straight, turned = (bound(made, Binding("", "body", deformer=f"{name}skinning"), poses) for name in ("linear", "dualquat"))
+    built, poses = skinned(scales=True, sheared=True)
+    straight, turned = (bound(built, Binding("", "body", deformer=f"{name}skinning"), poses) for name in ("linear", "dualquat"))
     assert np.allclose(straight.points[:, ::5], turned.points[:, ::5], atol=1e-5 * np.abs(straight.points).max())
     assert straight.normals is not None and turned.normals is not None
     assert np.allclose(straight.normals[:, ::5], turned.normals[:, ::5], atol=1e-4)
@@ -149,33 +149,33 @@ AJAR = moved("ajar", (2, 0, 4), (0, 0, -2), ids=(30, 10))
 
 
 def face(shape: Shape, smile: list[float], jaw: list[float], *others: Shape) -> Deformed:
-    made = definition({"head": ""}, channels=(Channel("smile"), Channel("jaw")))
-    made = replace(made, shapes={each.name: each for each in (shape, SMILE, OPEN, AJAR, *others)})
+    built = definition({"head": ""}, channels=(Channel("smile"), Channel("jaw")))
+    built = replace(built, shapes={each.name: each for each in (shape, SMILE, OPEN, AJAR, *others)})
     world = np.tile(np.eye(4, dtype=np.float32)[:3], (len(smile), 1, 1, 1))
-    return bound(made, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array([smile, jaw], np.float32).T))
+    return bound(built, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array([smile, jaw], np.float32).T))
 
 
 def test_blend_shapes_add_their_differences_by_weights_that_are_not_normalised() -> None:
-    found = face(FACE, [0, 0.5, 1, 2, -1], [0, 0, 0, 0, 0])
-    assert found.points[:, :, 1].tolist() == [[0, 0, 0], [0.5, 1, 1.5], [1, 2, 3], [2, 4, 6], [-1, -2, -3]]
+    result = face(FACE, [0, 0.5, 1, 2, -1], [0, 0, 0, 0, 0])
+    assert result.points[:, :, 1].tolist() == [[0, 0, 0], [0.5, 1, 1.5], [1, 2, 3], [2, 4, 6], [-1, -2, -3]]
 
 
 def test_points_are_matched_by_id_and_those_without_one_stay() -> None:
-    found = face(FACE, [0, 1], [1, 1])
-    assert found.points[0].tolist() == [[0, 0, -4], [1, 0, 0], [2, 0, 4]]
-    assert found.points[1].tolist() == [[0, 1, -4], [1, 2, 0], [2, 3, 4]]
+    result = face(FACE, [0, 1], [1, 1])
+    assert result.points[0].tolist() == [[0, 0, -4], [1, 0, 0], [2, 0, 4]]
+    assert result.points[1].tolist() == [[0, 1, -4], [1, 2, 0], [2, 3, 4]]
     other = replace(
         FACE, blend=replace(FACE.blend, point_id="number"), attributes={**FACE.attributes, "number": np.array([3, 2, 1])}
     )
-    found = face(other, [0], [1])  # the other shape does not have the attribute, so they are matched by number
-    assert found.points[0].tolist() == [[2, 0, 4], [0, 0, -4], [2, 0, 0]]
+    result = face(other, [0], [1])  # the other shape does not have the attribute, so they are matched by number
+    assert result.points[0].tolist() == [[2, 0, 4], [0, 0, -4], [2, 0, 0]]
 
 
 def test_in_betweens_are_gone_through_at_their_weights() -> None:
     """The first point goes to -2 at 0.25 and to -4 at 1, the last one to 4 at 0.25 and stays there."""
-    found = face(FACE, [0] * 6, [0.125, 0.25, 0.625, 1, 1.75, -0.25])
-    assert found.points[:, 0, 2].tolist() == [-1, -2, -3, -4, -6, 2]
-    assert found.points[:, 2, 2].tolist() == [2, 4, 4, 4, 4, -4]
+    result = face(FACE, [0] * 6, [0.125, 0.25, 0.625, 1, 1.75, -0.25])
+    assert result.points[:, 0, 2].tolist() == [-1, -2, -3, -4, -6, 2]
+    assert result.points[:, 2, 2].tolist() == [2, 4, 4, 4, 4, -4]
 
 
 def test_in_betweens_are_those_of_an_independent_implementation() -> None:
@@ -200,11 +200,11 @@ def test_in_betweens_are_those_of_an_independent_implementation() -> None:
         "one": Shape("one", primary, FACES, between=Between(("high", "low"), (0.8, 0.3))),
         "low": Shape("low", low, FACES), "high": Shape("high", high, FACES),
     }  # fmt: skip
-    made = replace(definition({"head": ""}, channels=(Channel("jaw"),)), shapes=library)
+    built = replace(definition({"head": ""}, channels=(Channel("jaw"),)), shapes=library)
     weights = [0.0, 0.1, 0.3, 0.55, 0.8, 0.93, 1.0]
     world = np.tile(np.eye(4, dtype=np.float32)[:3], (len(weights), 1, 1, 1))
-    found = bound(made, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array(weights, np.float32)[:, None]))
-    for weight, mine in zip(weights, found.points, strict=True):
+    result = bound(built, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array(weights, np.float32)[:, None]))
+    for weight, mine in zip(weights, result.points, strict=True):
         points = vt.Vec3fArray.FromNumpy(base.copy())
         shares = query.ComputeSubShapeWeights(vt.FloatArray([weight]))
         assert query.ComputeDeformedPoints(
@@ -218,9 +218,9 @@ def test_normals_are_blended_and_unit_again_and_so_is_what_else_is_named() -> No
         SMILE, name="tilted", normals=np.array([[1, 0, 0]] * 3, np.float32), attributes={"red": np.array([1, 1, 1], np.float32)}
     )
     named = Blend(("tilted",), ("smile",), ("P", "N", "red"))
-    found = face(replace(FACE, blend=named), [0.5], [0], tilted)
-    assert found.normals is not None and np.allclose(found.normals[0], [[np.sqrt(0.5), np.sqrt(0.5), 0]] * 3)
-    assert found.attributes["red"].tolist() == [[0.5, 0.5, 1]]
+    result = face(replace(FACE, blend=named), [0.5], [0], tilted)
+    assert result.normals is not None and np.allclose(result.normals[0], [[np.sqrt(0.5), np.sqrt(0.5), 0]] * 3)
+    assert result.attributes["red"].tolist() == [[0.5, 0.5, 1]]
     only = face(replace(FACE, blend=replace(named, attributes=("red",))), [0.5], [0], tilted)
     assert np.array_equal(only.points[0], FACE.points) and only.attributes["red"].tolist() == [[0.5, 0.5, 1]]
 
@@ -228,9 +228,9 @@ def test_normals_are_blended_and_unit_again_and_so_is_what_else_is_named() -> No
 def test_an_in_between_without_normals_is_passed_by_them_alone() -> None:
     """Normals go straight to the primary shape's while the last point is at its in-between."""
     wide = replace(OPEN, name="wide", normals=np.array([[1, 0, 0]] * 2, np.float32))
-    found = face(replace(FACE, blend=Blend(("wide",), ("jaw",))), [0], [0.25], wide)
-    assert found.points[0, 2].tolist() == [2, 0, 4]
-    assert found.normals is not None and np.allclose(found.normals[0, 2], np.array([1, 3, 0]) / np.sqrt(10))
+    result = face(replace(FACE, blend=Blend(("wide",), ("jaw",))), [0], [0.25], wide)
+    assert result.points[0, 2].tolist() == [2, 0, 4]
+    assert result.normals is not None and np.allclose(result.normals[0, 2], np.array([1, 3, 0]) / np.sqrt(10))
 
 
 def test_what_a_blend_shape_cannot_be_is_refused() -> None:
@@ -255,28 +255,30 @@ def test_blend_shapes_come_before_skinning() -> None:
                       attributes={"dq": np.ones(1, np.float32)}, blend=Blend(("up",), ("open",)), dual_quaternion_blend="dq"),
         "up": Shape("up", np.array([[3, 1, 0]], np.float32), FACES),
     }  # fmt: skip
-    made = replace(
+    built = replace(
         definition({"head": ""}, still("turn", {"head": {"r": turn("x", 90)}}, {"open": 1.0}), channels=(Channel("open"),)),
         shapes=shapes,
     )
     playing = Playing.alike(ClipTree.flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32))
-    poses = posed(clip_table(made), {}, playing)
+    poses = posed(clip_table(built), {}, playing)
     for name in ("linearskinning", "dualquatskinning", "dualquatblendskinning"):
-        found = bound(made, Binding("", "skin", deformer=f"blendshape+{name}"), poses)
-        assert np.allclose(found.points, [[[3, 0, 1]]], atol=1e-6) and found.normals is not None
-        assert np.allclose(found.normals, [[[0, 0, 1]]], atol=1e-6)
+        result = bound(built, Binding("", "skin", deformer=f"blendshape+{name}"), poses)
+        assert np.allclose(result.points, [[[3, 0, 1]]], atol=1e-6) and result.normals is not None
+        assert np.allclose(result.normals, [[[0, 0, 1]]], atol=1e-6)
 
 
 def test_a_static_shape_goes_as_its_joint_goes() -> None:
     """A stick along x at a hand that is moved, turned by 90 degrees about z, and stretched to twice along its own x."""
-    made = definition({"hand": ""}, still("hold", {"hand": {"t": (0, 0, 5), "r": turn("z", 90), "s": (2, 1, 1)}}))
+    built = definition({"hand": ""}, still("hold", {"hand": {"t": (0, 0, 5), "r": turn("z", 90), "s": (2, 1, 1)}}))
     stick = Shape("stick", np.array([[1, 0, 0], [1, 1, 0]], np.float32), FACES, np.array([[1, 0, 0], [0.6, 0.8, 0]], np.float32))
-    made = replace(made, shapes={"stick": stick})
+    built = replace(built, shapes={"stick": stick})
     playing = Playing.alike(ClipTree.flat(1), np.array([[0], [-1]], np.int32), np.zeros((2, 1)), np.ones((2, 1), np.float32))
-    found = bound(made, Binding("hand", "stick"), posed(clip_table(made), {}, playing))
-    assert np.allclose(found.points, [[[0, 2, 5], [-1, 2, 5]], [[1, 0, 0], [1, 1, 0]]], atol=1e-6)
+    result = bound(built, Binding("hand", "stick"), posed(clip_table(built), {}, playing))
+    assert np.allclose(result.points, [[[0, 2, 5], [-1, 2, 5]], [[1, 0, 0], [1, 1, 0]]], atol=1e-6)
     across = np.array([-0.8, 0.3, 0]) / np.hypot(0.8, 0.3)  # normals shrink where the shape is stretched
-    assert found.normals is not None and np.allclose(found.normals, [[[0, 1, 0], across], [[1, 0, 0], [0.6, 0.8, 0]]], atol=1e-6)
+    assert result.normals is not None and np.allclose(
+        result.normals, [[[0, 1, 0], across], [[1, 0, 0], [0.6, 0.8, 0]]], atol=1e-6
+    )
 
 
 def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -286,13 +288,13 @@ def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monke
         return Deformed(given.points * (1 + poses.channels[:, :1, None]), given.normals, given.attributes)
 
     register("swell", swell)
-    made = replace(
+    built = replace(
         definition({"head": ""}, channels=(Channel("smile"), Channel("jaw"))),
         shapes={"face": FACE, "smile": SMILE, "open": OPEN, "ajar": AJAR},
     )
     poses = Poses(np.tile(np.eye(4, dtype=np.float32)[:3], (2, 1, 1, 1)), None, np.array([[1, 0], [0, 0]], np.float32))
-    assert bound(made, Binding("", "face", deformer="swell"), poses).points[0].tolist() == (2 * FACE.points).tolist()
-    assert bound(made, Binding("", "face", deformer="blendshape+swell"), poses).points[0].tolist() == (2 * SMILE.points).tolist()
+    assert bound(built, Binding("", "face", deformer="swell"), poses).points[0].tolist() == (2 * FACE.points).tolist()
+    assert bound(built, Binding("", "face", deformer="blendshape+swell"), poses).points[0].tolist() == (2 * SMILE.points).tolist()
     for name in ("", "swell", "a+b"):
         with pytest.raises(ValueError, match="no name for a deformer"):
             register(name, swell)
@@ -306,8 +308,8 @@ def test_the_page_has_all_deformers() -> None:
 
 
 def test_shapes_without_what_a_deformer_needs_are_refused() -> None:
-    made, poses = skinned(scales=False)
-    body = made.shapes["body"]
+    built, poses = skinned(scales=False)
+    body = built.shapes["body"]
     assert body.capture is not None
     astray = replace(body.capture, names=("tail", *body.capture.names[1:]))
     for odd, name, error, why in (
@@ -316,29 +318,31 @@ def test_shapes_without_what_a_deformer_needs_are_refused() -> None:
         (replace(body, capture=astray), "linearskinning", KeyError, "follows joint `tail`"),
     ):  # fmt: skip
         with pytest.raises(error, match=why):
-            bound(replace(made, shapes={"body": odd}), Binding("", "body", deformer=name), poses)
+            bound(replace(built, shapes={"body": odd}), Binding("", "body", deformer=name), poses)
 
 
 @pytest.mark.parametrize("name", ["", "linearskinning", "dualquatskinning", "dualquatblendskinning"])
 def test_an_agent_is_deformed_alike_whoever_else_is_there(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    made, poses = skinned(scales=True)
+    built, poses = skinned(scales=True)
     binding = Binding("" if name else "j3", "body", deformer=name)
-    whole = bound(made, binding, poses)
+    total = bound(built, binding, poses)
     order = np.array([4, 2, 6, 0, 1, 3, 5])
     monkeypatch.setattr(deformers, "_PART", 1)
     for rows in (order, order[:1]):
-        some = bound(made, binding, Poses(np.ascontiguousarray(poses.world[rows]), None, poses.channels[rows]))
-        assert some.points.tobytes() == whole.points[rows].tobytes()
-        assert some.normals is not None and whole.normals is not None and some.normals.tobytes() == whole.normals[rows].tobytes()
+        subset = bound(built, binding, Poses(np.ascontiguousarray(poses.world[rows]), None, poses.channels[rows]))
+        assert subset.points.tobytes() == total.points[rows].tobytes()
+        assert (
+            subset.normals is not None and total.normals is not None and subset.normals.tobytes() == total.normals[rows].tobytes()
+        )
 
 
 def test_a_blend_shape_at_a_joint_is_carried_by_it_and_skinned_points_are_not_carried_again() -> None:
-    made = replace(
+    built = replace(
         definition({"head": ""}, channels=(Channel("smile"), Channel("jaw"))),
         shapes={"face": FACE, "smile": SMILE, "open": OPEN, "ajar": AJAR},
     )
     world = np.tile(np.eye(4, dtype=np.float32)[:3], (1, 1, 1, 1))
     world[0, 0, :, 3] = (0, 10, 0)
     poses = Poses(world, None, np.array([[1, 0]], np.float32))
-    here, there = (bound(made, Binding(joint, "face", deformer="blendshape"), poses).points[0] for joint in ("", "head"))
-    assert (there - here).tolist() == [[0, 10, 0]] * len(here)
+    current, target = (bound(built, Binding(joint, "face", deformer="blendshape"), poses).points[0] for joint in ("", "head"))
+    assert (target - current).tolist() == [[0, 10, 0]] * len(current)

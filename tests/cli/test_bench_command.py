@@ -27,7 +27,17 @@ def test_backends_are_measured_each_and_in_turn(tmp_path: Path) -> None:
     lines = done.stdout.splitlines()
     assert lines[0].startswith("node, 40 agents; 500 points that wander and keep apart")
     assert next(line for line in lines if line.startswith("backend")).split() == ["backend", "numpy", "reference"]
-    for head in ("CPU ms", "wall ms", "µs per agent", "bytes per agent", "start", "compile", "bind", "first step"):
+    for head in (
+        "run, CPU ms",
+        "bare step, CPU ms",
+        "wall ms",
+        "µs per agent",
+        "bytes per agent",
+        "start",
+        "compile",
+        "bind",
+        "first step",
+    ):
         assert any(line.startswith(head) for line in lines), head
     assert any(line.startswith("reference: ") and "(2 turns) of the CPU time of numpy" in line for line in lines)
     assert any(line.startswith("blend") and len(line.split()) == 5 for line in lines)
@@ -39,14 +49,14 @@ def test_backends_are_measured_each_and_in_turn(tmp_path: Path) -> None:
     assert min(slow["reference"]["cpu"]) > min(slow["numpy"]["cpu"]), "one agent at a time takes longer"
 
 
-def test_a_scene_of_ones_own_is_measured_and_its_cache(tmp_path: Path) -> None:
+def test_a_full_run_of_a_scene_is_measured(tmp_path: Path) -> None:
     assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
-    words = ["walkers/scene.yaml", "--backend", "numpy", "--pairs", "2", "--steps", "2", "--cache", "--threads", "2"]
+    words = ["walkers/scene.yaml", "--backend", "numpy", "--pairs", "2", "--steps", "2", "--threads", "2"]
     done = commands.run("bench", *words, "--json", "-", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     (found,) = json.loads(done.stdout)["results"][0]["alone"]
-    assert found["agents"] == 200 and found["cached"][0] > 0 and found["job"]["threads"] == 2 and found["steps"] == 2
-    assert "cache, CPU ms" in done.stderr and "walkers/scene.yaml, 200 agents" in done.stderr
+    assert found["agents"] == 200 and found["full_run"]["cpu"] > 0 and found["job"]["threads"] == 2 and found["steps"] == 2
+    assert "run, CPU ms" in done.stderr and "walkers/scene.yaml, 200 agents" in done.stderr
     assert not (tmp_path / "walkers" / "out").exists()
 
 

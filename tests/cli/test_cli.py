@@ -93,7 +93,6 @@ def test_strict_makes_warnings_errors_and_explain_says_what_a_code_means(folder:
         (["run", "none.yaml"], 3, "there is no file `none.yaml`"),
         (["check", "none.ant"], 3, "none.ant"),
         (["check", "walker.txt"], 3, "neither a program"),
-        (["check"], 2, "name a file or a folder"),
         (["run", "scene.yaml", "--frames", "9..1"], 2, "ends before it begins"),
         (["run", "scene.yaml", "--set", "pace"], 2, "NAME=VALUE"),
         (["run", "scene.yaml", "--set", "walker.pce=3mm/s"], 1, "no program has a param"),

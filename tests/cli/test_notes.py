@@ -29,7 +29,7 @@ def walkers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
     monkeypatch.setattr(native_backend, "beside", beside)
     monkeypatch.setattr(native_backend, "known", lambda plan, facts: None)
-    monkeypatch.setattr(native_backend.compiled, "pays", lambda agents, spent: True)
+    monkeypatch.setattr(native_backend, "_MANY", 0)
     assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
     return tmp_path
 

@@ -74,28 +74,28 @@ def world(
     return bind(compiled(steer, radius), Setting(**{**given, **more}), options or Options())
 
 
-def read(made: World, *points: tuple[float, float]) -> np.ndarray:
+def read(built: World, *points: tuple[float, float]) -> np.ndarray:
     """The flow at places of the floor."""
-    places = np.array([(x, 0.0, z) for x, z in points])
-    up = np.tile([0.0, 1.0, 0.0], (len(places), 1))
-    footing, found = made.ground.place(places, made.up)
-    assert found.all()
-    return np.stack(made.flows["drift"].at(made.ground.meshes, footing, places, up), axis=1).astype(float)
+    positions = np.array([(x, 0.0, z) for x, z in points])
+    up = np.tile([0.0, 1.0, 0.0], (len(positions), 1))
+    footing, result = built.ground.place(positions, built.up)
+    assert result.all()
+    return np.stack(built.flows["drift"].at(built.ground.meshes, footing, positions, up), axis=1).astype(float)
 
 
-def away(made: World, x: float, z: float) -> np.ndarray:
-    place = made.populations["ant"].position + made.origin
+def away(built: World, x: float, z: float) -> np.ndarray:
+    place = built.populations["ant"].position + built.origin
     return np.hypot(place[:, 0] - x, place[:, 2] - z)
 
 
-def run(made: World, steps: int) -> np.ndarray:
+def run(built: World, steps: int) -> np.ndarray:
     """Places (steps, agents, 3) in the order of ids."""
-    places = []
+    positions = []
     for _ in range(steps):
-        step(made)
-        ants = made.populations["ant"]
-        places.append(ants.position[ants.in_id_order()] + made.origin)
-    return np.array(places)
+        step(built)
+        ants = built.populations["ant"]
+        positions.append(ants.position[ants.in_id_order()] + built.origin)
+    return np.array(positions)
 
 
 # --- points on triangles ---------------------------------------------------------------------------------------------
@@ -108,14 +108,14 @@ def test_what_is_linear_is_read_exactly_wherever_a_face_is_cut() -> None:
     b1, b2 = lattice.weights()
     face = lattice.faces()
     value = 3 * b1 - 7 * b2 + face
-    asked = rng.integers(0, 5, 2000)
+    requested = rng.integers(0, 5, 2000)
     u, v = rng.random(2000), rng.random(2000)
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     u[:10], v[:10] = [0, 1, 0, 0.5, 0.5, 1, 0, 0, 0.25, 0.75], [0, 0, 1, 0.5, 0, 0, 1, 0, 0.75, 0.25]
-    slots, weights = lattice.locate(asked, u, v)
+    slots, weights = lattice.locate(requested, u, v)
     assert np.abs(weights.sum(axis=0) - 1).max() < 1e-12 and weights.min() > -1e-9
-    assert (face[slots] == asked).all()
-    assert np.abs((value[slots] * weights).sum(axis=0) - (3 * u - 7 * v + asked)).max() < 1e-12
+    assert (face[slots] == requested).all()
+    assert np.abs((value[slots] * weights).sum(axis=0) - (3 * u - 7 * v + requested)).max() < 1e-12
     small, owner = lattice.triangles()
     assert np.bincount(owner).tolist() == (cuts * cuts).tolist()
     corners = np.stack([b1, b2], axis=1)[small]
@@ -135,47 +135,49 @@ def test_edges_are_cut_as_small_as_asked_and_points_at_one_place_are_one() -> No
 
 @pytest.mark.parametrize("cells", [1, 40])
 def test_a_curve_leads_along_itself_and_fades_beside_it(cells: int) -> None:
-    made = world(SpreadFlow("tangent", LINE, 40.0), cells)
+    built = world(SpreadFlow("tangent", LINE, 40.0), cells)
     along = np.array([150.0, 0, 80.0]) / 170
     for offset, strength in ((0, 1.0), (10, 1 - 3 / 16 + 2 / 64), (20, 0.5), (30, 3 / 16 - 2 / 64), (41, 0.0)):
         side = np.array([-along[2], 0, along[0]]) * offset
-        found = read(made, (-75 + side[0], side[2]))[0]
-        assert np.abs(found - along * strength).max() < 0.03, (offset, found)
-    assert (read(made, (-75, 0), (75, 0))[:, 1] == 0).all()
-    assert read(made, (75, 0))[0, 2] < -0.4  # it turns with the curve
+        result = read(built, (-75 + side[0], side[2]))[0]
+        assert np.abs(result - along * strength).max() < 0.03, (offset, result)
+    assert (read(built, (-75, 0), (75, 0))[:, 1] == 0).all()
+    assert read(built, (75, 0))[0, 2] < -0.4  # it turns with the curve
 
 
 def test_a_drawn_way_may_gather_them_onto_it() -> None:
     straight = Target(np.array([[-200.0, 0, 0], [200.0, 0, 0]]), np.zeros(2), line=True)
-    made = world(SpreadFlow("tangent", straight, 60.0, "none", gather=1.0), 1)
-    found = read(made, (0, 0), (0, 30), (0, -59))
+    built = world(SpreadFlow("tangent", straight, 60.0, "none", gather=1.0), 1)
+    result = read(built, (0, 0), (0, 30), (0, -59))
     half = np.sqrt(0.5)
-    assert np.abs(found - [[1, 0, 0], [2 / np.sqrt(5), 0, -1 / np.sqrt(5)], [half, 0, half]]).max() < 0.05
-    places = run(made, 160)
-    assert np.abs(places[-1, :, 2]).max() < 4 < np.abs(places[0, :, 2]).max()
+    assert np.abs(result - [[1, 0, 0], [2 / np.sqrt(5), 0, -1 / np.sqrt(5)], [half, 0, half]]).max() < 0.05
+    positions = run(built, 160)
+    assert np.abs(positions[-1, :, 2]).max() < 4 < np.abs(positions[0, :, 2]).max()
 
 
 def test_toward_and_away_of_points_and_curves_and_their_falloff() -> None:
     two = Target(np.array([[-100.0, 0, 0], [100.0, 0, 0]]), np.zeros(2))
-    made = world(SpreadFlow("toward", two, 50.0, "linear"), 1)
-    found = read(made, (-125, 0), (75, 0), (100, 25), (0, 0))
-    assert np.abs(found - [[0.5, 0, 0], [0.5, 0, 0], [0, 0, -0.5], [0, 0, 0]]).max() < 0.03
-    made = world(SpreadFlow("away", two, 50.0, "none", -0.5), 1)  # turned round, half as strong
-    assert np.abs(read(made, (-125, 0))[0] - [0.5, 0, 0]).max() < 1e-6
-    made = world(SpreadFlow("away", LINE), 20)
-    assert np.abs(np.linalg.norm(read(made, (20, 90), (0, -150)), axis=1) - 1).max() < 0.01
-    assert read(made, (0, 90))[0, 2] > 0.95
+    built = world(SpreadFlow("toward", two, 50.0, "linear"), 1)
+    result = read(built, (-125, 0), (75, 0), (100, 25), (0, 0))
+    assert np.abs(result - [[0.5, 0, 0], [0.5, 0, 0], [0, 0, -0.5], [0, 0, 0]]).max() < 0.03
+    built = world(SpreadFlow("away", two, 50.0, "none", -0.5), 1)  # turned round, half as strong
+    assert np.abs(read(built, (-125, 0))[0] - [0.5, 0, 0]).max() < 1e-6
+    built = world(SpreadFlow("away", LINE), 20)
+    assert np.abs(np.linalg.norm(read(built, (20, 90), (0, -150)), axis=1) - 1).max() < 0.01
+    assert read(built, (0, 90))[0, 2] > 0.95
 
 
 def test_agents_follow_and_a_param_turns_them_round_or_lets_them_be() -> None:
-    made = world(SpreadFlow("tangent", LINE, 60.0), crowds=(CrowdData("ant", 1, PlaceData(points=np.array([[-140.0, 0, -34]]))),))
-    places = run(made, 240)[:, 0]
-    assert np.linalg.norm(places[-1] - [150, 0, -40]) < 70 and places[:, 2].max() > 20  # it went along the bend
+    built = world(
+        SpreadFlow("tangent", LINE, 60.0), crowds=(CrowdData("ant", 1, PlaceData(points=np.array([[-140.0, 0, -34]]))),)
+    )
+    positions = run(built, 240)[:, 0]
+    assert np.linalg.norm(positions[-1] - [150, 0, -40]) < 70 and positions[:, 2].max() > 20  # it went along the bend
     for pull, moved in ((-1.0, -1), (0.0, 0)):
-        made = world(params={"ant.pull": pull})
-        before = away(made, 150, 0).mean()
-        run(made, 30)
-        assert np.sign(round(before - away(made, 150, 0).mean(), 3)) == moved
+        built = world(params={"ant.pull": pull})
+        previous = away(built, 150, 0).mean()
+        run(built, 30)
+        assert np.sign(round(previous - away(built, 150, 0).mean(), 3)) == moved
 
 
 def test_without_a_surface_a_flow_about_a_place_is_known_all_the_same() -> None:
@@ -183,10 +185,10 @@ def test_without_a_surface_a_flow_about_a_place_is_known_all_the_same() -> None:
     lowered, report = plan.lower(checked(text)[0])
     assert complaints(report) == []
     crowd = CrowdData("ant", 5, PlaceData(around=(-20.0, 0, 0), radius=5.0))
-    made = bind(lowered, Setting(flows={"drift": SpreadFlow("toward", GOAL)}, crowds=(crowd,)))
-    before = away(made, 150, 0)
-    run(made, 24)
-    assert (away(made, 150, 0) < before - 15).all()
+    built = bind(lowered, Setting(flows={"drift": SpreadFlow("toward", GOAL)}, crowds=(crowd,)))
+    previous = away(built, 150, 0)
+    run(built, 24)
+    assert (away(built, 150, 0) < previous - 15).all()
 
 
 def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
@@ -199,10 +201,12 @@ def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
     crowd = CrowdData("ant", 5, PlaceData(points=np.array([[-40.0, 50, 5.0 * k] for k in range(5)])))
     floor = {"ground": MeshData(*meshes.grid(400.0, 4))}
     flow = SpreadFlow("toward", Target(np.array([[150.0, 10, 0]]), np.zeros(1)))
-    made = bind(lowered, Setting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
-    places = run(made, 260)
-    assert (np.abs(places[40, :, 1] - 25) < 1).all() and (places[40, :, 0] > -10).all()  # over its top, and down on the ground
-    assert (away(made, 150, 0) < 30).mean() > 0.7
+    built = bind(lowered, Setting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
+    positions = run(built, 260)
+    assert (np.abs(positions[40, :, 1] - 25) < 1).all() and (
+        positions[40, :, 0] > -10
+    ).all()  # over its top, and down on the ground
+    assert (away(built, 150, 0) < 30).mean() > 0.7
 
 
 def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() -> None:
@@ -219,23 +223,23 @@ def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() 
     def begun() -> World:
         return bind(lowered, Setting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
 
-    def ahead(made: World) -> float:
-        return float(read(made, (-60, 0))[0, 0])
+    def ahead(built: World) -> float:
+        return float(read(built, (-60, 0))[0, 0])
 
-    made = begun()
-    solved = made.flows["drift"].c
-    run(made, 7)
-    assert made.flows["drift"].c is solved, "nothing was dug, so nothing is solved anew"
-    assert ahead(made) < 0.6 and np.abs(read(made, (0, 0))).max() == 0, "round it; under it leads no way"
+    built = begun()
+    solved = built.flows["drift"].c
+    run(built, 7)
+    assert built.flows["drift"].c is solved, "nothing was dug, so nothing is solved anew"
+    assert ahead(built) < 0.6 and np.abs(read(built, (0, 0))).max() == 0, "round it; under it leads no way"
     x = np.linspace(-44, 44, 40)
-    made.solids["hill"].carve(np.stack([x, 0 * x, 0 * x], axis=1), np.full(40, 30.0), np.arange(40))
-    assert ahead(made) < 0.6, "not before it is time to look"
-    kept = checkpoint(made)
-    places = run(made, 6)
-    assert ahead(made) > 0.95 and read(made, (0, 0))[0, 0] > 0.9
+    built.solids["hill"].carve(np.stack([x, 0 * x, 0 * x], axis=1), np.full(40, 30.0), np.arange(40))
+    assert ahead(built) < 0.6, "not before it is time to look"
+    cached = checkpoint(built)
+    positions = run(built, 6)
+    assert ahead(built) > 0.95 and read(built, (0, 0))[0, 0] > 0.9
     again = begun()
-    restore(again, kept)
-    assert np.array_equal(run(again, 6), places) and np.array_equal(again.flows["drift"].c, made.flows["drift"].c)
+    restore(again, cached)
+    assert np.array_equal(run(again, 6), positions) and np.array_equal(again.flows["drift"].c, built.flows["drift"].c)
     assert (away(again, 150, 0) > 100).all()
     run(again, 260)
     assert (away(again, 150, 0) < 20).all(), "through it: the way round is too long for that time"
@@ -248,8 +252,8 @@ def test_a_flow_at_the_border_keeps_them_in() -> None:
     crowd = (CrowdData("ant", 60, PlaceData(around=(0, 0, 0), radius=150.0)),)
 
     def nearest(steer: str) -> float:
-        places = run(world(BorderFlow(("ground",), 40.0), 10, steer, crowds=crowd, seed=4), 480)
-        return float(200 - np.abs(places[240:, :, [0, 2]]).max())
+        positions = run(world(BorderFlow(("ground",), 40.0), 10, steer, crowds=crowd, seed=4), 480)
+        return float(200 - np.abs(positions[240:, :, [0, 2]]).max())
 
     assert nearest("wander()") < 0.01  # without it they go to the very border
     assert nearest("along(drift) * 2 + wander() * 0.5") > 5
@@ -257,10 +261,10 @@ def test_a_flow_at_the_border_keeps_them_in() -> None:
 
 def test_at_the_border_it_points_inward_and_is_nothing_further_in() -> None:
     for cells in (1, 30):
-        made = world(BorderFlow(("ground",), 40.0), cells)
-        found = read(made, (-199.99, 0), (-180, 30), (199.99, 0), (0, 150), (0, 199.99))
-        wanted = [[1, 0, 0], [0.5, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 0, -1]]
-        assert np.abs(found - wanted).max() < 0.08, found
+        built = world(BorderFlow(("ground",), 40.0), cells)
+        result = read(built, (-199.99, 0), (-180, 30), (199.99, 0), (0, 150), (0, 199.99))
+        expected = [[1, 0, 0], [0.5, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 0, -1]]
+        assert np.abs(result - expected).max() < 0.08, result
 
 
 # --- painted ---------------------------------------------------------------------------------------------------------
@@ -269,16 +273,16 @@ def test_at_the_border_it_points_inward_and_is_nothing_further_in() -> None:
 def test_painted_vectors_lie_along_the_ground_and_keep_their_length() -> None:
     hills = meshes.terrain(400.0, 30)
     combed = np.tile([0.6, 0.0, 0.0], (len(hills[0]), 1))
-    made = world(
+    built = world(
         Painted("ground", combed), surfaces={"ground": MeshData(*hills)}, maps={"damp": Painted("ground", hills[0][:, 1])}
     )
-    run(made, 5)
-    ants = made.populations["ant"]
+    run(built, 5)
+    ants = built.populations["ant"]
     place, up = ants.position, np.tile([0.0, 1.0, 0.0], (len(ants), 1))
-    found = np.stack(made.flows["drift"].at(made.ground.meshes, ants.footing, place, up), axis=1).astype(float)
-    assert np.abs((found * made.ground.normal(ants.footing)).sum(axis=1)).max() < 1e-6
-    assert np.abs(np.linalg.norm(found, axis=1) - 0.6).max() < 1e-6 and (found[:, 0] > 0.5).all()
-    height = made.maps["damp"].at(made.ground.meshes, ants.footing)
+    result = np.stack(built.flows["drift"].at(built.ground.meshes, ants.footing, place, up), axis=1).astype(float)
+    assert np.abs((result * built.ground.normal(ants.footing)).sum(axis=1)).max() < 1e-6
+    assert np.abs(np.linalg.norm(result, axis=1) - 0.6).max() < 1e-6 and (result[:, 0] > 0.5).all()
+    height = built.maps["damp"].at(built.ground.meshes, ants.footing)
     assert np.abs(height - place[:, 1]).max() < 1e-4  # what is linear on each face is read exactly
 
 
@@ -287,22 +291,22 @@ def test_faces_may_be_painted_and_other_surfaces_have_nothing() -> None:
     values = np.zeros((8, 3))
     values[:, 2] = np.linspace(0.1, 0.8, 8)
     surfaces = {"plate": MeshData(*plate), "ground": MeshData(*floor)}
-    made = world(Painted("ground", values, of_faces=True), surfaces=surfaces, maps={"damp": Painted("plate", np.ones(8))})
-    on_floor, _ = made.ground.place(np.array([[-150.0, 0, -120], [-210, 9, 0]]), made.up)
-    found = made.flows["drift"].at(made.ground.meshes, on_floor, np.zeros((2, 3)), np.zeros((2, 3)))[2]
-    assert found[0] in np.float32(values[:, 2]) and found[1] == 0
-    assert made.maps["damp"].at(made.ground.meshes, on_floor).tolist() == [0, 1]
+    built = world(Painted("ground", values, of_faces=True), surfaces=surfaces, maps={"damp": Painted("plate", np.ones(8))})
+    on_floor, _ = built.ground.place(np.array([[-150.0, 0, -120], [-210, 9, 0]]), built.up)
+    result = built.flows["drift"].at(built.ground.meshes, on_floor, np.zeros((2, 3)), np.zeros((2, 3)))[2]
+    assert result[0] in np.float32(values[:, 2]) and result[1] == 0
+    assert built.maps["damp"].at(built.ground.meshes, on_floor).tolist() == [0, 1]
 
 
 def test_a_map_is_a_density_for_placing() -> None:
     """Of agents that take no room: others keep each other from where it is densest."""
     crowd = (CrowdData("ant", 4000, PlaceData(on=("ground",), density="damp")),)
     for cells in (1, 16):  # painted from nothing at the left to 1 at the right
-        made = world(cells=cells, radius="0 mm", crowds=crowd)
-        x = np.sort(made.populations["ant"].position[:, 0])
+        built = world(cells=cells, radius="0 mm", crowds=crowd)
+        x = np.sort(built.populations["ant"].position[:, 0])
         share = ((x + 200) / 400) ** 2
         assert np.abs(share - (np.arange(4000) + 0.5) / 4000).max() < 0.03  # Kolmogorov's bound at one in a thousand
-        z = np.sort(made.populations["ant"].position[:, 2])
+        z = np.sort(built.populations["ant"].position[:, 2])
         assert np.abs((z + 200) / 400 - (np.arange(4000) + 0.5) / 4000).max() < 0.03
     few = world(radius="0 mm", crowds=(replace(crowd[0], count=100),))
     many = world(radius="0 mm", crowds=(replace(crowd[0], count=300),))
@@ -316,26 +320,26 @@ STONE = {"rock": MeshData(*meshes.ball(40.0))}
 
 @pytest.mark.parametrize("cells", [1, 25])
 def test_the_shortest_way_is_straight_where_nothing_is_in_it(cells: int) -> None:
-    made = world(SolvedFlow(GOAL, cell=6.0), cells)
+    built = world(SolvedFlow(GOAL, cell=6.0), cells)
     points = [(x, z) for x in range(-180, 100, 31) for z in range(-180, 181, 45)]
-    found = read(made, *points)
-    way = np.array([[150 - x, 0, -z] for x, z in points], float)
-    cosine = (found * way).sum(axis=1) / np.linalg.norm(way, axis=1)
+    result = read(built, *points)
+    path = np.array([[150 - x, 0, -z] for x, z in points], float)
+    cosine = (result * path).sum(axis=1) / np.linalg.norm(path, axis=1)
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 6
 
 
 def test_agents_get_round_a_wall_to_the_nest_where_a_flow_straight_to_it_ends() -> None:
     wall = {"rock": MeshData(*meshes.box((-3, -10, -60), (3, 20, 60)))}  # thinner than the floor's triangles
-    made = world(SolvedFlow(GOAL, room=8.0), 20, obstacles=wall)
-    begun = checkpoint(made)
-    places = run(made, 400)
-    assert (away(made, 150, 0) < 20).all()
-    crossing = np.abs(places[:, :, 0]).argmin(axis=0)
-    assert (np.abs(places[crossing, np.arange(30), 2]) > 60).all()
-    restore(made, begun)
-    set_flow(made, "drift", SpreadFlow("toward", GOAL))
-    run(made, 400)
-    assert (away(made, 150, 0) > 100).mean() > 0.8
+    built = world(SolvedFlow(GOAL, room=8.0), 20, obstacles=wall)
+    begun = checkpoint(built)
+    positions = run(built, 400)
+    assert (away(built, 150, 0) < 20).all()
+    crossing = np.abs(positions[:, :, 0]).argmin(axis=0)
+    assert (np.abs(positions[crossing, np.arange(30), 2]) > 60).all()
+    restore(built, begun)
+    set_flow(built, "drift", SpreadFlow("toward", GOAL))
+    run(built, 400)
+    assert (away(built, 150, 0) > 100).mean() > 0.8
 
 
 def test_what_costs_more_is_gone_round() -> None:
@@ -345,15 +349,15 @@ def test_what_costs_more_is_gone_round() -> None:
 
     maps = {"damp": Painted("ground", damp)}
     crowd = (CrowdData("ant", 1, PlaceData(points=np.array([[-150.0, 0, 0]]))),)
-    made = world(surfaces=surfaces, maps=maps, crowds=crowd)
-    begun = checkpoint(made)
+    built = world(surfaces=surfaces, maps=maps, crowds=crowd)
+    begun = checkpoint(built)
 
     def crossing(flow: SolvedFlow) -> float:
-        restore(made, begun)
-        set_flow(made, "drift", flow)
-        places = run(made, 420)[:, 0]
-        assert np.linalg.norm(places[-1, [0, 2]] - [150, 0]) < 20
-        return float(places[np.abs(places[:, 0]).argmin(), 2])
+        restore(built, begun)
+        set_flow(built, "drift", flow)
+        positions = run(built, 420)[:, 0]
+        assert np.linalg.norm(positions[-1, [0, 2]] - [150, 0]) < 20
+        return float(positions[np.abs(positions[:, 0]).argmin(), 2])
 
     assert crossing(SolvedFlow(GOAL)) < 60
     assert crossing(SolvedFlow(GOAL, slope=6.0)) > 80
@@ -362,19 +366,19 @@ def test_what_costs_more_is_gone_round() -> None:
 
 
 def test_a_goal_may_be_a_curve_and_what_cannot_be_reached_has_no_flow() -> None:
-    made = world(SolvedFlow(LINE), 20, obstacles={"rock": MeshData(*meshes.box((100, -5, 100), (160, 5, 160)))})
-    found = read(made, (0, 150), (-150, -150), (130, 130))
-    assert found[0, 2] < -0.9 and found[1, 2] > 0.7
-    assert np.abs(found[2]).max() == 0  # in the rock
+    built = world(SolvedFlow(LINE), 20, obstacles={"rock": MeshData(*meshes.box((100, -5, 100), (160, 5, 160)))})
+    result = read(built, (0, 150), (-150, -150), (130, 130))
+    assert result[0, 2] < -0.9 and result[1, 2] > 0.7
+    assert np.abs(result[2]).max() == 0  # in the rock
 
 
 def test_from_one_surface_onto_another_that_lies_on_it() -> None:
     mound = meshes.ball(60.0, (150.0, -30.0, 0.0))
     surfaces = {"ground": MeshData(*meshes.grid(400.0, 40)), "mound": MeshData(*mound)}
     top = Target(np.array([[150.0, 30.0, 0.0]]), np.array([5.0]))
-    made = world(SolvedFlow(top), surfaces=surfaces, maps={"damp": Painted("mound", np.ones(len(mound[0])))})
-    run(made, 420)
-    ants = made.populations["ant"]
+    built = world(SolvedFlow(top), surfaces=surfaces, maps={"damp": Painted("mound", np.ones(len(mound[0])))})
+    run(built, 420)
+    ants = built.populations["ant"]
     assert (ants.footing.mesh == 1).mean() > 0.9 and (ants.position[:, 1] > 20).mean() > 0.8
 
 
@@ -386,11 +390,11 @@ CROWDED = SolvedFlow(GOAL, crowding=4.0, every=0.25, cell=12.0)
 def test_a_crowd_in_the_way_is_gone_round() -> None:
     blocked = np.array([[x, 0.0, z] for x in range(-60, 61, 4) for z in range(-60, 61, 4)])
     crowd = (CrowdData("ant", len(blocked), PlaceData(points=blocked)),)
-    made = world(CROWDED, steer="halt()", crowds=crowd)
-    before = read(made, (-100, 30))[0]
-    run(made, 1)
-    after = read(made, (-100, 30))[0]
-    assert before[2] < 0 and after[2] > 0.3, (before, after)
+    built = world(CROWDED, steer="halt()", crowds=crowd)
+    previous = read(built, (-100, 30))[0]
+    run(built, 1)
+    following = read(built, (-100, 30))[0]
+    assert previous[2] < 0 and following[2] > 0.3, (previous, following)
 
 
 @pytest.mark.parametrize(
@@ -398,40 +402,40 @@ def test_a_crowd_in_the_way_is_gone_round() -> None:
 )
 def test_the_same_hash_at_every_frame(options: Options) -> None:
     def hashes(options: Options) -> list[str]:
-        made = world(CROWDED, 6, options=options, obstacles=STONE)
-        found = []
+        built = world(CROWDED, 6, options=options, obstacles=STONE)
+        result = []
         for _ in range(9):
-            step(made)
-            found.append(state_hash(made))
-        return found
+            step(built)
+            result.append(state_hash(built))
+        return result
 
     assert hashes(options) == hashes(Options())
 
 
 def test_a_checkpoint_between_two_looks_at_the_crowd_goes_on_the_same() -> None:
-    made = world(CROWDED, 6)
-    run(made, 9)  # the crowd was last looked at three frames ago
+    built = world(CROWDED, 6)
+    run(built, 9)  # the crowd was last looked at three frames ago
     other = world(CROWDED, 6, options=Options(shuffle_rows=5))
-    restore(other, checkpoint(made))
-    assert state_hash(other) == state_hash(made)
+    restore(other, checkpoint(built))
+    assert state_hash(other) == state_hash(built)
     for _ in range(8):
-        step(made)
+        step(built)
         step(other)
-        assert state_hash(other) == state_hash(made)
+        assert state_hash(other) == state_hash(built)
 
 
 # --- what moves ------------------------------------------------------------------------------------------------------
 
 
 def test_a_flow_leads_to_where_a_thing_has_gone() -> None:
-    way = np.linspace([150.0, 0, 0], [-150.0, 0, 150.0], 120)[:, None]
+    path = np.linspace([150.0, 0, 0], [-150.0, 0, 150.0], 120)[:, None]
     goal = replace(GOAL, of="nest", which=0)
     for flow in (SpreadFlow("toward", goal), SolvedFlow(goal, every=0.5)):
-        made = world(flow, moves=Moves(items={"nest": way}))
-        assert read(made, (0, 150))[0, 0] > 0.4
-        run(made, 119)
-        assert read(made, (0, 150))[0, 0] < -0.9
-        assert (away(made, -150, 150) < 125).all()  # 150 off at first, and led the other way before
+        built = world(flow, moves=Moves(items={"nest": path}))
+        assert read(built, (0, 150))[0, 0] > 0.4
+        run(built, 119)
+        assert read(built, (0, 150))[0, 0] < -0.9
+        assert (away(built, -150, 150) < 125).all()  # 150 off at first, and led the other way before
 
 
 def test_an_obstacle_that_moves_is_gone_round_where_it_is_then() -> None:
@@ -439,19 +443,19 @@ def test_an_obstacle_that_moves_is_gone_round_where_it_is_then() -> None:
     gone = np.zeros((30, len(stone[0]), 3))
     gone[10:, :, 2] = 150  # in one go, at frame 10
     moves = Moves(meshes={"rock": MeshMoves.free(stone[0] + gone)})
-    made = world(SolvedFlow(GOAL, room=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()")
-    assert abs(read(made, (-60, 4))[0, 2]) > 0.5
-    run(made, 10)
-    assert abs(read(made, (-60, 4))[0, 2]) > 0.5  # not looked at since
-    run(made, 3)
-    assert abs(read(made, (-60, 4))[0, 2]) < 0.2
+    built = world(SolvedFlow(GOAL, room=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()")
+    assert abs(read(built, (-60, 4))[0, 2]) > 0.5
+    run(built, 10)
+    assert abs(read(built, (-60, 4))[0, 2]) > 0.5  # not looked at since
+    run(built, 3)
+    assert abs(read(built, (-60, 4))[0, 2]) < 0.2
     other = world(SolvedFlow(GOAL, room=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()")
-    restore(other, checkpoint(made))
-    assert state_hash(other) == state_hash(made)
-    assert np.array_equal(read(other, (-60, 4)), read(made, (-60, 4)))
-    for each in (made, other):
+    restore(other, checkpoint(built))
+    assert state_hash(other) == state_hash(built)
+    assert np.array_equal(read(other, (-60, 4)), read(built, (-60, 4)))
+    for each in (built, other):
         run(each, 12)
-    assert state_hash(other) == state_hash(made)
+    assert state_hash(other) == state_hash(built)
 
 
 def test_vectors_turn_with_the_ground_they_are_painted_on() -> None:
@@ -464,35 +468,35 @@ def test_vectors_turn_with_the_ground_they_are_painted_on() -> None:
             for x, y, z in [floor[0].T]
         ]
     )
-    made = world(
+    built = world(
         Painted("ground", np.tile([0.5, 0, 0], (len(floor[0]), 1))),
         moves=Moves(meshes={"ground": MeshMoves.free(turned)}),
         steer="halt()",
     )
-    run(made, 30)
-    assert np.abs(read(made, (0, 0), (50, 50)) - [0, 0, -0.5]).max() < 1e-6
+    run(built, 30)
+    assert np.abs(read(built, (0, 0), (50, 50)) - [0, 0, -0.5]).max() < 1e-6
 
 
 # --- while it runs ---------------------------------------------------------------------------------------------------
 
 
 def test_another_flow_may_be_put_in_its_place_while_it_runs() -> None:
-    made = world()
-    run(made, 20)
-    gone = away(made, 150, 0)
-    set_flow(made, "drift", SpreadFlow("away", GOAL))
-    run(made, 40)
-    assert (away(made, 150, 0) > gone).all()
+    built = world()
+    run(built, 20)
+    gone = away(built, 150, 0)
+    set_flow(built, "drift", SpreadFlow("away", GOAL))
+    run(built, 40)
+    assert (away(built, 150, 0) > gone).all()
     with pytest.raises(KeyError):
-        set_flow(made, "drifft", SpreadFlow("away", GOAL))
+        set_flow(built, "drifft", SpreadFlow("away", GOAL))
     with pytest.raises(BindError) as caught:
-        set_flow(made, "drift", SpreadFlow("away", GOAL, 100.0, cell=1e-3))
+        set_flow(built, "drift", SpreadFlow("away", GOAL, 100.0, cell=1e-3))
     assert [d.code for d in caught.value.report.errors] == ["flow-too-fine"]
 
 
 def test_values_of_flows_and_maps_stand_in_any_expression() -> None:
-    made = world(SpreadFlow("toward", GOAL, strength=0.5), steer="if damp > 0.5 then drift * 2 else mix(drift, heading, damp)")
-    run(made, 3)
-    ants = made.populations["ant"].now
-    x = made.populations["ant"].position[:, 0]
+    built = world(SpreadFlow("toward", GOAL, strength=0.5), steer="if damp > 0.5 then drift * 2 else mix(drift, heading, damp)")
+    run(built, 3)
+    ants = built.populations["ant"].now
+    x = built.populations["ant"].position[:, 0]
     assert np.abs(ants["felt"] - 0.5).max() < 0.01 and np.abs(ants["wet"] - (x + 200) / 400).max() < 0.01

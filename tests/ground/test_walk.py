@@ -54,7 +54,7 @@ GROUNDS = {
     "a wall on a floor": forked,
     "loose sheets": sheets,
     "a hose through itself": lambda: {"eight": shapes().eight(), "floor": grid(60, 9)},
-    **{name: (lambda made=built: {"worse": made()}) for name, built in WORSE.items()},
+    **{name: (lambda made=made: {"worse": made()}) for name, made in WORSE.items()},
     "boulders": lambda: {"hills": terrain(100, 30), "a": ball(14, (8, 4, 3), 9), "b": box((-30, -20, -30), (-18, 15, -14))},
     "tiles and a fan of slivers": lambda: {
         "left": grid(30, 6),
@@ -71,14 +71,14 @@ def crowd(ground: MeshGround, rng: np.random.Generator, n: int = N) -> Move:
     return ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), up, 4.0)
 
 
-def differing(ground: MeshGround, previous: Move, wish: Floats, heading: Floats, body: Floats, straight: bool = False) -> int:
+def differing(ground: MeshGround, before: Move, wish: Floats, heading: Floats, body: Floats, straight: bool = False) -> int:
     """How many agents a step takes elsewhere than `walked` says; and one that is turned by a hair, too, else it is rounding that
     takes them past a corner on another side."""
     rows, rng, reference = np.arange(len(wish)), np.random.default_rng(1), Reference(ground)
     for hair in (0.0, 1e-6, 1e-6):
-        turned = wish + np.cross(previous.up, wish) * hair * rng.normal(size=(len(wish), 1))
-        result = ground.move(previous.footing, turned, heading, previous.up, body, straight=straight)
-        rows = rows[[not _same(reference, ground, previous, result, turned, heading, body, straight, int(k)) for k in rows]]
+        turned = wish + np.cross(before.up, wish) * hair * rng.normal(size=(len(wish), 1))
+        found = ground.move(before.footing, turned, heading, before.up, body, straight=straight)
+        rows = rows[[not _same(reference, ground, before, found, turned, heading, body, straight, int(k)) for k in rows]]
         if not rows.size:
             break
     return len(rows)
@@ -87,8 +87,8 @@ def differing(ground: MeshGround, previous: Move, wish: Floats, heading: Floats,
 def _same(
     reference: Reference,
     ground: MeshGround,
-    previous: Move,
-    result: Move,
+    before: Move,
+    found: Move,
     wish: Floats,
     heading: Floats,
     body: Floats,
@@ -96,15 +96,15 @@ def _same(
     k: int,
 ) -> bool:
     near = 1e-7 * ground.extent
-    face, over = int(ground.on_faces(previous.footing)[0][k]), float(previous.footing.over[k])
-    place = previous.position[k] - over * reference.normal[face]
-    step = reference.step(face, place, over, wish[k], heading[k], previous.up[k], float(body[k]), straight)
-    same = result.blocked[k] == step.blocked and abs(result.travelled[k] - step.travelled) <= near
-    for one, other in ((result.position, step.position), (result.up, step.up), (result.heading, step.heading)):
+    face, over = int(ground.on_faces(before.footing)[0][k]), float(before.footing.over[k])
+    place = before.position[k] - over * reference.normal[face]
+    step = reference.step(face, place, over, wish[k], heading[k], before.up[k], float(body[k]), straight)
+    same = found.blocked[k] == step.blocked and abs(found.travelled[k] - step.travelled) <= near
+    for one, other in ((found.position, step.position), (found.up, step.up), (found.heading, step.heading)):
         same = same and np.abs(one[k] - other).max() <= max(near, 1e-6)
     if step.travelled > near:  # in a corner the last border decides, and rounding which that is
-        same = same and np.abs(result.direction[k] - step.direction).max() <= 1e-6
-    return bool(same and abs(result.footing.over[k] - step.over) <= near)
+        same = same and np.abs(found.direction[k] - step.direction).max() <= 1e-6
+    return bool(same and abs(found.footing.over[k] - step.over) <= near)
 
 
 @pytest.mark.parametrize("name", sampled(GROUNDS, GROUNDS.keys() - {"book", "bows"}))
@@ -172,18 +172,18 @@ def test_odd_wishes_count_as_none_and_nobody_leaves_nowhere() -> None:
         np.where(rng.random(N) < 0.2, 1.0, at.footing.b2),
     )
     lost = (footing.mesh < 0) | (footing.face < 0) | np.isnan(footing.b1)
-    result = ground.move(footing, wish, heading, up, 4.0)
-    assert np.array_equal(result.lost, lost) and 10 < lost.sum() < N // 4
-    assert (result.footing.mesh[lost] == -1).all() and (result.footing.face[lost] == -1).all()
-    assert not result.position[lost].any() and not result.travelled[lost].any() and not result.blocked[lost].any()
-    for one, other in ((result.up, up), (result.heading, heading), (result.direction, heading)):
+    found = ground.move(footing, wish, heading, up, 4.0)
+    assert np.array_equal(found.lost, lost) and 10 < lost.sum() < N // 4
+    assert (found.footing.mesh[lost] == -1).all() and (found.footing.face[lost] == -1).all()
+    assert not found.position[lost].any() and not found.travelled[lost].any() and not found.blocked[lost].any()
+    for one, other in ((found.up, up), (found.heading, heading), (found.direction, heading)):
         assert np.array_equal(one[lost], other[lost], equal_nan=True)
     sound = ~lost & np.isfinite(up).all(axis=1)
-    for column in result.columns():
+    for column in found.columns():
         assert np.isfinite(column[sound]).all()
     odd = ~np.isfinite(wish).all(axis=1) & sound
     still = ground.move(footing, np.zeros((N, 3)), heading, up, 4.0)
-    assert np.array_equal(result.position[odd], still.position[odd]) and not result.travelled[odd].any()
+    assert np.array_equal(found.position[odd], still.position[odd]) and not found.travelled[odd].any()
     bare = ground.move(footing, np.full((N, 3), np.inf), np.full((N, 3), np.nan), np.where(lost[:, None], 1.0, at.up), 1e300)
     assert np.isfinite(bare.heading[~lost]).all() and not bare.travelled.any()
 
@@ -257,8 +257,8 @@ def test_places_and_sides_of_footings_are_those_of_their_corners(name: str) -> N
     with np.errstate(invalid="ignore"):
         place = (a + footing.b1[:, None] * (b - a)) + footing.b2[:, None] * (c - a)
         expected = np.where(known[:, None], place + footing.over[:, None] * table.normal[:, face].T, 0.0)
-    result, unknown = ground.position(footing), np.isnan(expected)
-    assert (result.view(np.int64) == expected.view(np.int64))[~unknown].all() and np.isnan(result[unknown]).all()
+    found, unknown = ground.position(footing), np.isnan(expected)
+    assert (found.view(np.int64) == expected.view(np.int64))[~unknown].all() and np.isnan(found[unknown]).all()
     most = np.abs(table.normal[:, face]).argmax(axis=0)
     sides = 2 * most + (table.normal[most, face] < 0)
     assert np.array_equal(ground.sides(footing, 2), np.where(known, sides, 0))

@@ -42,10 +42,7 @@ ALLOWED = {
         "scipy": "a tree that says how far to look: which pairs are the nearest does not depend on it",
     },
     "runtime/backends/native/grids.py": {"log2": "the same"},
-    "fields/pheromone.py": {
-        "@": "a sparse matrix: SciPy adds row by row in the order of the columns, and is compiled for all processors alike",
-        "scipy": "the same",
-    },
+    "fields/pheromone.py": {"scipy": "a sparse matrix, compiled for all processors alike"},
     "fields/path_cost.py": {"scipy": "Dijkstra's search, compiled alike for all x86-64; only a beginning"},
     "fields/flow.py": {"scipy": "a tree of places, compiled for all x86-64 processors alike"},
     "runtime/binding/bind_flows.py": {"scipy": "the same trees"},

@@ -10,7 +10,7 @@ import pytest
 from compilers import need_llvmlite
 
 from antdsl.machine_code import machine
-from antdsl.numerics import check_sums, parallel
+from antdsl.numerics import check_sums
 from antdsl.numerics.check_sums import crc32
 
 LENGTHS = [*range(64, 200), *range(256, 300), 255, 256, 257, 400, 511, 512, 513, 767, 768, 769, 1000, 4095, 4096, 4097, 65_537]
@@ -27,7 +27,6 @@ def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     if request.param == 1:
         features = features.replace("+vpclmulqdq,", "")
     monkeypatch.setattr(machine, "host", lambda: machine.Target(host.triple, host.cpu, features))
-    monkeypatch.setattr(parallel, "running", lambda: True)
     monkeypatch.setattr(check_sums, "LEAST", 64 * request.param)
     check_sums._fold.cache_clear()
     yield 64 * request.param
