@@ -238,17 +238,11 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
     assert found == wanted and native == [False] * 4 + [True] * 4
 
 
-def test_without_llvmlite_numpy_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    wanted = rich(NUMPY)
+@pytest.mark.parametrize("options", [NUMPY, NATIVE])
+def test_without_llvmlite_binding_names_the_package(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "unavailable", lambda: "llvmlite is not installed: pip install it")
-    world = rich(NATIVE)
-    for _ in range(3):
-        step(wanted)
-        step(world)
-    assert state_hash(world) == state_hash(wanted) and world.backend.ready is None  # type: ignore[attr-defined]
-    assert world.backend.told() == [
-        "NumPy runs instead of machine code, slower and with the same result: llvmlite is not installed: pip install it"
-    ]
+    with pytest.raises(machine.NoMachineCode, match="llvmlite is not installed: pip install it"):
+        rich(options)
 
 
 WIDE = dict.fromkeys(("avx2", "fma", "fma4", "avx512f", "avx512vl", "avx512dq", "avx512bw", "avx512vbmi2"), True)
