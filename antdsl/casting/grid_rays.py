@@ -92,13 +92,11 @@ def faced(
 
 @inlined
 def _fetch(grid, origin, zero, way, cells, low, high):  # type: ignore[no-untyped-def]
-    """Have faces near both ends of rays from `low` to before `high` brought near; origins count from a `zero`."""
+    """Prefetch the faces near both ends of rays from `low` to before `high`; origins count from a `zero`."""
     for i in range(low, high):
-        k, a = 2 * (i - low), minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
-        cells[k] = _look_at(grid, a)
-        cells[k + 1] = _look_at(grid, (a[0] + way[i, 0], a[1] + way[i, 1], a[2] + way[i, 2]))
-    for k in range(0, 2 * (high - low)):
-        _fetch_list(grid, cells[k])
+        a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
+        _look_along(grid, a, (way[i, 0], way[i, 1], way[i, 2]), cells, i - low)
+    _fetch_lists(grid, cells, high - low)
 
 
 @kernel
@@ -229,9 +227,20 @@ def first_hit(grid, a, w):  # type: ignore[no-untyped-def]
 def fetch_rays(grid, origins, zero, ways, rays, cells, count):  # type: ignore[no-untyped-def]
     """Prefetch the faces near both ends of rays whose numbers are in `rays`; origins and ways (3, k) count from a `zero`."""
     for n in range(count):
-        a, w = minus(of(origins, rays[n]), zero), of(ways, rays[n])
-        cells[2 * n] = _look_at(grid, a)
-        cells[2 * n + 1] = _look_at(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
+        _look_along(grid, minus(of(origins, rays[n]), zero), of(ways, rays[n]), cells, n)
+    _fetch_lists(grid, cells, count)
+
+
+@inlined
+def _look_along(grid, a, w, cells, n):  # type: ignore[no-untyped-def]
+    """Put the cubes of both ends of ray `n` of a batch into `cells`."""
+    cells[2 * n] = _look_at(grid, a)
+    cells[2 * n + 1] = _look_at(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
+
+
+@inlined
+def _fetch_lists(grid, cells, count):  # type: ignore[no-untyped-def]
+    """Prefetch the first faces of the cubes of `count` rays."""
     for n in range(2 * count):
         _fetch_list(grid, cells[n])
 
