@@ -45,34 +45,36 @@ from antdsl.cli.printing.messages import close_streams, guard_streams, print_res
 
 
 class Command(NamedTuple):
-    """A command: its name, its function and an example of its use."""
+    """A command: its name, its function, the heading that the help lists it under, and an example of its use."""
 
     name: str
     function: Callable[..., None]
+    heading: str
     example: str
 
 
+WRITE, SIMULATE, RESULTS, INSIDE = "Write programs", "Simulate", "Use results", "Look inside"
 # In the order of a first project: from a new folder to results.
 COMMANDS = (
-    Command("new", new.new, "antdsl new walkers"),
-    Command("check", check.check, "antdsl check --strict"),
-    Command("fmt", fmt.fmt, "antdsl fmt ."),
-    Command("run", run.run, "antdsl run scene.yaml --frames 1..48 --out walk"),
-    Command("preview", preview.preview, "antdsl preview scene.yaml"),
-    Command("test", test.test, "antdsl test ."),
-    Command("sweep", sweep.sweep, "antdsl sweep scene.yaml --seeds 8 --vary walker.pace=20mm/s,40mm/s --out swept"),
-    Command("render", render.render, "antdsl render walk --frame 48 --out walk.png"),
-    Command("edit", edit.edit, "antdsl edit walk --smooth orient:5"),
-    Command("export", export.export, "antdsl export walk --to walk.usdc"),
-    Command("jobs", jobs.jobs, "antdsl jobs scene.yaml --chunk 24 --to openjd/scene.yaml"),
-    Command("info", info.info, "antdsl info walk"),
-    Command("body", body.body, "antdsl body ant"),
-    Command("explain", explain.explain, "antdsl explain walk --agent 17 --frame 48"),
-    Command("graph", graph.graph, "antdsl graph walker.ant --out states.svg"),
-    Command("plan", plan.plan, "antdsl plan walker.ant"),
-    Command("bench", bench.bench, "antdsl bench foraging --agents 15000"),
-    Command("doctor", doctor.doctor, "antdsl doctor"),
-    Command("lsp", lsp.lsp, "antdsl lsp"),
+    Command("new", new.new, WRITE, "antdsl new walkers"),
+    Command("check", check.check, WRITE, "antdsl check --strict"),
+    Command("fmt", fmt.fmt, WRITE, "antdsl fmt ."),
+    Command("run", run.run, SIMULATE, "antdsl run scene.yaml --frames 1..48 --out walk"),
+    Command("preview", preview.preview, SIMULATE, "antdsl preview scene.yaml"),
+    Command("test", test.test, SIMULATE, "antdsl test ."),
+    Command("sweep", sweep.sweep, SIMULATE, "antdsl sweep scene.yaml --seeds 8 --vary walker.pace=20mm/s,40mm/s --out swept"),
+    Command("render", render.render, RESULTS, "antdsl render walk --frame 48 --out walk.png"),
+    Command("edit", edit.edit, RESULTS, "antdsl edit walk --smooth orient:5"),
+    Command("export", export.export, RESULTS, "antdsl export walk --to walk.usdc"),
+    Command("jobs", jobs.jobs, SIMULATE, "antdsl jobs scene.yaml --chunk 24 --to openjd/scene.yaml"),
+    Command("info", info.info, RESULTS, "antdsl info walk"),
+    Command("body", body.body, INSIDE, "antdsl body ant"),
+    Command("explain", explain.explain, RESULTS, "antdsl explain walk --agent 17 --frame 48"),
+    Command("graph", graph.graph, WRITE, "antdsl graph walker.ant --out states.svg"),
+    Command("plan", plan.plan, INSIDE, "antdsl plan walker.ant"),
+    Command("bench", bench.bench, INSIDE, "antdsl bench foraging --agents 15000"),
+    Command("doctor", doctor.doctor, INSIDE, "antdsl doctor"),
+    Command("lsp", lsp.lsp, WRITE, "antdsl lsp"),
 )
 
 app = typer.Typer(
@@ -85,7 +87,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for _command_row in COMMANDS:
-    app.command(_command_row.name, epilog=f"Example: {_command_row.example}")(_command_row.function)
+    _panel, _example = _command_row.heading, f"Example: {_command_row.example}"
+    app.command(_command_row.name, rich_help_panel=_panel, epilog=_example)(_command_row.function)
 
 
 def _version(value: bool) -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 import typer
+
+from antdsl import limits
 
 
 def pairs(words: Iterable[str], flag: str) -> dict[str, str]:
@@ -18,6 +21,14 @@ def pairs(words: Iterable[str], flag: str) -> dict[str, str]:
             raise typer.BadParameter(f"write NAME=VALUE, not `{word}`", param_hint=flag)
         found[name.strip()] = value.strip()
     return found
+
+
+STDIN = Path("-")
+
+
+def standard_input() -> bytes:
+    """A program from standard input, cut where it is longer than a file may be."""
+    return sys.stdin.buffer.read(limits.ANT_FILE_BYTES + 1)
 
 
 def grants(words: Iterable[str]) -> dict[str, Path]:

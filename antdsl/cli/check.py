@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from antdsl.cli.arguments import STDIN, grants, standard_input
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
-
-
-STDIN = Path("-")
 
 
 class Format(StrEnum):
@@ -65,7 +62,6 @@ def check(
     if STDIN in (paths or []) and len(paths) > 1:
         raise typer.BadParameter("standard input is checked alone", param_hint="-")
     from antdsl.checking import check_all, check_text
-    from antdsl.cli.arguments import grants
     from antdsl.cli.printing.reports import show, verdict
     from antdsl.diagnostics import Report
     from antdsl.diagnostics.ignoring import judged, without_ignored
@@ -75,7 +71,7 @@ def check(
 
     choices = Choices(grants(root))
     if paths == [STDIN]:
-        checked = check_text(_standard_input(), choices, strict=strict, cpu_seconds=cpu_limit)
+        checked = check_text(standard_input(), choices, strict=strict, cpu_seconds=cpu_limit)
         files, report = list(checked.reports), Report()
     else:
         files, report = find_files(paths or [Path()])
@@ -118,12 +114,6 @@ def check(
         warnings = len(report.diagnostics)
         tail = f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else ", nothing to complain about"
         print_result(f"checked {len(files)} file{'' if len(files) == 1 else 's'}{tail}")
-
-
-def _standard_input() -> bytes:
-    from antdsl import limits
-
-    return sys.stdin.buffer.read(limits.ANT_FILE_BYTES + 1)
 
 
 def _strict(report: Report) -> Report:

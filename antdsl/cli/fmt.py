@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from antdsl.cli.arguments import STDIN, standard_input
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.failures import AGAIN, advice
 from antdsl.cli.printing.messages import print_result, say
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
-
-STDIN = Path("-")
 
 
 def fmt(
@@ -102,9 +101,9 @@ class _Work:
             self.report.error("cannot-write", f"cannot write `{path}`: {reason}", None, f"{advice(problem)} {AGAIN}")
 
     def standard_input(self) -> None:
-        from antdsl import limits, syntax
+        from antdsl import syntax
 
-        data = sys.stdin.buffer.read(limits.ANT_FILE_BYTES + 1)
+        data = standard_input()
         text = self.formatted(*syntax.read_bytes("<stdin>", data))
         if text is None:
             return

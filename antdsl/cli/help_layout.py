@@ -6,23 +6,19 @@ from typing import Any
 
 from typer.core import TyperGroup
 
-GROUPS: dict[str, tuple[str, ...]] = {
-    "Write programs": ("new", "check", "fmt", "graph", "lsp"),
-    "Simulate": ("run", "preview", "test", "sweep", "jobs"),
-    "Use results": ("render", "export", "edit", "info", "explain"),
-    "Look inside": ("body", "plan", "bench", "doctor"),
-}
-
 
 class GroupedHelp(TyperGroup):
-    """A group of commands that lists them under headings. No line is cut."""
+    """A group of commands that lists them under the headings (`rich_help_panel`) that they name. No line is cut."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands of each group."""
+        """Write the commands of each heading."""
         width = max(map(len, self.commands))
-        for heading, names in GROUPS.items():
+        rows: dict[str, list[tuple[str, str]]] = {}
+        for name, command in self.commands.items():
+            rows.setdefault(command.rich_help_panel, []).append((name.ljust(width), _first_sentence(command)))  # type: ignore[attr-defined]
+        for heading, commands in rows.items():
             with formatter.section(heading):
-                formatter.write_dl([(name.ljust(width), _first_sentence(self.commands[name])) for name in names])
+                formatter.write_dl(commands)
 
 
 def _first_sentence(command: Any) -> str:
