@@ -14,6 +14,7 @@ from typing import Any
 
 from antdsl.machine_code.kernels.elements import ALL
 from antdsl.machine_code.kernels.ir import Function
+from antdsl.machine_code.kernels.records import rebuilt
 from antdsl.machine_code.kernels.statements import Writer, stored_names
 from antdsl.machine_code.kernels.types import INT, TRUTH
 from antdsl.machine_code.kernels.units import Unit, Variable, result_type
@@ -256,7 +257,7 @@ class SideBySide(Writer):
             self._clear(turns.inside)
 
     def _wide(self, item: Item) -> Item:
-        return tuple(self._wide(each) for each in item) if isinstance(item, tuple) else self.widened(item)
+        return rebuilt(item, map(self._wide, item)) if isinstance(item, tuple) else self.widened(item)
 
     def end(self) -> None:
         """Give back, of a function for several turns, what they all give."""
