@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
+from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
 from antdsl.numerics.sorting import place_among
 
 _TOGETHER = 64  # points whose cells are brought near at once
 
 
 @inlined
-def _along(place, cell, low, size):  # type: ignore[no-untyped-def]
+def _along(place: F64, cell: F64, low: I64, size: I64) -> I64:
     """The number of a voxel along one axis of the box, -1 outside."""
     step = np.floor(place / cell + 0.5) - np.float64(low)
     if step >= 0.0 and step < np.float64(size):
@@ -18,7 +18,7 @@ def _along(place, cell, low, size):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _found(direct, listed, keys, shift, start, key):  # type: ignore[no-untyped-def]
+def _found(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64) -> I64:
     """The cell of a key, -1 for none."""
     if listed:
         return np.int64(direct[key])
@@ -42,7 +42,7 @@ def located(
     found: Array1[I32],
     begin: I64,
     end: I64,
-) -> int:
+) -> I64:
     """Write the cell of the voxel and side of each point from `begin` to before `end` into `found` [n]; gives how many have
     none, which get -1.
 

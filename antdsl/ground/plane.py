@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh.topology import facing
 from antdsl.ground.protocol import Floats, Footing, Move
 from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, inlined, kernel
-from antdsl.numerics.kernel_vectors import dot, minus, plus, times
+from antdsl.numerics.kernel_vectors import Vec3, dot, minus, plus, times
 
 
 class Plane:
@@ -88,7 +88,7 @@ class Plane:
 
 
 @inlined
-def straight(up, point, way, ahead):  # type: ignore[no-untyped-def]
+def straight(up: Vec3, point: Vec3, way: Vec3, ahead: Vec3) -> tuple[Vec3, Vec3, Vec3, F64]:
     """Straight on, for one: place, heading, direction and the way gone."""
     step, look = minus(way, times(up, dot(way, up))), minus(ahead, times(up, dot(ahead, up)))
     far = np.sqrt(dot(step, step))

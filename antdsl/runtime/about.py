@@ -11,6 +11,7 @@ from antdsl import limits
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import Vec3
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.planes import Plane, Vectors32, Vectors64, known
@@ -103,7 +104,7 @@ def _radius(population: Population, rows: Rows | slice = slice(None)) -> Floats:
 
 
 @inlined
-def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+def _dot(a: Vec3, b: Vec3) -> F64:
     return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
 
 

@@ -277,17 +277,17 @@ def _percentile(counts: NDArray[Any]) -> float:
 
 
 @inlined
-def _length(x, y, z):  # type: ignore[no-untyped-def]
+def _length(x: Any, y: Any, z: Any) -> Any:
     return np.sqrt((x * x + y * y) + z * z)
 
 
 @inlined
-def _between(a, b, i):  # type: ignore[no-untyped-def]
+def _between(a: _Vector, b: _Vector, i: I64) -> F32:
     return _length(a[0][i] - b[0][i], a[1][i] - b[1][i], a[2][i] - b[2][i])
 
 
 @inlined
-def _count(half, least, first, bins, part):  # type: ignore[no-untyped-def]
+def _count(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I64], part: I64) -> None:
     """The last bin whose least half chord is no more than this one's; `first`: where to begin to look, by its size."""
     k = first[np.int64(half * np.float32(4096.0))]
     k += 1 if half >= least[k + 1] else 0  # seldom more, so that what follows is foretold
@@ -326,7 +326,7 @@ def _count_step(
     steps: I64,
     begin: I64,
     end: I64,
-) -> tuple[int, int, int, float, float]:
+) -> tuple[I64, I64, I64, F64, F64]:
     """Adds one step of agents from `begin` to before `end` of a `count` to the measures: to the bins of turns and tilts, of which
     each of `several` parts has a row of its own, and to `path` and `age` of the ways that they `began`. Gives `begin`; how many
     ways have ended, whose straightness is written to `straight` from there on; how many stand; the greatest half chord of a tilt,

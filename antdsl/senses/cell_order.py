@@ -150,7 +150,7 @@ def _box(x: Array1[F32], y: Array1[F32], z: Array1[F32], ids: Array1[I64], ends:
 
 
 @inlined
-def _along(place, low, width):  # type: ignore[no-untyped-def]
+def _along(place: F32, low: F64, width: F64) -> I64:
     return np.int64(np.floor((np.float64(place) - low) / width))
 
 

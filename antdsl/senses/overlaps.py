@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, inlined, kernel
 
 Floats = NDArray[np.float32]
 
@@ -85,13 +85,13 @@ def _by_nearest(place: Floats, radius: Floats) -> Floats:
 
 
 @inlined
-def _cell(place, width, back):  # type: ignore[no-untyped-def]
+def _cell(place: F32, width: F64, back: F64) -> I64:
     """The cell of a place that is so many cells farther back."""
     return np.int64(np.floor(np.float64(place) / width - back))
 
 
 @inlined
-def _key(x, y, z):  # type: ignore[no-untyped-def]
+def _key(x: I64, y: I64, z: I64) -> I64:
     return (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
 
 
@@ -106,7 +106,7 @@ def worst(
     lists: Array1[I32],
     others: Array1[I32],
     found: Array1[F32],
-) -> bool:
+) -> BOOL:
     """Write the worst overlap of each agent to `found`, which is zeros. `width`: of a cell (mm), no less than twice what any two
     bodies reach, so that those in reach are in two cells along each axis. `lists`, as many as a power of 2: the last agent of
     each, -1 for none; `others`: before each in its list. False where more than `most` pairs would have to be measured."""

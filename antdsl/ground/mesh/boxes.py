@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.face_table import CORNER, EDGE1, EDGE2, WIDTH
-from antdsl.machine_code.kernels import F64, I64, Array1, Array2, called, fetch_ahead, inlined, scratch
-from antdsl.numerics.kernel_vectors import at, cross, dot, minus
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, fetch_ahead, inlined, scratch
+from antdsl.numerics.kernel_vectors import Vec3, at, cross, dot, minus
 from antdsl.numerics.sorting import interleaved
 
 Floats = NDArray[np.float64]
@@ -78,7 +78,9 @@ class Boxes:
 
 
 @called
-def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[no-untyped-def]
+def gather(
+    pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, found: tuple[Array1[I64], I64]
+) -> I64:
     """Writes into `found`, an array and where in it to begin, the places in the order of all triangles, but `face` and those of
     `piece`, whose boxes overlap a box: that around the points `one` and `two`, `size` mm larger. Returns how many. `boxes` are
     the arrays of `Boxes`."""
@@ -109,7 +111,9 @@ def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[n
 
 
 @called
-def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no-untyped-def]
+def first_of(
+    table: Array1[F64], boxes: Tree, found: tuple[Array1[I64], I64], count: I64, origin: Vec3, step: Vec3, fine: F64
+) -> tuple[I64, F64, F64, F64]:
     """The first triangle met of the first `count` in `found` (-1 for none), after what part of a way that goes on by `fine` mm,
     and its weights there. `table` is `packed`.
 
@@ -145,7 +149,7 @@ def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no
 
 
 @inlined
-def _apart(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):  # type: ignore[no-untyped-def]
+def _apart(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
     """Whether a box does not overlap another one: asked along all axes at once, as one of the answers is as likely as another."""
     x = (bounds[b, 0] > high_x) | (bounds[b, 3] < low_x)
     y = (bounds[b, 1] > high_y) | (bounds[b, 4] < low_y)

@@ -224,7 +224,7 @@ class RiseMap:
 
 
 @inlined
-def _rung(reach, width, whole):  # type: ignore[no-untyped-def]
+def _rung(reach: F64, width: F64, whole: F64) -> I64:
     """As the exponent of np.frexp."""
     return ((as_bits(min(max(reach, width), whole)) >> 52) & 0x7FF) - _EXPONENT
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
 from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.machine_code.kernels import consecutive, fetch_ahead, inlined, whole
-from antdsl.numerics.kernel_vectors import inside, plus, times
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, consecutive, fetch_ahead, inlined, whole
+from antdsl.numerics.kernel_vectors import Vec3, inside, plus, times
 
 CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
 STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
@@ -18,14 +18,14 @@ AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the bord
 
 
 @inlined
-def frame(table, row):  # type: ignore[no-untyped-def]
+def frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
     """Both axes of a face, and its normal."""
     ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = consecutive(table, row + AXIS1, 12)
     return (ax, ay, az), (bx, by, bz), (nx, ny, nz)
 
 
 @inlined
-def laid_down(axis1, axis2, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
+def laid_down(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
     """A vector laid into a face: unit (c, s) in its frame, (c0, s0) where nothing finite is left, and its length (mm)."""
     c = axis1[0] * x + axis1[1] * y + axis1[2] * z
     s = axis2[0] * x + axis2[1] * y + axis2[2] * z
@@ -37,7 +37,7 @@ def laid_down(axis1, axis2, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-untyped-def]
+def free(sub_first: Array1[I64], sub_count: Array1[I32], clear: Array1[F64], reach: F64, f: I64, b1: F64, b2: F64) -> F64:
     """A distance (mm) within which a place has no other piece, see `Parts`; `reach` being enough."""
     n = sub_count[f]
     if n == 0:
@@ -46,10 +46,29 @@ def free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-unty
 
 
 @inlined
-def go(  # type: ignore[no-untyped-def]
-    table, link, forked, sub_first, sub_count, clear, reach, high, looked, along_open,
-    f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn,
-):  # fmt: skip
+def go(
+    table: Array1[F64],
+    link: Array2[I32],
+    forked: BOOL,
+    sub_first: Array1[I64],
+    sub_count: Array1[I32],
+    clear: Array1[F64],
+    reach: F64,
+    high: F64,
+    looked: BOOL,
+    along_open: BOOL,
+    f: I64,
+    b1: F64,
+    b2: F64,
+    side: F64,
+    c: F64,
+    s: F64,
+    heading_c: F64,
+    heading_s: F64,
+    left: F64,
+    gone: F64,
+    turn: I64,
+) -> tuple[I64, F64, F64, F64, F64, F64, F64, F64, F64, F64, I64, I64, I64, F64, I64]:
     """Across faces until the way is used up, or until an event: what the agent is then, the event, and the edge and length of
     its stretch. On stretches within whose length and `high` there may be another piece it stops, but not on the first if
     `looked`. Where no stretch may meet another piece and it goes `along_open` borders, it follows those beyond which there is
@@ -108,7 +127,7 @@ def go(  # type: ignore[no-untyped-def]
 
 
 @inlined
-def along_border(edge_c, edge_s, c, s, left):  # type: ignore[no-untyped-def]
+def along_border(edge_c: F64, edge_s: F64, c: F64, s: F64, left: F64) -> tuple[F64, F64, F64]:
     """Along an open border, and the way that is left there."""
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0
@@ -116,7 +135,20 @@ def along_border(edge_c, edge_s, c, s, left):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _cross(table, beyond, edge, c1, s1, b1, b2, side, c, s, heading_c, heading_s):  # type: ignore[no-untyped-def]
+def _cross(
+    table: Array1[F64],
+    beyond: I64,
+    edge: I64,
+    c1: F64,
+    s1: F64,
+    b1: F64,
+    b2: F64,
+    side: F64,
+    c: F64,
+    s: F64,
+    heading_c: F64,
+    heading_s: F64,
+) -> tuple[I64, F64, F64, F64, F64, F64, F64, F64]:
     """Into the face beyond an edge."""
     f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
     b0 = 1.0 - b1 - b2
@@ -136,9 +168,9 @@ def _cross(table, beyond, edge, c1, s1, b1, b2, side, c, s, heading_c, heading_s
 
 
 @inlined
-def finish(  # type: ignore[no-untyped-def]
-    table, row, b1, b2, side, c, s, heading_c, heading_s, over
-):
+def finish(
+    table: Array1[F64], row: I64, b1: F64, b2: F64, side: F64, c: F64, s: F64, heading_c: F64, heading_s: F64, over: F64
+) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """Place, smooth normal, transported heading and direction of travel in space."""
     b0 = 1.0 - b1 - b2
     numbers = consecutive(table, row, WIDTH)
@@ -166,7 +198,7 @@ def finish(  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _turned(vx, vy, vz, bx, by, bz, ax, ay, az):  # type: ignore[no-untyped-def]
+def _turned(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
     """A vector turned as the unit normal b turns into a; half a turn goes over the vector itself."""
     cosine = bx * ax + by * ay + bz * az
     if cosine < -1 + 1e-9:

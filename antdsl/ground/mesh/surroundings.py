@@ -8,8 +8,8 @@ import numpy as np
 
 from antdsl.ground.mesh.boxes import first_of, gather
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, EDGES, NORMAL, WIDTH
-from antdsl.machine_code.kernels import called, inlined
-from antdsl.numerics.kernel_vectors import at, dot, inside, less, level, minus, more, nearest, plus, times, turned
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined
+from antdsl.numerics.kernel_vectors import Vec3, at, dot, inside, less, level, minus, more, nearest, plus, times, turned
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
 STEEPEST = 8.0  # of that height is the way left at least: who climbs comes up by it besides
@@ -39,7 +39,22 @@ class Scale:
 
 
 @called
-def other_ahead(table, sides, boxes, scale, found, body, f, b1, b2, side, c, s, left, length):  # type: ignore[no-untyped-def]
+def other_ahead(
+    table: Array1[F64],
+    sides: tuple[Array1[I32], Array2[I32]],
+    boxes: tuple[Array1[I64], Array1[I64], Array2[F64]],
+    scale: Vec3,
+    found: tuple[Array1[I64], I64],
+    body: F64,
+    f: I64,
+    b1: F64,
+    b2: F64,
+    side: F64,
+    c: F64,
+    s: F64,
+    left: F64,
+    length: F64,
+) -> tuple[I64, F64, F64, F64, F64]:
     """Another piece of surface within the way, seen from just above the ground; where the own piece lies before it, from a grain
     above, as feet go under that: the face met (-1 for none), weights, side to walk on, way gone. `found` has room for all
     faces."""
@@ -65,7 +80,16 @@ def other_ahead(table, sides, boxes, scale, found, body, f, b1, b2, side, c, s, 
 
 
 @called
-def _seen(table, boxes, scale, found, n, ground, length, high):  # type: ignore[no-untyped-def]
+def _seen(
+    table: Array1[F64],
+    boxes: tuple[Array1[I64], Array1[I64], Array2[F64]],
+    scale: Vec3,
+    found: tuple[Array1[I64], I64],
+    n: I64,
+    ground: tuple[Vec3, Vec3, Vec3],
+    length: F64,
+    high: F64,
+) -> tuple[I64, F64, F64, F64, Vec3, F64]:
     """Another piece within the way, seen from so high, below a low ceiling from half its height; or at the way's end between that
     eye and the ground. The face met, weights, way gone on the eye's level, the way that came to it, the eye's height."""
     _, fine, under = scale
@@ -85,7 +109,18 @@ def _seen(table, boxes, scale, found, n, ground, length, high):  # type: ignore[
 
 
 @called
-def _hidden(table, pieces, boxes, scale, found, f, ground, length, high, towards):  # type: ignore[no-untyped-def]
+def _hidden(
+    table: Array1[F64],
+    pieces: Array1[I32],
+    boxes: tuple[Array1[I64], Array1[I64], Array2[F64]],
+    scale: Vec3,
+    found: tuple[Array1[I64], I64],
+    f: I64,
+    ground: tuple[Vec3, Vec3, Vec3],
+    length: F64,
+    high: F64,
+    towards: Vec3,
+) -> BOOL:
     """Whether what is met from an eye so high is behind the own piece."""
     _, fine, _ = scale
     place, up, way = ground
@@ -105,7 +140,19 @@ def _hidden(table, pieces, boxes, scale, found, f, ground, length, high, towards
 
 
 @called
-def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # type: ignore[no-untyped-def]
+def beyond(
+    table: Array1[F64],
+    sides: tuple[Array1[I32], Array2[I32]],
+    boxes: tuple[Array1[I64], Array1[I64], Array2[F64]],
+    scale: Vec3,
+    found: tuple[Array1[I64], I64],
+    body: F64,
+    f: I64,
+    edge: I64,
+    b1: F64,
+    b2: F64,
+    side: F64,
+) -> tuple[I64, F64, F64, F64, F64, F64]:
     """Past an open border where an agent stands: what is met first on a way that leads up off the own face, out over the border
     and down beyond it, and then back towards it from below, a little and deeper. The face stepped over to (-1 for none),
     weights, side, way gone on its level, and how high that is.
@@ -184,7 +231,9 @@ def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # t
 
 
 @inlined
-def landed(table, f, side, c, s, heading_c, heading_s, to, to_side):  # type: ignore[no-untyped-def]
+def landed(
+    table: Array1[F64], f: I64, side: F64, c: F64, s: F64, heading_c: F64, heading_s: F64, to: I64, to_side: F64
+) -> tuple[F64, F64, F64, F64]:
     """Direction and heading in the frame of the face `to`, turned as the normal turns."""
     row, there = WIDTH * f, WIDTH * to
     before, after = times(at(table, row + NORMAL), side), times(at(table, there + NORMAL), to_side)
@@ -198,31 +247,33 @@ def landed(table, f, side, c, s, heading_c, heading_s, to, to_side):  # type: ig
 
 
 @inlined
-def standing(table, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
+def standing(table: Array1[F64], f: I64, b1: F64, b2: F64, side: F64, c: F64, s: F64) -> tuple[Vec3, Vec3, Vec3]:
     """Place on a face, the way up there, and the direction of travel."""
     row = WIDTH * f
     return stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side), _in_space(table, row, c, s)
 
 
 @inlined
-def stand(table, row, b1, b2, side):  # type: ignore[no-untyped-def]
+def stand(table: Array1[F64], row: I64, b1: F64, b2: F64, side: F64) -> Vec3:
     """Place on a face."""
     return plus(plus(at(table, row + CORNER), times(at(table, row + EDGE1), b1)), times(at(table, row + EDGE2), b2))
 
 
 @inlined
-def _in_space(table, row, c, s):  # type: ignore[no-untyped-def]
+def _in_space(table: Array1[F64], row: I64, c: F64, s: F64) -> Vec3:
     return plus(times(at(table, row + AXIS1), c), times(at(table, row + AXIS2), s))
 
 
 @inlined
-def _side(table, face, towards):  # type: ignore[no-untyped-def]
+def _side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
     """The side of a face that a way came from is the side to walk on."""
     return -1.0 if dot(at(table, WIDTH * face + NORMAL), towards) > 0 else 1.0
 
 
 @called
-def _leads(table, sides, f, side, up, face, towards):  # type: ignore[no-untyped-def]
+def _leads(
+    table: Array1[F64], sides: tuple[Array1[I32], Array2[I32]], f: I64, side: F64, up: Vec3, face: I64, towards: Vec3
+) -> BOOL:
     """Whether one may step over a border to a face: not to the other side of what is walked on, nor to what turns back below it
     as that side does."""
     pieces, ways = sides
@@ -233,7 +284,19 @@ def _leads(table, sides, f, side, up, face, towards):  # type: ignore[no-untyped
 
 
 @called
-def _leading(table, sides, f, side, up, face, b1, b2, towards, gone, rise):  # type: ignore[no-untyped-def]
+def _leading(
+    table: Array1[F64],
+    sides: tuple[Array1[I32], Array2[I32]],
+    f: I64,
+    side: F64,
+    up: Vec3,
+    face: I64,
+    b1: F64,
+    b2: F64,
+    towards: Vec3,
+    gone: F64,
+    rise: F64,
+) -> tuple[I64, F64, F64, F64, F64, F64]:
     """What `beyond` gives, if one may step there."""
     if not _leads(table, sides, f, side, up, face, towards):
         return -1, 0.0, 0.0, 1.0, 0.0, 0.0

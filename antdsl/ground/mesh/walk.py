@@ -34,8 +34,8 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
+from antdsl.numerics.kernel_vectors import Vec3, of, put
 from antdsl.numerics.kernel_vectors import inside as _inside
-from antdsl.numerics.kernel_vectors import of, put
 from antdsl.numerics.parallel import own
 
 # `packed` faces, `link` and `forked` of the topology, the first face of each mesh.
@@ -55,7 +55,7 @@ FETCHED = 64  # agents whose rows are brought near at once: as many as a process
 
 
 @inlined
-def bring_near(surface, mesh, face, begin, end):  # type: ignore[no-untyped-def]
+def bring_near(surface: Surface, mesh: Array1[I32], face: Array1[I32], begin: I64, end: I64) -> None:
     """Have the rows of the faces brought near that agents from `begin` to before `end` stand on."""
     table, _, _, first = surface
     for i in independent(begin, end):
@@ -69,7 +69,19 @@ def bring_near(surface, mesh, face, begin, end):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def walked(surface, near, along_open, f, b1, b2, over, size, wish, heading, up):  # type: ignore[no-untyped-def]
+def walked(
+    surface: Surface,
+    near: Clearances,
+    along_open: BOOL,
+    f: I64,
+    b1: F64,
+    b2: F64,
+    over: F64,
+    size: F64,
+    wish: Vec3,
+    heading: Vec3,
+    up: Vec3,
+) -> tuple[F64, F64, I64, F64, F64, F64, F64, F64, F64, F64, F64, F64, I64, I64, I64, F64, I64]:
     """An agent's way over face `f` and those beyond its edges, from weights and so far `over` it, with its `size`, wish, heading
     and up: where `go` leads to, `along_open` borders or not, and before that how near it looks out for other surfaces, and how
     far over its face it is, both on its side."""
@@ -98,7 +110,7 @@ def walked(surface, near, along_open, f, b1, b2, over, size, wish, heading, up):
 
 
 @inlined
-def counted(how, reals, wholes, begin, end):  # type: ignore[no-untyped-def]
+def counted(how: Array1[U8], reals: Array2[F64], wholes: Array2[I64], begin: I64, end: I64) -> tuple[I64, I64]:
     """How many of the agents from `begin` to before `end` wait, whose columns of `reals` and `wholes` are brought together from
     `begin` on, and how many are left."""
     waiting, left = 0, 0
@@ -294,7 +306,14 @@ def walk_on(
 
 
 @inlined
-def _put(i, found, place, above, ahead, direction):  # type: ignore[no-untyped-def]
+def _put(
+    i: I64,
+    found: tuple[Vec3, Vec3, Vec3, Vec3],
+    place: Array2[F64],
+    above: Array2[F64],
+    ahead: Array2[F64],
+    direction: Array2[F64],
+) -> None:
     put(place, i, found[0])
     put(above, i, found[1])
     put(ahead, i, found[2])
@@ -302,7 +321,7 @@ def _put(i, found, place, above, ahead, direction):  # type: ignore[no-untyped-d
 
 
 @inlined
-def _margin(noise, body):  # type: ignore[no-untyped-def]
+def _margin(noise: F64, body: F64) -> F64:
     """How near to its way (mm) a piece of surface must be to matter."""
     high = LIFT * body
     if not high > noise:
@@ -311,30 +330,30 @@ def _margin(noise, body):  # type: ignore[no-untyped-def]
 
 
 @called
-def keep(  # type: ignore[no-untyped-def]
-    reals,
-    wholes,
-    k,
-    i,
-    near,
-    body,
-    f,
-    b1,
-    b2,
-    side,
-    c,
-    s,
-    heading_c,
-    heading_s,
-    left,
-    way,
-    over,
-    turn,
-    event,
-    edge,
-    length,
-    hops,
-):
+def keep(
+    reals: Array2[F64],
+    wholes: Array2[I64],
+    k: I64,
+    i: I64,
+    near: BOOL,
+    body: F64,
+    f: I64,
+    b1: F64,
+    b2: F64,
+    side: F64,
+    c: F64,
+    s: F64,
+    heading_c: F64,
+    heading_s: F64,
+    left: F64,
+    way: F64,
+    over: F64,
+    turn: I64,
+    event: I64,
+    edge: I64,
+    length: F64,
+    hops: I64,
+) -> None:
     """Write down an agent that waits, who has followed so many borders: of its HOPS they are SPENT, and it is BLOCKED by any."""
     wholes[AGENT, k], wholes[SPENT, k], wholes[BLOCKED, k], wholes[NEAR, k], reals[BODY, k] = i, hops, hops > 0, near, body
     reals[B1, k], reals[B2, k], reals[SIDE, k], reals[C, k], reals[S, k], reals[HEADING_C, k], reals[HEADING_S, k] = (
@@ -351,7 +370,7 @@ def keep(  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _rise(over, level, left, way):  # type: ignore[no-untyped-def]
+def _rise(over: F64, level: F64, left: F64, way: F64) -> tuple[F64, F64, F64]:
     """Up or down over a border to a level (mm above the own face), as far as the way left lasts: where it leads, and the way left
     and gone."""
     most = level - over
@@ -361,7 +380,7 @@ def _rise(over, level, left, way):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _hung(table, link, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
+def _hung(table: Array1[F64], link: Array2[I32], f: I64, b1: F64, b2: F64, side: F64, c: F64, s: F64) -> tuple[I64, BOOL]:
     """The open border over which an agent steps, and whether it heads out over it."""
     weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf
     for k in range(3):

@@ -9,8 +9,8 @@ from antdsl.ground.solid.bricks import Bricks
 from antdsl.ground.solid.projecting import CLOSE, settle_at
 from antdsl.ground.solid.trilinear import LEAN, Grid, corners_at, distance_at, field_at, grid_of, slope_at
 from antdsl.ground.solid.volume import Volume
-from antdsl.machine_code.kernels import BOOL, F64, Array1, Array2, Array3, called, inlined, kernel
-from antdsl.numerics.kernel_vectors import cross, dot
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, called, inlined, kernel
+from antdsl.numerics.kernel_vectors import Vec3, cross, dot
 
 Vectors = Array2[F64]
 
@@ -102,7 +102,14 @@ def walk_all(
 
 
 @called
-def _touch(table, values, grid, points, first, last):  # type: ignore[no-untyped-def]
+def _touch(
+    table: Array1[I32],
+    values: Array1[F32],
+    grid: tuple[F64, F64, F64, F64, I64, I64, I64],
+    points: Array2[F64],
+    first: I64,
+    last: I64,
+) -> F64:
     """Read around the places of some agents, one read not waiting for the other; the sum says nothing."""
     total = 0.0
     for i in range(first, last):
@@ -112,7 +119,15 @@ def _touch(table, values, grid, points, first, last):  # type: ignore[no-untyped
 
 
 @called
-def _walk(table, values, grid, p, n, wish, close):  # type: ignore[no-untyped-def]
+def _walk(
+    table: Array1[I32],
+    values: Array1[F32],
+    grid: tuple[F64, F64, F64, F64, I64, I64, I64],
+    p: Vec3,
+    n: Vec3,
+    wish: Vec3,
+    close: F64,
+) -> tuple[Vec3, Vec3, Vec3, F64, BOOL, BOOL]:
     """All steps of one agent: its place, normal and way, how far it went, and whether it is blocked or lost."""
     voxel = grid[3]
     way, flat = _laid(wish, n)
@@ -166,7 +181,16 @@ def _walk(table, values, grid, p, n, wish, close):  # type: ignore[no-untyped-de
 
 
 @called
-def _onto(table, values, grid, p, n, way, length, close):  # type: ignore[no-untyped-def]
+def _onto(
+    table: Array1[I32],
+    values: Array1[F32],
+    grid: tuple[F64, F64, F64, F64, I64, I64, I64],
+    p: Vec3,
+    n: Vec3,
+    way: Vec3,
+    length: F64,
+    close: F64,
+) -> tuple[Vec3, Vec3, F64]:
     """Onto the zero level from the end of a way of `length` from `p`, which is on it: place, gradient and distance there.
 
     By Newton; where the gradient leaps from cell to cell, as at a sharp edge, his steps may go to and fro and never arrive. But
@@ -208,13 +232,13 @@ def _onto(table, values, grid, p, n, way, length, close):  # type: ignore[no-unt
 
 
 @inlined
-def _turn(way, before, after):  # type: ignore[no-untyped-def]
+def _turn(way: Vec3, before: Vec3, after: Vec3) -> Vec3:
     way, _ = _laid(_turned(way, before, after, way), after)
     return way
 
 
 @called
-def _turned(v, before, after, way):  # type: ignore[no-untyped-def]
+def _turned(v: Vec3, before: Vec3, after: Vec3, way: Vec3) -> Vec3:
     """A vector turned by the least turn that takes one unit normal into the other; half a turn goes over `way`."""
     cosine = dot(before, after)
     if cosine < -1 + 1e-9:
@@ -232,7 +256,7 @@ def _turned(v, before, after, way):  # type: ignore[no-untyped-def]
 
 
 @called
-def _laid(v, normal):  # type: ignore[no-untyped-def]
+def _laid(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
     """The unit vector across the normal, as near to v as can be, and how long v is across it."""
     along = dot(v, normal)
     flat = (v[0] - along * normal[0], v[1] - along * normal[1], v[2] - along * normal[2])
@@ -247,7 +271,7 @@ def _laid(v, normal):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _unit(v, otherwise):  # type: ignore[no-untyped-def]
+def _unit(v: Vec3, otherwise: Vec3) -> Vec3:
     """The direction of a gradient; another one where the field is flat."""
     size = np.sqrt(dot(v, v))
     if not size > 1e-6:

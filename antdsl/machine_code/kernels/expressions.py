@@ -318,10 +318,10 @@ class Expressions(Elements):
 
     def _fitting(self, node: ast.Call, record: Any, fields: dict[str, Item]) -> Item:
         types = field_types(record)._asdict()
-        return record(**{name: self._fit(node, name, item, types[name]) for name, item in fields.items()})
+        return record(**{name: self.fit(node, name, item, types[name]) for name, item in fields.items()})
 
-    def _fit(self, node: ast.Call, name: str, item: Item, type_: Any) -> Item:
-        """An item for a field of a type: a constant takes that, anything else has it."""
+    def fit(self, node: ast.AST, name: str, item: Item, type_: Any) -> Item:
+        """An item for what has a type: a constant takes that, anything else has it."""
         if type_ is Any:
             return item
         if isinstance(type_, Scalar) and isinstance(item, Number):
@@ -330,10 +330,10 @@ class Expressions(Elements):
             return self.as_kind(item, type_.kind)
         if isinstance(type_, ArrayType) and isinstance(item, Array):
             strided = item.steps is not None
-            if (type_.axes, type_.of, type_.strided) == (len(item.lengths), item.of, strided):
+            if (type_.axes, type_.strided) == (len(item.lengths), strided) and type_.of in (item.of, Any):
                 return item
         elif isinstance(type_, tuple) and type(item) is type(type_) and len(item) == len(type_):
-            return rebuilt(item, (self._fit(node, name, a, b) for a, b in zip(item, type_, strict=True)))
+            return rebuilt(item, (self.fit(node, name, a, b) for a, b in zip(item, type_, strict=True)))
         self.fail(node, f"`{name}` is given a value of another type")
 
     def _elements(self, node: ast.Call, known: Any, inputs: list[Item]) -> Item:

@@ -11,7 +11,7 @@ from functools import cache, lru_cache
 from itertools import count
 from threading import Lock
 from types import FunctionType
-from typing import Any
+from typing import Any, TypeVar
 
 from antdsl.machine_code import codes, library, machine
 from antdsl.machine_code.entries import entry
@@ -30,6 +30,7 @@ from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
 from antdsl.machine_code.module import Module
 
 PythonFunction = Callable[..., Any]
+F = TypeVar("F", bound=PythonFunction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,9 +48,18 @@ class Part:
         assert isinstance(tree, ast.FunctionDef)
         return code.co_filename, ast.increment_lineno(tree, code.co_firstlineno - 1), self.function.__globals__
 
+    @lru_cache(maxsize=512)  # noqa: B019
+    def types(self) -> dict[str, Any]:
+        """What its annotations stand for, by parameter; `return` is what it gives. What has none is left out."""
+        function = self.function
+        return {
+            name: () if annotation in ("None", None) else resolved(annotation, function.__globals__)
+            for name, annotation in function.__annotations__.items()
+        }
 
-def _part(attribute: str) -> Callable[[PythonFunction], PythonFunction]:
-    def decorate(function: PythonFunction) -> PythonFunction:
+
+def _part(attribute: str) -> Callable[[F], F]:
+    def decorate(function: F) -> F:
         function.part = Part(function, attribute)  # type: ignore[attr-defined, arg-type]
         return function
 

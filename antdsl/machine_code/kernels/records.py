@@ -45,13 +45,16 @@ def _parsed(text: str) -> ast.expr:
 
 def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
     if isinstance(node, ast.Name):
-        return _spread(world.get(node.id, tuple))
+        if node.id in ("tuple", "Any"):
+            return tuple if node.id == "tuple" else Any
+        if node.id in world:
+            return _spread(world[node.id])
     if isinstance(node, ast.Subscript):
         inner = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         of = [_type(each, world) for each in inner]
         base = _type(node.value, world)
         return tuple(of) if base is tuple else base[of[0]]
-    raise TypeError("an argument of a kernel has a type of `kernels`")
+    raise TypeError(f"`{'nothing' if node is None else ast.unparse(node)}` is no type of `kernels`")
 
 
 def _spread(named: Any) -> Any:

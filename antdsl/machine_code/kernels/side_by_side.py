@@ -37,6 +37,7 @@ class SideBySide(Writer):
 
     def __init__(self, unit: Unit, part: Any, mask: Number | None = None) -> None:
         super().__init__(unit, *part.source())
+        self.gives = part.types().get("return", Any)
         self.turns: list[Turns] = []
         self.results: list[Variable] = []
         self.fresh: set[Number] = set()  # places that no turn has written to yet
@@ -299,6 +300,9 @@ class SideBySide(Writer):
         part = getattr(function, "part", None)
         if part is None:
             self.fail(node, f"`{ast.unparse(node.func)}` is no function of kernels")
+        types = part.types()
+        for each, item in zip(part.source()[1].args.args, inputs, strict=False):
+            self.fit(node, each.arg, item, types.get(each.arg, Any))
         wide = self.mask is not None and any(each.wide for item in inputs for each in leaves(item))
         name, result = written(self.unit, part, inputs, wide)
         given = [each for item in inputs for each in leaves(item)]

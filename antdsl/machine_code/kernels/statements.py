@@ -28,6 +28,7 @@ class Writer(Expressions):
         self.loops: list[Loop] = []
         self.result: Item = None
         self.returns = False
+        self.gives: Any = Any  # the type of what it gives back
         self.open = True  # whether the text has come to a place that is reached
 
     def run(self, inputs: list[Item]) -> None:
@@ -181,7 +182,9 @@ class Writer(Expressions):
             case ast.Break() | ast.Continue():
                 self.leave(isinstance(node, ast.Break))
             case ast.Return(value=value):
-                self.give_back(node, () if value is None else self.value(value))
+                item = () if value is None else self.value(value)
+                self.fit(node, "return", item, self.gives)
+                self.give_back(node, item)
             case _:
                 self.fail(node, f"`{ast.unparse(node).splitlines()[0]}` is not in the subset")
 

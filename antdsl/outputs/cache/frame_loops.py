@@ -111,7 +111,7 @@ def not_zero(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
 
 
 @inlined
-def _signed(size, sign):  # type: ignore[no-untyped-def]
+def _signed(size: F64, sign: F64) -> F64:
     """As np.copysign, of a size that has no sign; the sign of what is no number does not count."""
     return -size if as_bits(sign) < 0 and sign == sign else size
 

@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.kernel_vectors import cross, direction, dot, flat, minus
+from antdsl.numerics.kernel_vectors import VectorColumns, cross, direction, dot, flat, minus
 from antdsl.runtime.world import Population
 
 PLACE = 0  # the first row of three
 _ROWS = 13
 _LEAST = 1e-12
 _F = np.float32
-
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 
 
 def place_bodies(population: Population, room: str, threads: int) -> NDArray[np.float64]:
@@ -39,8 +37,8 @@ def place_bodies(population: Population, room: str, threads: int) -> NDArray[np.
 @kernel
 def _place_bodies(
     position: Strided2[F64],
-    heading: Three,
-    up: Three,
+    heading: VectorColumns,
+    up: VectorColumns,
     size: Array1[F32],
     rows: Array1[I64],
     bodies: Array2[F64],

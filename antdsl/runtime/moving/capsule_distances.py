@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +21,7 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
-from antdsl.numerics.kernel_vectors import dot, minus, of, plus, times
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, times
 from antdsl.numerics.sorting import listed
 
 _SEEN = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
@@ -33,12 +35,11 @@ _FETCHED = 32  # pairs whose rows are brought near before these are measured
 _KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
 _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
 
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Capsules = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
 
 
 @inlined
-def _single(vectors, i):  # type: ignore[no-untyped-def]
+def _single(vectors: VectorColumns, i: I64) -> Vec3:
     """One of vectors that are three arrays of float32."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
@@ -51,8 +52,8 @@ def nothing_seen() -> NDArray[np.float64]:
 @kernel
 def trunks(
     place: Array2[F64],
-    heading: Three,
-    up: Three,
+    heading: VectorColumns,
+    up: VectorColumns,
     size: Array1[F32],
     length: F64,
     width: F64,
@@ -95,7 +96,7 @@ def trunks(
 
 
 @called
-def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untyped-def]
+def _gap(away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, wide: F64) -> tuple[F64, Vec3, BOOL]:
     """Gap and way to part of one pair, and whether both stand in one place, and so have none. The nearest points of two segments
     by C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. Where axes cross, the way is from middle to middle."""
     between = plus(one, other)
@@ -125,7 +126,21 @@ def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untype
 
 
 @called
-def measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, count, lost):  # type: ignore[no-untyped-def]
+def measured_some(
+    middle: Strided2[F64],
+    gone: Any,
+    ahead: Strided2[F64],
+    up: Strided2[F64],
+    half: Array1[F64],
+    radius: Array1[F64],
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    some: Array1[I64],
+    count: I64,
+    lost: Array1[I64],
+) -> I64:
     """As `measured`, of those pairs that are the first of `some`."""
     for n in independent(0, count):
         pair = some[n]
@@ -208,8 +223,8 @@ def before(
 @kernel
 def met(
     middle: Array2[F64],
-    ahead: Three,
-    up: Three,
+    ahead: VectorColumns,
+    up: VectorColumns,
     half: Array1[F64],
     radius: Array1[F64],
     key: Array1[I64],
@@ -287,7 +302,13 @@ def met(
 
 @kernel
 def gathered(
-    rows: Array1[I64], middle: Array2[F64], ahead: Three, up: Three, half: Array1[F64], radius: Array1[F64], to: Capsules
+    rows: Array1[I64],
+    middle: Array2[F64],
+    ahead: VectorColumns,
+    up: VectorColumns,
+    half: Array1[F64],
+    radius: Array1[F64],
+    to: Capsules,
 ) -> None:
     """The capsules of some rows."""
     for k in independent(0, rows.size):

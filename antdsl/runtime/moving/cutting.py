@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, independent, inlined, kernel
-from antdsl.numerics.kernel_vectors import dot, minus, of, put, times
+from antdsl.numerics.kernel_vectors import Vec3, dot, minus, of, put, times
 from antdsl.numerics.sorting import listed
 from antdsl.runtime.moving.capsules import Near
 
@@ -39,14 +39,14 @@ def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way
 
 
 @inlined
-def add(sums, i, v, magic):  # type: ignore[no-untyped-def]
+def add(sums: Array2[F64], i: I64, v: Vec3, magic: F64) -> None:
     """Add to a sum of terms that are rounded to the quantum of `magic`."""
     for axis in range(3):
         sums[axis, i] += (v[axis] + magic) - magic
 
 
 @inlined
-def negative(v):  # type: ignore[no-untyped-def]
+def negative(v: Vec3) -> Vec3:
     return -v[0], -v[1], -v[2]
 
 

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.elementary_loops import atan2
-from antdsl.numerics.kernel_vectors import cross, dot, minus, of, plus, times
+from antdsl.numerics.kernel_vectors import VectorColumns, cross, dot, minus, of, plus, times
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.headings import FACE, STANDS
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 # Of looks: the agent, half a body, the step (mm), its direction and the ground's normal.
 Looks = tuple[Array1[I64], Array1[F64], Array1[F64], Strided2[F64], Strided2[F64]]
 
@@ -76,7 +75,7 @@ def find_walls(
 
 
 @inlined
-def half_of(size):  # type: ignore[no-untyped-def]
+def half_of(size: F32) -> F64:
     """Half of a body's size (mm), 0 of what is none."""
     long = np.float64(_F(0) if size <= 0 else size)
     return long / 2 if np.isfinite(long) else 0.0
@@ -95,12 +94,12 @@ def look(
     size: Array1[F32],
     position: Strided2[F64],
     normal: Array2[F32],
-    heading: Three,
-    looking: Three,
+    heading: VectorColumns,
+    looking: VectorColumns,
     state: Array1[I32],
-    step: Three,
+    step: VectorColumns,
     faces: BOOL,
-    face: Three,
+    face: VectorColumns,
     looks: Looks,
     origin: Array2[F64],
     ray: Array2[F64],

@@ -37,11 +37,11 @@ from antdsl.machine_code.kernels import (
     kernel,
     three,
 )  # fmt: skip
-from antdsl.numerics.kernel_vectors import dot, times
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
 from antdsl.runtime.moving.headings import STANDS
 from antdsl.runtime.moving.rises import WIDEST, half_of
 from antdsl.runtime.moving.tilting import stood
-from antdsl.runtime.moving.velocities import Bodies, Facing, Limits, Three, Times, arrived, pushed
+from antdsl.runtime.moving.velocities import Bodies, Facing, Limits, Times, arrived, pushed
 
 _F = np.float32
 _ZERO = _F(0)
@@ -49,10 +49,10 @@ _ZERO = _F(0)
 
 @kernel
 def set_out(
-    push: Three,
-    velocity: Three,
-    heading: Three,
-    up: Three,
+    push: VectorColumns,
+    velocity: VectorColumns,
+    heading: VectorColumns,
+    up: VectorColumns,
     normal: Array2[F32],
     limits: tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]],
     keeps: BOOL,
@@ -60,9 +60,9 @@ def set_out(
     size: Array1[F32],
     quarantined: Array1[BOOL],
     times_of: tuple[F32, F32, F32],
-    to: Three,
-    step: Three,
-    looking: Three,
+    to: VectorColumns,
+    step: VectorColumns,
+    looking: VectorColumns,
     lengths: tuple[Array1[F32], Array1[F32], Array1[F64]],
     state: Array1[I32],
     begin: I64,
@@ -97,7 +97,7 @@ def set_out(
 
 
 @inlined
-def _ahead(heading, looking, state, i):  # type: ignore[no-untyped-def]
+def _ahead(heading: VectorColumns, looking: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
     """The heading along the ground, in float64."""
     if state[i] == STANDS:
         return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
@@ -111,14 +111,14 @@ def stride(
     at: Placed,
     size: Array1[F32],
     normal: Array2[F32],
-    velocity: Three,
-    step: Three,
-    looking: Three,
+    velocity: VectorColumns,
+    step: VectorColumns,
+    looking: VectorColumns,
     limits: Limits,
     bodies: Bodies,
     times_of: Times,
     facing: Facing,
-    registers: tuple[Three, Three, Three, Three],
+    registers: tuple[VectorColumns, VectorColumns, VectorColumns, VectorColumns],
     reals: Array2[F64],
     wholes: Array2[I64],
     how: Array1[U8],
@@ -186,14 +186,14 @@ def stride(
 def glide(
     plane: Array1[F64],
     at: Strided2[F64],
-    velocity: Three,
-    step: Three,
-    looking: Three,
+    velocity: VectorColumns,
+    step: VectorColumns,
+    looking: VectorColumns,
     limits: Limits,
     bodies: Bodies,
     times_of: Times,
     facing: Facing,
-    registers: tuple[Three, Three, Three, Three],
+    registers: tuple[VectorColumns, VectorColumns, VectorColumns, VectorColumns],
     place: Array2[F64],
     normals: Array2[F32],
     begin: I64,
