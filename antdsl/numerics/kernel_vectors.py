@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,8 +10,19 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, inlined
 
 Vec3 = tuple[F64, F64, F64]
 Vec3F32 = tuple[F32, F32, F32]
+Weights = tuple[F64, F64]  # of the second and third corner of a triangle
 VectorColumns = tuple[Array1[F32], Array1[F32], Array1[F32]]  # x, y and z of vectors
 AnyVec3 = tuple[Any, Any, Any]  # of either float type
+
+
+class Pose(NamedTuple):
+    """How an agent is in space: unit vectors up, ahead and along its path."""
+
+    place: Vec3
+    up: Vec3
+    heading: Vec3
+    direction: Vec3
+
 
 _LEAST, _STEEP = 1e-12, 0.9  # as `vectors.unit` and `vectors.across`
 
@@ -95,7 +106,7 @@ def less(a: F64, b: F64) -> F64:
 
 
 @inlined
-def inside(b1: F64, b2: F64) -> tuple[F64, F64]:
+def inside(b1: F64, b2: F64) -> Weights:
     """Weights moved to the nearest that are of a point of the triangle, against rounding."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2

@@ -24,7 +24,7 @@ class Point(NamedTuple):
 
 class Grid(NamedTuple):
     values: Array1[F64]
-    size: I64
+    part: I64  # as helpers have one
     corner: Point
 
 
@@ -38,7 +38,7 @@ ORIGIN = Point(0.5, 0.25)
 
 @kernel
 def read_fields(grid: Grid, k: I64) -> F64:
-    return grid.values[k] * grid.size + grid.corner.x - grid[2].y
+    return grid.values[k] * grid.part + grid.corner.x - grid[2].y
 
 
 @kernel
@@ -86,6 +86,14 @@ def in_lanes(grid: Grid, output: Array1[F64], begin: I64, end: I64) -> None:
         output[i] = total(point)
 
 
+@kernel
+def spread(point: Point, x: F64) -> F64:
+    total = 0.0
+    for each in (x, *point, *(x, 3)):
+        total = 2 * total + each
+    return total
+
+
 ROW = np.arange(19) * 0.75
 CASES: list[tuple[Kernel, tuple[Any, ...], Any]] = [
     (read_fields, (Grid(ROW, 3, Point(10.0, 4.0)), 2), 2 * 0.75 * 3 + 10 - 4),
@@ -93,6 +101,7 @@ CASES: list[tuple[Kernel, tuple[Any, ...], Any]] = [
     (build, (3.0, 2.0), (4.0, -0.75)),
     (give_record, (3.0,), (3.0, 2.0)),
     (give_record, (-3.0,), (0.0, -3.0)),
+    (spread, (Point(2.0, 3.0), 1.0), 1 * 16 + 2 * 8 + 3 * 4 + 1 * 2 + 3.0),
     (choose, (3.0,), (3.0, 4.0)),
     (choose, (5.0,), (4.0, 6.0)),
     (choose, (-1.0,), (2.0, 1.0)),
@@ -161,7 +170,7 @@ def other_number(x: F32) -> F64:
 
 @kernel
 def no_such_constant(x: F64) -> I64:
-    return Grid(scratch_of(x), 0.5, ORIGIN).size
+    return Grid(scratch_of(x), 0.5, ORIGIN).part
 
 
 @inlined
@@ -171,12 +180,12 @@ def scratch_of(x: F64) -> Any:
 
 @kernel
 def array_of_two_axes(rows: Array2[F64]) -> I64:
-    return Grid(rows, 1, ORIGIN).size  # type: ignore[arg-type]
+    return Grid(rows, 1, ORIGIN).part  # type: ignore[arg-type]
 
 
 @kernel
 def other_record(values: Array1[F64]) -> I64:
-    return Grid(values, 1, Other(1.0, 2.0)).size  # type: ignore[arg-type]
+    return Grid(values, 1, Other(1.0, 2.0)).part  # type: ignore[arg-type]
 
 
 @kernel
@@ -205,6 +214,11 @@ def replaced_tuple(x: F64) -> F64:
 
 
 @kernel
+def spread_number(x: F64) -> F64:
+    return (1.0, *x)[0]
+
+
+@kernel
 def named_argument(x: F64) -> F64:
     return total(point=Point(x, x))
 
@@ -230,6 +244,7 @@ def returned_array(values: Array1[F64]) -> Any:
         (other_record_assigned, 3, "`point` is given a value of another type"),
         (replaced_field, 2, "`Point` has no field `z`"),
         (replaced_tuple, 3, "`_replace` belongs to records"),
+        (spread_number, 2, "only tuples and records are spread"),
         (named_argument, 2, "only the fields of records are given by name"),
         (returned_array, 2, "arrays cannot be given back"),
     ],

@@ -55,7 +55,7 @@ class Expressions(Elements):
             case ast.Name(id=name):
                 return self.loaded(self.unread(name))
             case ast.Tuple(elts=parts):
-                return tuple(self.value(each) for each in parts)
+                return tuple(item for each in parts for item in self._items(each))
             case ast.BinOp(left=left, op=operator, right=right):
                 return self.arithmetic(node, operator, self.number(left), self.number(right))
             case ast.UnaryOp(op=operator, operand=operand):
@@ -75,6 +75,15 @@ class Expressions(Elements):
             case ast.Call(func=function, args=arguments):
                 return self._called(node, function, arguments)
         self.fail(node, f"`{ast.unparse(node)}` is not in the subset")
+
+    def _items(self, node: ast.expr) -> Any:
+        """What an expression adds to a tuple."""
+        if not isinstance(node, ast.Starred):
+            return (self.value(node),)
+        spread = self.value(node.value)
+        if not isinstance(spread, tuple):
+            self.fail(node, "only tuples and records are spread by `*`")
+        return spread
 
     def _unread(self, node: ast.expr) -> Any:
         """The value of an expression; of what is part of a variable the place, so that other parts of it are not loaded."""

@@ -100,7 +100,7 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def _value(value: Any, names: list[str], told: list[str], known: dict[int, int]) -> None:
-    part = getattr(value, "part", None)
+    part = None if is_record(value) else getattr(value, "part", None)
     if part is not None:
         _function(part, told, known)
     elif isinstance(value, ModuleType):

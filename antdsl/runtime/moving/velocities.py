@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel, put_three
 from antdsl.numerics.elementary_loops import atan2, cos_sin
-from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, cross, dot, flat, minus, plus, times
+from antdsl.numerics.kernel_vectors import Pose, Vec3F32, VectorColumns, cross, dot, flat, minus, plus, times
 from antdsl.runtime.moving.headings import (
     BEYOND,
     BOUNCE,
@@ -19,14 +21,6 @@ from antdsl.runtime.moving.headings import (
     TWELFTH,
 )
 
-# `max_speed`, `max_turn` and `response`.
-Limits = tuple[Array1[F32], Array1[F32], Array1[F32]]
-# The longest response of who faces at once where it goes, the time, and the share of a turn that is done in it.
-Times = tuple[F32, F32, F32]
-# Whether there are ways to face, these, and whether all bodies have to follow their feet.
-Facing = tuple[BOOL, VectorColumns, BOOL]
-# By what angle each may tilt, its state, and room for up and heading from before.
-Bodies = tuple[Array1[F32], Array1[I32], VectorColumns, VectorColumns]
 _F = np.float32
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 _TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
@@ -34,21 +28,109 @@ _PI = _F(np.pi)
 _SURELY = _F(1e-3)  # of a cosine: an angle that is less by as much needs no inverse tangent
 
 
+class Drive(NamedTuple):
+    """What moves agents: push, velocity, heading and up, and the normal (n, 3) of the ground."""
+
+    push: VectorColumns
+    velocity: VectorColumns
+    heading: VectorColumns
+    up: VectorColumns
+    normal: Array2[F32]
+
+
+class Abilities(NamedTuple):
+    """Of agents, by the names that programs have for them."""
+
+    max_speed: Array1[F32]
+    max_force: Array1[F32]
+    mass: Array1[F32]
+    response: Array1[F32]
+    max_turn: Array1[F32]
+
+
+class PushTimes(NamedTuple):
+    """The longest response that takes its whole time in one substep, that time, and `dt`, that of others."""
+
+    at_once: F32
+    first: F32
+    dt: F32
+
+
+class Limits(NamedTuple):
+    """Of agents that arrive."""
+
+    max_speed: Array1[F32]
+    max_turn: Array1[F32]
+    response: Array1[F32]
+
+
+class Bodies(NamedTuple):
+    """By what angle each may tilt, its state, and room for up and heading from before."""
+
+    most: Array1[F32]
+    state: Array1[I32]
+    up: VectorColumns
+    heading: VectorColumns
+
+
+class Times(NamedTuple):
+    """The longest response of who faces at once where it goes, the time, and the share of a turn that is done in it."""
+
+    at_once: F32
+    dt: F32
+    share: F32
+
+
+class Facing(NamedTuple):
+    """Whether there are directions to face, these, and whether all bodies have to follow their feet."""
+
+    is_set: BOOL
+    direction: VectorColumns
+    everyone: BOOL
+
+
+class Registers(NamedTuple):
+    """Those that a step changes."""
+
+    position: VectorColumns
+    velocity: VectorColumns
+    heading: VectorColumns
+    up: VectorColumns
+
+
+class Arrival(NamedTuple):
+    """What agents arrive with: positions (n, 3), steps and velocities from before the walk, and where results go, of the up also
+    `normals` (n, 3)."""
+
+    old: Strided2[F64]
+    step: VectorColumns
+    velocity: VectorColumns
+    limits: Limits
+    bodies: Bodies
+    times: Times
+    facing: Facing
+    registers: Registers
+    normals: Array2[F32]
+
+
+class Walked(NamedTuple):
+    """Place, up, heading and direction (3, n) of a walk, and who is blocked."""
+
+    place: Strided2[F64]
+    up: Strided2[F64]
+    heading: Strided2[F64]
+    direction: Strided2[F64]
+    blocked: Array1[BOOL]
+
+
 @inlined
 def pushed(
-    push: VectorColumns,
-    velocity: VectorColumns,
-    up: Vec3F32,
-    heading: VectorColumns,
-    limits: tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]],
-    keeps: BOOL,
-    min_speed: Array1[F32],
-    times_of: Times,
-    i: I64,
+    drive: Drive, up: Vec3F32, abilities: Abilities, keeps: BOOL, min_speed: Array1[F32], times_of: PushTimes, i: I64
 ) -> Vec3F32:
     """The velocity of agent i after its push along the ground, whose `up` is given, within the limits of speed and turn: see
     `strides.set_out`."""
-    max_speed, max_force, mass, response, max_turn = limits
+    push, velocity, heading, _, _ = drive
+    max_speed, max_force, mass, response, max_turn = abilities
     at_once, first, dt = times_of
     wish = flat((push[0][i], push[1][i], push[2][i]), up)
     wish = times(wish, _ONE / maximum(length(wish), _ONE))
@@ -115,22 +197,10 @@ def _turned(velocity: Vec3F32, before: Vec3F32, up: Vec3F32, most: F32) -> Vec3F
 
 
 @inlined
-def arrived(
-    i: I64,
-    found: tuple[Vec3, Vec3, Vec3, Vec3],
-    blocked: BOOL,
-    old: Strided2[F64],
-    step: VectorColumns,
-    velocity: VectorColumns,
-    limits: Limits,
-    bodies: Bodies,
-    times_of: Times,
-    facing: Facing,
-    registers: tuple[VectorColumns, VectorColumns, VectorColumns, VectorColumns],
-    normals: Array2[F32],
-) -> None:
-    """Gives agent i the place, up, heading and direction that its walk has `found`, in float64: see `arrive`."""
-    place, above, ahead, direction = found
+def arrived(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
+    """Gives agent i the place, up, heading and direction that its walk has led to, in float64: see `arrive`."""
+    place, above, ahead, direction = pose
+    old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
     max_speed, max_turn, response = limits
     most, state, to_up, to_heading = bodies
     at_once, dt, part = times_of
@@ -170,39 +240,20 @@ def arrived(
 
 
 @kernel
-def arrive(
-    rows: Array1[I64],
-    velocity: VectorColumns,
-    step: VectorColumns,
-    old: Strided2[F64],
-    walked: tuple[Strided2[F64], Strided2[F64], Strided2[F64], Strided2[F64], Array1[BOOL]],
-    limits: Limits,
-    bodies: Bodies,
-    times_of: Times,
-    facing: Facing,
-    registers: tuple[VectorColumns, VectorColumns, VectorColumns, VectorColumns],
-    normals: Array2[F32],
-    begin: I64,
-    end: I64,
-) -> None:
-    """Velocity and heading of `rows` from `begin` to before `end` where the walk has led, with place and up, into `registers`:
-    position, velocity, heading, up; and the up also into `normals` (n, 3). `bodies` whose up turns by more than `most` (radians),
-    or that turn by more than `max_turn` allows and `BEYOND` that, get a `state` that says so, and of who does not stand as its
-    feet do the up and heading from before are kept there.
-
-    `velocity`, `step`: before the walk, float32; `old` the place before it, (n, 3); `walked`: place, up, heading and direction of
-    the walk, (3, n), and who is blocked.
-    """
+def arrive(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64, end: I64) -> None:
+    """Velocity and heading of `rows` from `begin` to before `end` where the walk has led, with place and up, into the registers.
+    Bodies whose up turns by more than `most` (radians), or that turn by more than `max_turn` allows and `BEYOND` that, get a
+    `state` that says so, and of who does not stand as its feet do the up and heading from before are kept there."""
     place, above, ahead, direction, blocked = walked
     for j in range(begin, end):
         i = rows[j]
-        found = (
+        pose = Pose(
             (place[0, i], place[1, i], place[2, i]),
             (above[0, i], above[1, i], above[2, i]),
             (ahead[0, i], ahead[1, i], ahead[2, i]),
             (direction[0, i], direction[1, i], direction[2, i]),
         )
-        arrived(i, found, blocked[i], old, step, velocity, limits, bodies, times_of, facing, registers, normals)
+        arrived(i, pose, blocked[i], arrival)
 
 
 @inlined
