@@ -258,7 +258,7 @@ def hits(
         a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
         h = hair / np.sqrt((x * x + y * y) + z * z)
         face = named[i]
-        t, w0, w1, w2, least = _crossing(planes, face, a, b, c, x, y, z)
+        t, (w0, w1, w2), least = _crossing(planes, face, a, b, c, x, y, z)
         short[i], here[i], hit[i] = h, t, least >= -CLOSED and abs(t) < np.inf and t > h
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         if not abs(least) > rims[face]:
@@ -266,7 +266,7 @@ def hits(
             place = weld[3 * face + _heaviest(w0, w1, w2)]
             most = at[i] + ahead * h
             for k in range(first[place], first[place + 1]):
-                t, w0, w1, w2, least = _crossing(planes, faces[k], a, b, c, x, y, z)
+                t, (w0, w1, w2), least = _crossing(planes, faces[k], a, b, c, x, y, z)
                 good = least >= -CLOSED and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
                 if good and (not hit[i] or t < here[i]):
                     named[i], here[i], hit[i] = faces[k], t, True
@@ -334,12 +334,12 @@ def _heaviest(a: F64, b: F64, c: F64) -> I64:
 
 
 @inlined
-def _crossing(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, F64, F64, F64, F64]:
+def _crossing(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, Vec3, F64]:
     t = -along(planes, face, 0, a, b, c) / towards(planes, face, 0, x, y, z)
     w1 = along(planes, face, 1, a, b, c) + t * towards(planes, face, 1, x, y, z)
     w2 = along(planes, face, 2, a, b, c) + t * towards(planes, face, 2, x, y, z)
     w0 = (1.0 - w1) - w2
-    return t, w0, w1, w2, _least(w0, w1, w2)
+    return t, (w0, w1, w2), _least(w0, w1, w2)
 
 
 @inlined

@@ -1,5 +1,7 @@
 """The cell of each agent's voxel and side, as one pass over the agents."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
@@ -26,17 +28,24 @@ def _found(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64, sta
     return a if a < keys.size and keys[a] == key else -1
 
 
+class CellIndex(NamedTuple):
+    """Cells of voxels: their width, the lowest voxel of the box and how many there are. Cells are in `direct` by key, or where
+    that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each."""
+
+    cell: F64
+    low: Array1[I64]
+    size: Array1[I64]
+    direct: Array1[I32]
+    keys: Array1[I64]
+    shift: I64
+    start: Array1[I32]
+
+
 @kernel
 def located(
     points: tuple[Array1[F64], Array1[F64], Array1[F64]],
     side: Array1[I8],
-    cell: F64,
-    box: Array1[I64],
-    size: Array1[I64],
-    direct: Array1[I32],
-    keys: Array1[I64],
-    shift: I64,
-    start: Array1[I32],
+    index: CellIndex,
     known: Array1[I64],
     here: Array1[I32],
     found: Array1[I32],
@@ -46,9 +55,9 @@ def located(
     """Write the cell of the voxel and side of each point from `begin` to before `end` into `found` [n]; gives how many have
     none, which get -1.
 
-    `points`: x, y, z [n] mm, `box` and `size` [3]: the lowest voxel of the box, and how many. Cells stand in `direct` by key, or
-    where that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each.
-    `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are renewed."""
+    `points`: x, y, z [n] mm. `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are
+    renewed."""
+    cell, box, size, direct, keys, shift, start = index
     listed = direct.size > 0
     wanted, moved, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
     missed = 0

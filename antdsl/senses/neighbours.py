@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -308,14 +308,21 @@ def _bound(
     return farthest, last
 
 
+class Filled(NamedTuple):
+    """The query come to, the pairs found, and how long `spans` and `near` must be to go on (-1: a query has more than `limit`
+    others within its radius)."""
+
+    query: I64
+    pairs: I64
+    spans: I64
+    near: I64
+
+
 @kernel
-def _fill(
-    grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: Found, k: I64, used: I64
-) -> tuple[I64, I64, I64, I64]:
+def _fill(grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: Found, k: I64, used: I64) -> Filled:
     """Go on with query k, with so many pairs found before it, until an array is too short.
 
-    Gives the query come to, the pairs found, and how long `spans` and `near` must be to go on (-1: a query has more than `limit`
-    others within its radius). Of more than `NEIGHBOURS` the nearest are taken, by distance and id..
+    Of more than `NEIGHBOURS` the nearest are taken, by distance and id..
     """
     (sx, sy, sz), rows, names, keys, starts, low, width, size = grid
     (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
@@ -333,9 +340,9 @@ def _fill(
             float(fast[k]), float(middle[k]), float(slow[k]), float(reach), keys, starts, low, width, size, spans
         )
         if number < 0:
-            return k, used, total, near.size
+            return Filled(k, used, total, near.size)
         if total > near.size:
-            return k, used, spans.size, total
+            return Filled(k, used, spans.size, total)
         beyond = reach * reach * _BEYOND + np.float32(1e-30)
         found = 0
         for s in range(number):
@@ -352,11 +359,11 @@ def _fill(
                 ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
                 count += (np.sqrt((ux * ux + uy * uy) + uz * uz) <= reach) & (not own or names[at] != name)
             if count > limit:
-                return k, used, spans.size, -1
+                return Filled(k, used, spans.size, -1)
             if count > NEIGHBOURS:
                 farthest, last = _bound(sx, sy, sz, names, near, found, x, y, z, reach, name)
         if used + found > i.size:
-            return k, used, spans.size, near.size
+            return Filled(k, used, spans.size, near.size)
         for p in range(found):
             at = near[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
@@ -371,4 +378,4 @@ def _fill(
             dx[used], dy[used], dz[used], distance[used] = ux, uy, uz, length
             used += good
         k += 1
-    return k, used, spans.size, near.size
+    return Filled(k, used, spans.size, near.size)

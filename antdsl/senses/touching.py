@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -288,11 +288,12 @@ def _pairs(
     ordered, rows, cell_of = np.empty(4 * count), *np.empty((2, count), np.int32)
     _sorted(keys, counts, *columns, rows, cell_of, ordered)
     spans = 2 if flat else 5
-    room = np.empty((3, _TOGETHER * spans * most + _WRITTEN), np.int32)
+    work = Candidates(*np.empty((3, _TOGETHER * spans * most + _WRITTEN), np.int32))
+    in_cells = InCells(ordered, rows, cell_of, counts)
     used, most_pairs = -3, 2 * count + 256
     while used == -3:
         i, j = np.empty((2, most_pairs), np.int64)
-        used, left_out = _filled(ordered, rows, cell_of, counts, size[0], layer, spans, most, heaps, *room, i, j)
+        used, left_out = _filled(in_cells, size[0], layer, spans, most, heaps, work, i, j)
         most_pairs *= 4
     return used if used < 0 else (i[:used], j[:used], not left_out)
 
@@ -345,24 +346,41 @@ def _sorted(
     counts[0] = 0
 
 
+class InCells(NamedTuple):
+    """Places and reaches in the order of cells, their rows and cells, and where the agents of each cell begin."""
+
+    ordered: Column
+    rows: Counts
+    cell_of: Counts
+    starts: Counts
+
+
+class Candidates(NamedTuple):
+    """Memory for work: pairs of some agents, listed without a branch that is hard to foretell, and who is `near`."""
+
+    one: Counts
+    other: Counts
+    near: Counts
+
+
 @kernel
 def _filled(
-    ordered: Column, rows: Counts, cell_of: Counts, starts: Counts, across: I64, layer: I64, spans: I64, most: I64, heaps: BOOL,
-    one: Counts, other: Counts, near: Counts, i: Indices, j: Indices,
-) -> tuple[I64, I64]:  # fmt: skip
+    cells: InCells, across: I64, layer: I64, spans: I64, most: I64, heaps: BOOL, work: Candidates, i: Indices, j: Indices
+) -> tuple[I64, I64]:
     """Fill `i` and `j` with pairs and give how many there are (-3 where these are too short, -2 as `_pairs`) and in how many
-    spans some are left out. `one` and `other` are room for work: candidates of some agents, listed without a branch that is hard
-    to foretell, and who is `near`."""
-    used, cells, count, left_out = 0, starts.size - 1, rows.size, 0
+    spans some are left out."""
+    ordered, rows, cell_of, starts = cells
+    one, other, near = work
+    used, last_cell, count, left_out = 0, starts.size - 1, rows.size, 0
     for begin in range(0, count, _TOGETHER):
         candidates = 0
         for at in range(begin, min(begin + _TOGETHER, count)):
             key = cell_of[at]
             for span in range(spans):
-                first, last = at + 1, starts[min(key + 2, cells)]
+                first, last = at + 1, starts[min(key + 2, last_cell)]
                 if span > 0:
                     shift = across if span == 1 else layer + (span - 3) * across
-                    first, last = starts[min(key + shift - 1, cells)], starts[min(key + shift + 2, cells)]
+                    first, last = starts[min(key + shift - 1, last_cell)], starts[min(key + shift + 2, last_cell)]
                 if last - first > most:
                     if not heaps:
                         return -2, 0

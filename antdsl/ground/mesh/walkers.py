@@ -21,7 +21,7 @@ class Surface(NamedTuple):
 
 
 class Clearances(NamedTuple):
-    """Distances to other pieces: `first`, `count` (here `counts`), `least` and `reach` of `Parts`. An agent stays away from what is nearer than
+    """Distances to other pieces, as `Parts` has them. An agent stays away from what is nearer than
     its path, LIFT of its body and `noise`."""
 
     first: Array1[I64]

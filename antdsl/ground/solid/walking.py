@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from antdsl.ground.protocol import Floats, Footing, Move
@@ -118,6 +120,17 @@ def _touch(
     return total
 
 
+class Trip(NamedTuple):
+    """Where steps lead an agent: its place, normal and direction, how far it went, and whether it is blocked or lost."""
+
+    place: Vec3
+    normal: Vec3
+    way: Vec3
+    length: F64
+    blocked: BOOL
+    lost: BOOL
+
+
 @called
 def _walk(
     table: Array1[I32],
@@ -127,8 +140,8 @@ def _walk(
     n: Vec3,
     wish: Vec3,
     close: F64,
-) -> tuple[Vec3, Vec3, Vec3, F64, BOOL, BOOL]:
-    """All steps of one agent: its place, normal and way, how far it went, and whether it is blocked or lost."""
+) -> Trip:
+    """All steps of one agent."""
     voxel = grid[3]
     way, flat = _laid(wish, n)
     left = min(np.sqrt(dot(wish, wish)), 2 * flat)
@@ -137,9 +150,9 @@ def _walk(
     if not left > 0:
         found, p, after = settle_at(table, values, grid, p, n, close)
         if not found:
-            return p, n, way, walked, False, True
+            return Trip(p, n, way, walked, False, True)
         way = _turn(way, n, after)
-        return p, after, way, walked, False, False
+        return Trip(p, after, way, walked, False, False)
     for _ in range(CROSSINGS):
         if not left > 0:
             break
@@ -161,7 +174,7 @@ def _walk(
         elif not settled:
             found, p, after = settle_at(table, values, grid, p, n, close)
             if not found:
-                return p, n, way, walked, blocked, True
+                return Trip(p, n, way, walked, blocked, True)
             way = _turn(way, n, after)
             n = after
             settled = True
@@ -177,7 +190,7 @@ def _walk(
                 way = _turn(way, n, after)
                 n = after
                 stride, blocked = EDGE, True
-    return p, n, way, walked, blocked, False
+    return Trip(p, n, way, walked, blocked, False)
 
 
 @called

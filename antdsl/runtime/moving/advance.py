@@ -36,7 +36,7 @@ from antdsl.runtime.moving.obstacles import slide, slowed
 from antdsl.runtime.moving.orienting import orient
 from antdsl.runtime.moving.rises import find_walls
 from antdsl.runtime.moving.strides import Held, Outset, glide, set_out, stride
-from antdsl.runtime.moving.tilting import follow, pace
+from antdsl.runtime.moving.tilting import Posture, TurnLimits, follow, pace
 from antdsl.runtime.moving.velocities import (
     Abilities,
     Arrival,
@@ -77,10 +77,10 @@ def move(world: World, population: Population, substep: int) -> None:
     crowd.walk(world.ground)
     if before is not None:
         orient(world, population, *before)
-    ways = (*crowd.kept, came_from, population.position)
+    previous, limits = Posture(*crowd.kept, came_from), TurnLimits(crowd.most, population.now["max_turn"], dt)
     (rows,) = population.room("following", 1, (n,), np.int64)
-    turns = (crowd.most, population.now["max_turn"], dt)
-    parallel.in_parts(partial(follow, crowd.state, *ways, *turns, tuple(walls), half, RAISED, up, heading, rows), n, threads)
+    work = partial(follow, crowd.state, previous, population.position, limits, tuple(walls), half, RAISED, up, heading, rows)
+    parallel.in_parts(work, n, threads)
 
 
 @dataclass(slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,15 +116,22 @@ def _single(v: Vec3) -> Vec3F32:
     return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
 
 
+class Feet(NamedTuple):
+    """Where feet of a species `began` and are (n, 3), with the normal of the ground (n, 3); how fast agents are and their
+    mass."""
+
+    began: Strided2[F64]
+    place: Strided2[F64]
+    normal: Strided2[F32]
+    max_speed: Array1[F32]
+    mass: Array1[F32]
+
+
 @kernel
 def stands(
     rows: Array1[I64],
     first: I64,
-    began: Strided2[F64],
-    place: Strided2[F64],
-    feet: Strided2[F32],
-    max_speed: Array1[F32],
-    weight: Array1[F32],
+    species: Feet,
     dt: F64,
     start: Array2[F64],
     walked: Array2[F64],
@@ -133,6 +141,7 @@ def stands(
 ) -> None:
     """How some rows of a species stand after a substep of `dt` s, from the number `first` on among all rows: as
     `contacts.Agents`, and by how much they have `walked` (3, k) mm."""
+    began, place, feet, max_speed, weight = species
     for n in independent(0, rows.size):
         row, k = rows[n], first + n
         before = _row(began, row)

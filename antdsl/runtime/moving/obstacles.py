@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -238,6 +239,16 @@ def _kept(step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clear: F32, gap: F
     return step, size, size > _LEAST and clear <= (size + margin) * _WIDER + _SLACK
 
 
+class Touching(NamedTuple):
+    """`begin`; how many agents may touch an obstacle on their step; how many of these meet it on the step that keeps the margin;
+    of how many the grid cannot tell."""
+
+    begin: I64
+    agents: I64
+    hits: I64
+    unknown: I64
+
+
 @kernel
 def along(
     grid: Grid,
@@ -252,12 +263,11 @@ def along(
     hits: Array2[F32],
     begin: I64,
     end: I64,
-) -> tuple[I64, I64, I64, I64]:
-    """`begin`; how many agents from there to before `end` may touch an obstacle on their step, which is `clear` of them, without
-    those who are outside and whose nearest face is farther than they look: their steps stay; how many of these meet it on the
-    step that keeps the margin; and of how many the grid cannot tell. From number `begin` on: their `rows` with place, that step,
-    the `up` of the ground (3, n) and the margin, `found` [10, n]; who of them has `met` a face, how much of the step (mm) is
-    free, and the normal, `hits` [4, n]."""
+) -> Touching:
+    """Which agents from `begin` to before `end` may touch an obstacle on their step, which is `clear` of them, without those who
+    are outside and whose nearest face is farther than they look: their steps stay. From number `begin` on: their `rows` with
+    place, that step, the `up` of the ground (3, n) and the margin, `found` [10, n]; who of them has `met` a face, how much of
+    the step (mm) is free, and the normal, `hits` [4, n]."""
     asking = begin
     for i in range(begin, end):
         _, _, asked = _asked(step, radius, clear, i)
@@ -301,7 +311,7 @@ def along(
                     )
                     hit += 1
             count += 1
-    return begin, count, hit, left
+    return Touching(begin, count, hit, left)
 
 
 @kernel

@@ -22,7 +22,7 @@ from antdsl.machine_code.kernels import (
 )
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, put, times
 from antdsl.numerics.sorting import listed
-from antdsl.runtime.moving.capsule_distances import measured_some
+from antdsl.runtime.moving.capsule_distances import Bodies, measured_some
 from antdsl.runtime.moving.cutting import add, negative
 
 DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
@@ -40,7 +40,6 @@ _YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed
 _ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
 _MAGIC = 1.5 * 2.0 ** (52 - FINE)
 
-Bodies = tuple[Strided2[F64], Strided2[F64], Strided2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
 Pairs = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]  # i, j, gap, way, and which count
 # Masses, yields, reaches, depths and who is held; normals of the ground, walked and cut, as `contacts` has them
 Stand = tuple[
@@ -176,7 +175,7 @@ def parted(
 ) -> tuple[I64, I64]:
     """Looks at pairs, each with its sweeps, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`.
     Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
-    middle, ahead, up, half, radius = bodies
+    radius = bodies.radius
     i, j, gap, way, which = pairs
     number, some, changed = room[3][_NUMBER], room[3][_SOME], room[4]
     chosen, touching, starts, about = room[7][_CHOSEN], room[7][_TOUCHING], room[8], room[9]
@@ -201,7 +200,7 @@ def parted(
                     if i[pair] == row or not changed[i[pair]]:
                         chosen[count] = pair
                         count += 1
-        without = measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, chosen, count, lost)
+        without = measured_some(bodies, gone, i, j, gap, way, chosen, count, lost)
         for n in range(touch):
             pair = touching[n]
             touching[kept] = pair

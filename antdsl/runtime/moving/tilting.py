@@ -10,7 +10,7 @@ over about its own length; where it cannot tilt as fast as it walks, the feet wa
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -336,16 +336,28 @@ def pace(
             velocity[k][i] = velocity[k][i] * kept
 
 
+class Posture(NamedTuple):
+    """Up and heading of bodies, and where they are (n, 3)."""
+
+    up: VectorColumns
+    heading: VectorColumns
+    place: Strided2[F64]
+
+
+class TurnLimits(NamedTuple):
+    """By what angle bodies tilt at most, and how fast they turn, in `dt` seconds."""
+
+    most: Array1[F32]
+    max_turn: Array1[F32]
+    dt: F32
+
+
 @kernel
 def follow(
     state: Array1[I32],
-    before_up: VectorColumns,
-    before_heading: VectorColumns,
-    before: Strided2[F64],
+    previous: Posture,
     place: Strided2[F64],
-    most: Array1[F32],
-    max_turn: Array1[F32],
-    dt: F32,
+    limits: TurnLimits,
     walls: WallArrays,
     half: Array1[F64],
     raised: F64,
@@ -356,8 +368,10 @@ def follow(
     end: I64,
 ) -> None:
     """Turn bodies from `begin` to before `end` after their feet, whose up and heading are `now_up` and `now_heading`, which
-    change; by their `state` all but those that stand as their feet do. Feet have come from `before` to `place`. Who would turn
-    its head into a wall tilts first. `rows` is memory for work."""
+    change; by their `state` all but those that stand as their feet do. Feet have come from the `previous` place to `place`. Who
+    would turn its head into a wall tilts first. `rows` is memory for work."""
+    before_up, before_heading, before = previous
+    most, max_turn, dt = limits
     wall, ahead, angle, far, over = walls
     count = begin
     for row in range(begin, end):
