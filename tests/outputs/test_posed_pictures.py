@@ -17,7 +17,7 @@ from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.varied_bodies import Draws
 from antdsl.bodies.body import rotation
-from antdsl.bodies.library.table import library_body
+from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.following import followed

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
+STATE = "state"  # the material that has the colour of the agent's state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
