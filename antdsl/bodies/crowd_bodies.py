@@ -10,8 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from antdsl.bodies.agents.boxes import rest_box
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Clip, Definition
 from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
 from antdsl.bodies.agents.spoken import spoken_names

@@ -5,8 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from antdsl import resources
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.problems import BodyError
+from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.scene.library_bodies import BODY_WORDS
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.bodies.agents.layer import Binding, Layer
+from antdsl.bodies.agents.definition import Binding, Layer
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.bodies.crowd_bodies import clip_data, room_of

@@ -12,10 +12,9 @@ import pytest
 
 from antdsl import limits
 from antdsl.bodies.agents.clip_document import write_clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Between, Blend, Definition
 from antdsl.bodies.agents.metadata import Typed
 from antdsl.bodies.agents.reading import read_definition
-from antdsl.bodies.agents.shape import Between, Blend
 from antdsl.diagnostics import Diagnostic
 from antdsl.scene.paths import Roots
 
@@ -109,7 +108,7 @@ def test_clips_of_another_file_lose_what_the_rig_does_not_have(folder: Path) -> 
 def test_what_a_clip_of_a_file_does_not_key_rests_as_in_the_rig(folder: Path) -> None:
     rest = [[1, 0, 0, 3], [0, 1, 0, 5], [0, 0, 1, 7], [0, 0, 0, 1]]
     rig = {"rig_version": 1, "transforms": {"root": ["elbow"], "elbow": []}, "antdsl_rest": {"elbow": rest}}
-    shapes = [{"file": "arm.glb", "shape": "arm"}]
+    shapes = [{"file": "arm.glb", "shape": "arm.smile", "name": "mask"}]
     for parts in ({}, {"shapes": shapes}):  # whether the file was read before for its shapes or not
         body, _ = read(folder, rig=rig, length=1, clips=[{"file": "arm.glb", "clip": "bend"}], **parts)
         assert body is not None and (body.clips["bend"].translation[:, 0] == (3, 5, 7)).all()

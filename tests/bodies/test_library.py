@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from antdsl import resources
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.definition_checks import whole
 from antdsl.bodies.agents.definition_document import Parts
 from antdsl.bodies.agents.deformers import DEFORMERS
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report

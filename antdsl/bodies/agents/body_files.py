@@ -13,12 +13,10 @@ from typing import TypeVar
 
 from antdsl import limits
 from antdsl.bodies.agents.checked_values import Values
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import BodyError, Definition, Rig
 from antdsl.bodies.agents.documents import read_part
 from antdsl.bodies.agents.gltf_body import read_gltf
 from antdsl.bodies.agents.json_text import Node
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Rig
 from antdsl.diagnostics import Report
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots, read_named

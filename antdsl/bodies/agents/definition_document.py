@@ -14,14 +14,12 @@ from antdsl import limits
 from antdsl.bodies.agents import variation_document
 from antdsl.bodies.agents.body_files import GLTF, USD, BodyFiles, ending
 from antdsl.bodies.agents.checked_values import Values
-from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_document import read_clip, read_marks
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Clip, Definition, Rig
 from antdsl.bodies.agents.documents import read_group, read_layer, read_rig
 from antdsl.bodies.agents.json_text import Node
 from antdsl.bodies.agents.leg_document import Places, read_gaits, read_legs
 from antdsl.bodies.agents.metadata import read_metadata
-from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.shape_references import read_includes, read_shapes
 from antdsl.scene.model import UNIT_MM
 from antdsl.source import Span

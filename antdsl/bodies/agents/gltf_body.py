@@ -13,12 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, BodyError, Definition, Layer, Rig
 from antdsl.bodies.agents.gltf_clips import read_clips
 from antdsl.bodies.agents.gltf_shapes import GltfBody, read_shape, rigid, unused
-from antdsl.bodies.agents.layer import Binding, Layer
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
 from antdsl.scene.geometry.gltf_file import Gltf, GltfError, node_parents, nodes_below, scene_roots
 

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Rig
+from antdsl.bodies.agents.definition import BodyError, Clip, Rig
 from antdsl.bodies.agents.transforms import between_rotations, one_sign, parts_of, unit_quaternion
 from antdsl.scene.geometry.gltf_file import Gltf
 

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Channel
-from antdsl.bodies.agents.shape import STATE, Blend, Capture, Shape
+from antdsl.bodies.agents.definition import STATE, Blend, BodyError, Capture, Channel, Shape
 from antdsl.scene.geometry.gltf_file import FAN, STRIP, TRIANGLES, Gltf, primitive_triangles
 
 Floats = NDArray[np.float64]

@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import __version__
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer
 from antdsl.bodies.agents.gltf_clips import write_settings
 from antdsl.bodies.agents.gltf_writer import Entry, GltfWriter, ShapeParts
-from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.other_axes import in_axes
 from antdsl.bodies.agents.transforms import matrix_of, parts_of
 
