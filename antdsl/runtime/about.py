@@ -68,8 +68,8 @@ def _others(
     x, y, vx, vy, room = (np.zeros(shape) for _ in range(5))
     there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
     nearest = np.empty(shape, np.float32), *(np.empty(shape, np.int64) for _ in range(3)), np.zeros(n, np.int64)
-    up, ahead, left = (parallel.plain(*each) for each in (plane.up, plane.ahead, plane.left))
-    moving = ahead if own is None else parallel.plain(*own)
+    up, ahead, left = (_plain(each) for each in (plane.up, plane.ahead, plane.left))
+    moving = ahead if own is None else _plain(own)
     asking = Asking(ids, radius, ahead, left, own is not None, moving)
     columns = OtherColumns(x, y, vx, vy, room, there, first)
     found = []
@@ -77,14 +77,20 @@ def _others(
         if not len(other) or not widest:
             continue
         p = _near(world, other, ids if other is population else None, place, reach, far)
-        theirs = parallel.plain(*vec.named(other.start, "up"))
+        theirs = _plain(vec.named(other.start, "up"))
         _choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
         found.append((number, name, other, p))
     for number, name, other, p in found:
-        velocity = parallel.plain(*vec.named(other.start, "velocity"))
+        velocity = _plain(vec.named(other.start, "velocity"))
         asked = Asked(number, other is population, population.name < name, velocity, _radius(other))
         _lay(nearest, asking, asked, p.j, (p.dx, p.dy, p.dz), columns)
     return Others(*columns)
+
+
+def _plain(vectors: vec.Columns) -> Vector:
+    """The same, as kernels read them."""
+    x, y, z = parallel.plain(*vectors)
+    return x, y, z
 
 
 def _near(

@@ -163,7 +163,9 @@ class Motion:
         if self.counted.shape[1] < several:
             self._add_counted()
             self.counted = np.zeros((2, several, _BINS + 1), np.int64)
-        work = partial(_count_step, agents, paths, Bins(*self.counted, several, n, *_bins()), Meant(dt, *_MEANT, steps))
+        (turns, tilts), (least, first) = self.counted, _bins()
+        bins = Bins(turns, tilts, several, n, least, first)
+        work = partial(_count_step, agents, paths, bins, Meant(dt, *_MEANT, steps))
         counts = parallel.in_parts(work, n, threads, parallel.LIGHT)
         for _, _, standing, half, share in counts:
             if half > self.half_max:

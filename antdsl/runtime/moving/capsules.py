@@ -96,9 +96,10 @@ class Crowd:
         for population, begin, end, first in zip(self.species, bounds, bounds[1:], firsts, strict=False):
             yield population, rows[begin:end] - first if first else rows[begin:end]
 
-    def vector(self, name: str) -> tuple[NDArray[np.float32], ...]:
+    def vector(self, name: str) -> vec.Vector:
         """The three registers of a vector."""
-        return tuple(self.of(lambda p, axis=axis: self._registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+        x, y, z = (self.of(lambda p, axis=axis: self._registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+        return x, y, z
 
     def _registers(self, population: Population) -> dict[str, NDArray[Any]]:
         return population.start if self._start else population.now
