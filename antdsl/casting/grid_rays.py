@@ -264,7 +264,7 @@ def _look_at(grid: Grid, a: Vec3) -> I64:
 def _fetch_list(grid: Grid, cell: I64) -> None:
     """Have the first faces of a cube brought near: two lie in a line of memory."""
     first, listed, bound = grid[2], grid[3], grid[4]
-    k = first[cell]
+    k: I64 = first[cell]
     fetch_ahead(listed, k)
     fetch_ahead(bound, 8 * k)
     fetch_ahead(bound, 8 * k + 16)

@@ -35,8 +35,8 @@ def faults(source: str) -> Iterator[str]:
             yield f"{at} has {len(arguments.args)} parameters"
         if function.returns is None or any(each.annotation is None for each in arguments.args):
             yield f"{at} has no types"
-        given = [node.value for node in ast.walk(function) if isinstance(node, ast.Return)]
-        results = max([_length(function.returns, aliases), *(_length(each, {}) for each in given)])
+        returned = [node.value for node in ast.walk(function) if isinstance(node, ast.Return)]
+        results = max([_length(function.returns, aliases), *(_length(each, {}) for each in returned)])
         if results > MOST_RESULTS:
             yield f"{at} returns {results} values"
 
@@ -56,12 +56,12 @@ def _length(node: ast.expr | None, aliases: dict[str, ast.expr]) -> int:
 
 
 def test_functions_of_kernels_have_types_and_few_parameters_and_results() -> None:
-    found = [
+    problems = [
         f"{path.relative_to(PACKAGE.parent)}:{fault}"
         for path in sorted(PACKAGE.rglob("*.py"))
         for fault in faults(path.read_text(encoding="utf-8"))
     ]
-    assert not found, "\n".join(found)
+    assert not problems, "\n".join(problems)
 
 
 MANY = ", ".join(f"x{k}: F64" for k in range(13))
