@@ -1,5 +1,5 @@
-"""Loops of `frames`, `agent_arrays`, `clip_arrays`, `shown_arrays` and `surface_error`: one pass over the agents for an array, or
-for all that a machine plays.
+"""Loops of `frames`, `agent_arrays`, `clip_arrays`, `foot_arrays`, `shown_arrays` and `surface_error`: one pass over the agents for
+an array, or for all that a machine plays. Those that end with `begin` and `end` run in parallel chunks.
 
 What takes several numbers of an agent goes by rows, as they lie in memory, and writes to the place of the agent's rank by id: one
 such write costs less than several reads here and there."""
@@ -15,8 +15,10 @@ from antdsl.machine_code.kernels import (
     I16,
     I32,
     I64,
+    U8,
     Array1,
     Array2,
+    Array3,
     Strided2,
     as_bits,
     independent,
@@ -148,6 +150,43 @@ def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]
         k = ranks[i]
         out[k, 0], out[k, 1] = np.float32(aw * bx), np.float32(ay * bw + az * bx)
         out[k, 2], out[k, 3] = np.float32(az * bw - ay * bx), np.float32(aw * bw)
+
+
+_BLOCK = 256  # agents whose rows stay in a core's own memory from leg to leg
+
+
+@kernel
+def feet(
+    shown: Array3[F64],
+    swing: Array2[F32],
+    rise: Array1[F32],
+    slope: Array2[F32],
+    scale: F64,
+    places: Array2[F32],
+    down: Array2[U8],
+    rise_out: Array1[F32],
+    tilt: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Feet of agents from `begin` to before `end`, from arrays (.., legs, n) and (.., n): places x, y, z of each leg in scene units,
+    which feet stand (`swing` is -1), rises in scene units, and tilts as unit quaternions x, y, z, w. A zero has no sign."""
+    for low in range(begin, end, 256):
+        high = min(low + _BLOCK, end)
+        for leg in range(swing.shape[0]):
+            for i in range(low, high):
+                places[i, 3 * leg] = np.float32((shown[0, leg, i] + 0.0) * scale)
+                places[i, 3 * leg + 1] = np.float32((shown[1, leg, i] + 0.0) * scale)
+                places[i, 3 * leg + 2] = np.float32((shown[2, leg, i] + 0.0) * scale)
+                down[i, leg] = 1 if swing[leg, i] == np.float32(-1.0) else 0
+        for i in independent(low, high):
+            rise_out[i] = rise[i] * np.float32(scale)
+            a, b = -np.float64(slope[0, i]), -np.float64(slope[1, i])
+            size = 1.0 / np.sqrt((a * a + 1.0) + b * b)
+            x, z, w = b * size, -a * size, 1.0 + size
+            length = np.sqrt((x * x + z * z) + w * w)
+            tilt[i, 0], tilt[i, 1] = np.float32(x / length), np.float32(0.0 / length)
+            tilt[i, 2], tilt[i, 3] = np.float32(z / length), np.float32(w / length)
 
 
 @kernel
