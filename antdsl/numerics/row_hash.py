@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from operator import is_not
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,15 @@ class RowHash:
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []  # the ids first, where there are any
         self._table: Table | None = None
+        self._whole: list[NDArray[Any]] = []
+        self._parts: list[NDArray[Any]] = []
+
+    def parts(self, arrays: Sequence[NDArray[Any]], several: Sequence[bool]) -> list[NDArray[Any]]:
+        """Columns of arrays, of those with `several` one for each row of the first axis: the same objects while the arrays are."""
+        if len(arrays) != len(self._whole) or any(map(is_not, arrays, self._whole)):
+            self._whole = list(arrays)
+            self._parts = [part for array, each in zip(arrays, several, strict=True) for part in (array if each else (array,))]
+        return self._parts
 
     def of(self, ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]], threads: int = 1) -> bytes:
         """Of columns [n] or [n, k], the rows of which count as k columns. Those of fewer than four bytes a value lie in one

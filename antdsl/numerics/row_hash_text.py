@@ -19,6 +19,7 @@ LANES = 8  # rows that are looked at together
 _BLOCK = 1_024  # rows
 _TIMES = (0xFF51AFD7ED558CCD - 2**64, 0xC4CEB9FE1A85EC53 - 2**64)
 _LONG, _HALF = f"<{LANES} x i64>", f"<{LANES} x i32>"
+_TURNS = "<" + ", ".join(f"i64 {k}" for k in range(LANES)) + ">"
 
 
 class _Text:
@@ -56,7 +57,6 @@ def _constant(value: int) -> str:
 def text(target: machine.Target) -> str:
     """What is compiled: a function of such a table that adds to the sums those of the rows from the first to before the last."""
     module = Module(target)
-    module.declare(f"llvm.vector.reduce.add.v{LANES}i64", "i64", [_LONG])
     module.declare("llvm.memset.p0.i64", "void", ["ptr", "i8", "i64", "i1"])
     w = _Text()
     w.do("%words.at = getelementptr i64, ptr %t, i64 2\n  %words = load i64, ptr %words.at")
@@ -68,7 +68,7 @@ def text(target: machine.Target) -> str:
     w.at("blocks")
     w.do("%first = phi i64 [ %begin, %entry ], [ %next, %mixed ]")
     for lane in (0, 1):
-        w.do(f"%sum{lane} = phi {_LONG} [ zeroinitializer, %entry ], [ %mix.sum{lane}, %mixed ]")
+        w.do(f"%sum{lane} = phi i64 [ 0, %entry ], [ %mix.sum{lane}, %mixed ]")
     w.do("%left = sub i64 %end, %first\n  %more = icmp sgt i64 %left, 0\n  br i1 %more, label %block, label %over")
     # What is left in the end, fewer rows than lanes, is a block of its own, all of whose words are gathered.
     w.at("block")
@@ -84,10 +84,9 @@ def text(target: machine.Target) -> str:
     w.at("over")
     for lane in (0, 1):
         place = w.place("%t", "i64", str(lane))
-        found = w.put(f"call i64 @llvm.vector.reduce.add.v{LANES}i64({_LONG} %sum{lane})")
         before = w.put(f"load i64, ptr {place}")
-        w.do(f"store i64 {w.put(f'add i64 {found}, {before}')}, ptr {place}")
-    return f"; {machine.WHOLE}\n{module.text()}\n{entry(module, 'rows', chr(10).join(w.lines))}\n"
+        w.do(f"store i64 {w.put(f'add i64 {before}, %sum{lane}')}, ptr {place}")
+    return f"{module.text()}\n{entry(module, 'rows', chr(10).join(w.lines))}\n"
 
 
 def _words(w: _Text) -> None:
@@ -233,35 +232,32 @@ def _gathered(w: _Text, label: str, before: str, begin: str, step: str, kind: st
 
 def _numbered(w: _Text) -> None:
     """Write the numbers of the rows."""
-    _loop(w, "numbers.of", "numbers", 1, "%count")
-    number = w.put("add i64 %first, %numbers.of.i")
+    _loop(w, "numbers.of", "numbers", LANES, "%room")
+    number = w.put(f"add {_LONG} {w.all_of(w.put('add i64 %first, %numbers.of.i'))}, {_TURNS}")
     place = w.place("%values", "i64", "%numbers.of.i")
-    w.do(f"store i64 {number}, ptr {place}, align 8")
+    w.do(f"store {_LONG} {number}, ptr {place}, align 64")
     _end(w, "numbers.of")
     w.do("br label %add")
 
 
 def _mixed(w: _Text) -> None:
-    """Mix both lanes of each row of a block and add them to the sums."""
+    """Mix both lanes of each row of a block and add them to the sums, row by row: few processors multiply 64 bits in lanes."""
     w.at("mix")
     w.do("br label %mixing")
     w.at("mixing")
     w.do("%m = phi i64 [ 0, %mix ], [ %m.next, %mixing.turn ]")
     for lane in (0, 1):
-        w.do(f"%mix.sum{lane} = phi {_LONG} [ %sum{lane}, %mix ], [ %mix.then{lane}, %mixing.turn ]")
-    w.do("%m.more = icmp slt i64 %m, %room\n  br i1 %m.more, label %mixing.turn, label %mixed")
+        w.do(f"%mix.sum{lane} = phi i64 [ %sum{lane}, %mix ], [ %mix.then{lane}, %mixing.turn ]")
+    w.do("%m.more = icmp slt i64 %m, %count\n  br i1 %m.more, label %mixing.turn, label %mixed")
     w.at("mixing.turn")
-    numbers = w.put(f"add {_LONG} {w.all_of('%m')}, <" + ", ".join(f"i64 {k}" for k in range(LANES)) + ">")
-    there = w.put(f"icmp slt {_LONG} {numbers}, {w.all_of('%count')}")
     for lane in (0, 1):
         place = w.place(f"%lane{lane}", "i64", "%m")
-        h = w.put(f"load {_LONG}, ptr {place}, align 64")
+        h = w.put(f"load i64, ptr {place}, align 8")
         for factor in (*_TIMES, None):
-            shifted = w.put(f"lshr {_LONG} {h}, {_constant(33)}")
-            h = w.put(f"xor {_LONG} {h}, {shifted}")
-            h = h if factor is None else w.put(f"mul {_LONG} {h}, {_constant(factor)}")
-        h = w.put(f"select <{LANES} x i1> {there}, {_LONG} {h}, {_LONG} zeroinitializer")
-        w.do(f"%mix.then{lane} = add {_LONG} %mix.sum{lane}, {h}")
-    w.do(f"%m.next = add i64 %m, {LANES}\n  br label %mixing")
+            shifted = w.put(f"lshr i64 {h}, 33")
+            h = w.put(f"xor i64 {h}, {shifted}")
+            h = h if factor is None else w.put(f"mul i64 {h}, {factor}")
+        w.do(f"%mix.then{lane} = add i64 %mix.sum{lane}, {h}")
+    w.do("%m.next = add i64 %m, 1\n  br label %mixing")
     w.at("mixed")
     w.do("br label %blocks")

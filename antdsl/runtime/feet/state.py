@@ -141,7 +141,7 @@ def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
         digest.update(f"\0{name}\0{len(feet[name])}".encode())
         arrays = feet[name].arrays()
         ids = arrays.pop("ids")
-        columns = [part for key, array in arrays.items() for part in (array if key in _AXIS else (array,))]
+        columns = feet[name].rows.parts(list(arrays.values()), [key in _AXIS for key in arrays])
         digest.update(named(tuple(arrays), arrays.values()) + feet[name].rows.of(ids, columns, threads))
     return digest.hexdigest()[:32]
 
