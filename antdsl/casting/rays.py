@@ -132,14 +132,20 @@ class RayScene(Nearby):
         # Whole metres, and none at all near zero: one more stone at the rim moves no bit of a ray at the others.
         self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR else np.zeros(3)
         self._faces = Faces(corners - self.origin, self._brief, self._largest)
-        self._scene: Any = None
+        self._empty = not len(corners)
+        self._tree: Any = None
         self._grid: DistanceGrid | None = None
         self._refined = False
         self._exact: Any = None
         self._short: TriangleGrid | None = None
         self._sought = False
-        if len(corners):
-            self._scene = self._built(self._faces.widened())
+
+    @property
+    def _scene(self) -> Any:
+        """Open3D's scene, made when it is first asked: the grid answers most of what is asked in a run."""
+        if self._tree is None:
+            self._tree = self._built(self._faces.widened())
+        return self._tree
 
     def _built(self, corners: NDArray[np.float32]) -> Any:
         # By one thread, so that the tree is the same on every machine of one kind.
@@ -216,7 +222,7 @@ class RayScene(Nearby):
         it names and that is not hit: one that a ray passes by at less than a hair, or starts from.
         """
         nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
-        if self._scene is None:
+        if self._empty:
             return nothing
         rows, a, w = np.arange(len(origin)), origin, way
         begin: Vectors | None = None
@@ -298,7 +304,7 @@ class RayScene(Nearby):
         return self._occluded(rays, far, threads)
 
     def _occluded(self, rays: NDArray[np.float32], far: float, threads: int) -> NDArray[np.bool_]:
-        if self._scene is None or len(rays) == 0:
+        if self._empty or len(rays) == 0:
             return np.zeros(len(rays), bool)
         met: NDArray[np.bool_] = self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=far, nthreads=threads).numpy()
         return met
@@ -314,7 +320,7 @@ class RayScene(Nearby):
         float[n]) one that is as near on another side may stand for it.
         """
         n = len(points)
-        if self._scene is None or n == 0:
+        if self._empty or n == 0:
             nothing = np.full(n, -1, np.int32)
             return nothing, nothing.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
         local = np.asarray(points, np.float64) - self.origin
@@ -365,7 +371,7 @@ class RayScene(Nearby):
         """How far inside each point [n,3] is, mm: the way out for those from which most of three rays leave by an odd number of
         faces, 0 for the others. Meshes are taken to be closed."""
         deep = np.zeros(len(points))
-        if self._scene is not None and len(points):
+        if not self._empty and len(points):
             local = self._tensor((np.asarray(points, np.float64) - self.origin).astype(np.float32))
             inside = np.flatnonzero(self._scene.compute_occupancy(local, nthreads=threads, nsamples=3).numpy() > 0.5)
             deep[inside] = self.closest(points[inside], threads)[3]

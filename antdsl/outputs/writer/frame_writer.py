@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
+from antdsl.limits import KIB
 from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
 from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.cache.zip_parts import Stored
-from antdsl.whole import AppendedFile, sync_files, write_whole
+from antdsl.whole import AppendedFile, drop_cached, sync_files, write_whole
+
+_LARGE = 512 * KIB  # bytes of a frame
+_FRAMES_CACHED = 4  # which the disk has meanwhile begun to write
 
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
@@ -27,6 +32,7 @@ class Scribe:
         self.folder = folder
         self._lines = AppendedFile(folder / HASHES)
         self._unsynced: list[Path] = []
+        self._cached: deque[Path] = deque()  # large frames that the system has in memory
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
     def frame(self, frame: int, file: Stored, line: Line) -> Found:
@@ -35,8 +41,18 @@ class Scribe:
         path = frame_path(self.folder, frame)
         write_whole(path, file.parts, sync=False)
         self._unsynced.append(path)
+        self._let_go(path, sum(map(len, file.parts)))
         self._line(frame, line)
         return _spent("write", began)
+
+    def _let_go(self, path: Path, size: int) -> None:
+        """Have no more than a few large frames in memory: new memory for each would take longer than writing it, and other files
+        would lose theirs."""
+        if size < _LARGE:
+            return
+        self._cached.append(path)
+        if len(self._cached) > _FRAMES_CACHED:
+            drop_cached(self._cached.popleft())
 
     def _line(self, frame: int, line: Line) -> None:
         self._last = {frame: line}
