@@ -55,7 +55,7 @@ class RowHash:
         self._parts: list[NDArray[Any]] = []
 
     def parts(self, arrays: Sequence[NDArray[Any]], several: Sequence[bool]) -> list[NDArray[Any]]:
-        """Columns of arrays, of those with `several` one for each row of the first axis: the same objects while the arrays are."""
+        """Columns of arrays, of those with `several` one for each row of the first axis: the same objects while arrays are."""
         if len(arrays) != len(self._whole) or any(map(is_not, arrays, self._whole)):
             self._whole = list(arrays)
             self._parts = [part for array, each in zip(arrays, several, strict=True) for part in (array if each else (array,))]
@@ -100,7 +100,6 @@ def keys(number: int) -> Longs:
 
 
 _Part = tuple[int, int, int]  # which column, how many bytes from its begin on, and from one value to the next
-
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -117,7 +117,9 @@ class Clearances:
         width = triangle_width(corners, cell_width(size, _GRID_CELLS))
         cells = np.floor(size / width).astype(np.int64) + 1
         none, count = np.iinfo(np.int32).max, int(cells.prod())
-        grid = _PieceGrid(width, (corners - self._low) / width, cells, np.full(count, none, np.int32), np.full(count, -1, np.int32))
+        grid = _PieceGrid(
+            width, (corners - self._low) / width, cells, np.full(count, none, np.int32), np.full(count, -1, np.int32)
+        )
         live = np.flatnonzero(piece >= 0)
         for cell, which in triangle_cells(grid.scaled[live], exact=False):
             flat = grid.flat(np.minimum(cell, cells - 1))

@@ -17,8 +17,8 @@ from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.cache.zip_parts import Stored
 from antdsl.whole import AppendedFile, drop_cached, sync_files, write_whole
 
-_LARGE = 512 * KIB  # bytes of a frame
-_FRAMES_CACHED = 4  # which the disk has meanwhile begun to write
+_LARGE = 512 * KIB  # bytes of a file
+_CACHED = 4  # large files, which the disk has meanwhile begun to write
 
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
@@ -32,7 +32,7 @@ class Scribe:
         self.folder = folder
         self._lines = AppendedFile(folder / HASHES)
         self._unsynced: list[Path] = []
-        self._cached: deque[Path] = deque()  # large frames that the system has in memory
+        self._cached: deque[Path] = deque()  # large files that the system has in memory
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
     def frame(self, frame: int, file: Stored, line: Line) -> Found:
@@ -46,12 +46,12 @@ class Scribe:
         return _spent("write", began)
 
     def _let_go(self, path: Path, size: int) -> None:
-        """Have no more than a few large frames in memory: new memory for each would take longer than writing it, and other files
-        would lose theirs."""
+        """Have the system keep no more than a few large files in memory: new memory for each takes longer than writing it, and
+        other files would lose theirs."""
         if size < _LARGE:
             return
         self._cached.append(path)
-        if len(self._cached) > _FRAMES_CACHED:
+        if len(self._cached) > _CACHED:
             drop_cached(self._cached.popleft())
 
     def _line(self, frame: int, line: Line) -> None:
@@ -66,7 +66,9 @@ class Scribe:
         lines = self._last or read_lines(self.folder / HASHES)
         self._line(frame, with_checkpoint(frame, lines[frame], file))
         found = self.sync()
-        write_whole(checkpoint_path(self.folder, frame), file.parts)
+        path = checkpoint_path(self.folder, frame)
+        write_whole(path, file.parts)
+        self._let_go(path, sum(map(len, file.parts)))
         found["seconds"] |= {"checkpoint": time.perf_counter() - began - found["seconds"]["sync"]}
         return found
 
