@@ -10,21 +10,19 @@ from functools import cached_property
 import numpy as np
 
 from antdsl.bodies.agents.boxes import rest_box
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Clip, Definition
 from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
 from antdsl.bodies.agents.spoken import spoken_names
-from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
-from antdsl.bodies.library.table import library_body
+from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import COLLISION, own_layer
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.limits import LAYERS_WORN
 from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
 from antdsl.program.traverse import parts
-from antdsl.scene.crowd_model import BODY_WORDS
+from antdsl.scene.library_bodies import BODY_WORDS, body_of
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span

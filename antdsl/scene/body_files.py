@@ -5,7 +5,7 @@ from __future__ import annotations
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.program.model import Program
-from antdsl.scene.crowd_model import BODY_WORDS
+from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.paths import PathRefused
 

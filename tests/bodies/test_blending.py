@@ -10,12 +10,10 @@ import pytest
 from rigs import definition, matrix, still, turn
 
 from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, ClipTree, Playing, posed
-from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_lists import playing_of
 from antdsl.bodies.agents.clip_table import clip_table
-from antdsl.bodies.agents.layer import TransformGroup
+from antdsl.bodies.agents.definition import Channel, Clip, TransformGroup
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.rig import Channel
 
 REST = matrix((0, 5, 0), turn("z", 0), (1, 1, 1))
 MADE = definition(

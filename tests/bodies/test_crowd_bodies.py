@@ -8,16 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.bodies.agents.layer import Binding, Layer
+from antdsl.bodies.agents.definition import Binding, Layer
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.agents.spoken import spoken_names
-from antdsl.bodies.catalogue import CAPSULES
 from antdsl.bodies.crowd_bodies import clip_data, room_of
-from antdsl.bodies.library.table import BODIES, library_body
+from antdsl.bodies.library import library_body
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot, check_path, check_scene_text, open_scene
 from antdsl.runtime import bind, step
-from antdsl.scene.crowd_model import BODY_WORDS
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "walker"
 PROGRAM = """ant 1
@@ -145,10 +143,6 @@ def test_lists_of_what_is_worn_say_what_to_write(folder: Path, wear: str, help: 
     crowd = CROWD.replace("body: walker.json", f"body: walker.json, wear: {wear}")
     (error,) = open_scene(written(folder, crowd=crowd))[1].errors
     assert (error.code, error.help) == ("wrong-value", help) and "tuple" not in error.message
-
-
-def test_the_words_of_a_scene_are_those_of_the_library() -> None:
-    assert sorted(BODY_WORDS) == sorted(BODIES) == sorted(CAPSULES)
 
 
 def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

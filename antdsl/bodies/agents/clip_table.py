@@ -9,10 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, decomposed, normalised
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import TransformGroup
-from antdsl.bodies.agents.rig import Rig
+from antdsl.bodies.agents.definition import Clip, Definition, Rig, TransformGroup
 
 REST = -1  # the number of no clip: the rest pose, and the defaults of channels
 

@@ -14,14 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, BodyError, Clip, Definition, Layer, Rig
 from antdsl.bodies.agents.gltf_clips import even_times
 from antdsl.bodies.agents.gltf_shapes import rigid, unused
-from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.packed import packed
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.transforms import followed_by, one_sign, unit_quaternion
 from antdsl.bodies.agents.usd_shapes import Skin, UsdBody, read_usd_shape
 from antdsl.reader.refusal import Refusal

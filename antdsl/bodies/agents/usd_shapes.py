@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.bodies.agents.definition import Between, Blend, BodyError, Capture, Channel, Shape
 from antdsl.bodies.agents.gltf_shapes import captured, unused
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Channel
-from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import pxr
