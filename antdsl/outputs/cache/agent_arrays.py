@@ -94,8 +94,9 @@ def write_colours(population: Population, colours: NDArray[np.float32], out: NDA
     if not machines:
         out[:] = colours[0]
         return
-    work = partial(frame_loops.coloured, colours, population.now[f"{machines[0].name}.state"], population.ranks(), out)
-    if not all(parallel.in_parts(work, len(population), threads, parallel.LIGHT)):
+    ranks = population.ranks()
+    work = partial(frame_loops.coloured, colours, population.now[f"{machines[0].name}.state"], ranks, out)
+    if not all(parallel.in_parts(work, len(ranks), threads, parallel.LIGHT)):
         raise IndexError("a state that a species does not have has no colour")
 
 
@@ -113,7 +114,7 @@ def write_numbers(population: Population, name: str, factor: float, out: NDArray
     of = population.now[name]
     if of.dtype == np.float32:
         work = partial(frame_loops.numbers, of, population.ranks(), np.float32(factor), out)
-        parallel.in_parts(work, len(population), threads, parallel.LIGHT)
+        parallel.in_parts(work, len(of), threads, parallel.LIGHT)
     else:
         out[:] = of.take(population.in_id_order()).astype(np.float32, copy=False) * np.float32(factor)
 
