@@ -123,7 +123,7 @@ def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], repor
                 words = f"the body of `{line.species}` has no layer `{name}`"
                 report.error("unknown-name", words, place, f"did you mean `{near}`? {has}" if near else has)
         if len(named) > LAYERS_WORN:
-            words = f"agents of `{line.species}` may wear {len(named)} layers, and {LAYERS_WORN} at most can be told apart"
+            words = f"agents of `{line.species}` may wear {len(named)} layers, and {LAYERS_WORN} at most can be distinguished"
             report.error("too-large", words, place, "put shapes that are worn together into one layer")
 
 
@@ -196,7 +196,7 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
     for test in parts(species):
         if isinstance(test, ClipTest):
-            want("mark", test.mark, marks, Label(test.span, "asked for here"))
+            want("mark", test.mark, marks, Label(test.span, "requested here"))
     for what, help, label in _marks_elsewhere(species, body):
         lacks.setdefault(what, (help, label))
     if lacks:
@@ -232,7 +232,7 @@ def _marks_elsewhere(species: Species, body: Definition) -> Iterator[tuple[str, 
                 yield (
                     f"mark `{test.mark}` in clip `{playing.name}`",
                     f"`{playing.name}` has {has}; `{test.mark}` is a mark of {others}",
-                    Label(test.span, "asked for here"),
+                    Label(test.span, "requested here"),
                 )
 
 

@@ -35,7 +35,7 @@ def body(
         "",
         "--layer",
         metavar="NAME",
-        help="Of a .glb or .gltf: the layer whose shapes are written. [default: the one that is drawn]",
+        help="Of a .glb or .gltf: the layer of shapes to write. [default: the one that is drawn]",
         show_default=False,
     ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but complaints."),

@@ -22,7 +22,7 @@ def bodies(scene: Scene, program: Program, report: Report) -> None:
         if known != line.body:
             report.error(
                 "wrong-value", f"`{line.species}` has another body above", place,
-                f"write `{known}` in both, or make it a species of its own",
+                f"write `{known}` in both, or make it another species",
                 labels=(Label(scene.span("crowd", earlier, "body"), "the first one"),),
             )  # fmt: skip
         elif line.body not in BODY_WORDS and earlier == number:

@@ -175,7 +175,7 @@ def test_names_of_files_are_spoken_as_the_language_writes_them(folder: Path) -> 
     assert error.message == "`walker.json` has no clip `walk`, no clip `wave`, no transform group `arms`, no mark `left`"
     assert "clip `wave`: did you mean `wave_01`? it has `armature_walk`, `idle`, `run`, `wave_01`; " in str(error.help)
     assert "transform group `arms`: it has `right_arm`" in str(error.help)
-    assert [label.text for label in error.labels] == ["played here", "played here", "named here", "asked for here"]
+    assert [label.text for label in error.labels] == ["played here", "played here", "named here", "requested here"]
 
 
 def test_names_that_sound_alike_stay_apart() -> None:

@@ -155,7 +155,7 @@ def _fitting(playing: Playing) -> None:
     for name, least in (("clips", slots), ("times", slots), ("weights", slots), ("layer_weights", layers)):
         shape = getattr(playing, name).shape
         if len(shape) != 2 or shape[0] != n or shape[1] < least:
-            raise ValueError(f"`{name}` of {n} agents is {shape} where [{n}, {least} or more] is wanted")
+            raise ValueError(f"`{name}` of {n} agents is {shape} where [{n}, {least} or more] is needed")
 
 
 def _put(into: Floats, table: ClipTable, whose: slice | NDArray[np.intp], found: Floats) -> None:

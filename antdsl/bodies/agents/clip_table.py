@@ -120,7 +120,7 @@ def _rows(clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[
             found[place][:, :, here] = 0  # a clip without shears says that there are none
             continue
         if clip.joints and part.shape != wanted[place]:
-            raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {wanted[place]} is wanted")
+            raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {wanted[place]} is needed")
         if known:
             found[place][:, :, here] = np.moveaxis(part.astype(np.float64)[:, there], 2, 1)
     found[1] = _shorter(normalised(np.moveaxis(found[1], 1, 0)), rest[1])

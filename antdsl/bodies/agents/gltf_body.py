@@ -21,7 +21,7 @@ from antdsl.scene.geometry.gltf_file import Gltf, GltfError, node_parents, nodes
 
 Floats = NDArray[np.float64]
 LAYER = "body"
-_EXPORT = "export it anew, as glTF 2.0"
+_EXPORT = "export it again, as glTF 2.0"
 
 
 def read_gltf(

@@ -15,7 +15,7 @@ from antdsl.bodies.agents.transforms import between_rotations, one_sign, parts_o
 from antdsl.scene.geometry.gltf_file import Gltf
 
 Floats = NDArray[np.float64]
-_EXPORT = "export it anew, as glTF 2.0"
+_EXPORT = "export it again, as glTF 2.0"
 EXTRAS = "antdsl"  # the key of extras with what glTF has no place for
 _SAME = 1e-6  # of a rate: what float32 makes of the moments of keys
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
@@ -130,7 +130,7 @@ def _settings(animation: dict[str, Any], name: str) -> dict[str, Any]:
         if good and all(isinstance(given.get(key, True), bool) for key in ("loop", "feet")):
             return given
     hint = "they are an object of rate, stride, loop, feet and marks: delete or correct it"
-    raise BodyError(f"has a clip `{name}` whose extras `{EXTRAS}` are not read", hint)
+    raise BodyError(f"has unknown extras `{EXTRAS}` in the clip `{name}`", hint)
 
 
 def _is_number(value: object, low: float, high: float) -> bool:
@@ -149,7 +149,7 @@ class _Keys:
         values = file.accessor(sampler.get("output")).astype(np.float64)
         count, each = len(self.times), 3 if self.kind == "CUBICSPLINE" else 1
         if not count or not np.isfinite(self.times).all() or (np.diff(self.times) < 0).any() or self.times[0] < 0:
-            raise BodyError("has keys whose times do not rise from 0 on", _EXPORT)
+            raise BodyError("has key times that do not rise from 0", _EXPORT)
         if values.size != count * each * width or not np.isfinite(values).all():
             raise BodyError(f"has {values.size:,} values for {count:,} keys of {width}, or one that is not finite", _EXPORT)
         self.values = values.reshape(count, each, width)

@@ -16,7 +16,7 @@ from antdsl.scene.geometry.gltf_file import FAN, STRIP, TRIANGLES, Gltf, primiti
 
 Floats = NDArray[np.float64]
 _OFF = 1e-6  # more or less than 1 that the length of a normal is, to be corrected
-_EXPORT = "export it anew, as glTF 2.0"
+_EXPORT = "export it again, as glTF 2.0"
 
 
 @dataclass(slots=True)
@@ -86,7 +86,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     body.shapes[name] = shape
     number = len(pieces.targets[0])
     if any(len(each) != number for each in pieces.targets):
-        raise BodyError(f"has a mesh `{name}` whose primitives have different numbers of morph targets", _EXPORT)
+        raise BodyError(f"has a mesh `{name}` with different numbers of morph targets in its primitives", _EXPORT)
     if number:
         body.shapes[name] = replace(shape, blend=_targets(body, shape, pieces, mesh, node))
     return True

@@ -162,7 +162,7 @@ def _factor(values: Values, node: Node | None, unit: float) -> float:
     if node is None:
         return 1.0
     if not isinstance(node.value, str) or node.value not in UNIT_MM:
-        values.report.error("wrong-value", "a unit of length is wanted here", values.span(node), 'write `"mm"`')
+        values.report.error("wrong-value", "expected a unit of length here", values.span(node), 'write `"mm"`')
         return 1.0
     return UNIT_MM[node.value] / unit
 
