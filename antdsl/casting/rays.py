@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
@@ -77,11 +78,22 @@ def open3d() -> Any:
     try:
         import open3d
     except (ImportError, OSError) as problem:
-        raise ImportError(
-            f"open3d cannot be loaded ({problem}): install the package `open3d-cpu`; on a bare Linux system it also needs "
-            "the system packages libegl1 libgl1 libusb-1.0-0"
-        ) from problem
+        raise ImportError(_not_loaded(str(problem))) from problem
     return open3d
+
+
+def _not_loaded(why: str) -> str:
+    return (
+        f"open3d cannot be loaded ({why}): install the package `open3d-cpu`; on a bare Linux system it also needs "
+        "the system packages libegl1 libgl1 libusb-1.0-0"
+    )
+
+
+@cache
+def _require_open3d() -> None:
+    """Raise ImportError where Open3D is not installed: its import takes long, and may only be needed late in a run."""
+    if find_spec("open3d") is None:
+        raise ImportError(_not_loaded("there is no such package"))
 
 
 class RayScene(Nearby):
@@ -133,6 +145,8 @@ class RayScene(Nearby):
         self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR else np.zeros(3)
         self._faces = Faces(corners - self.origin, self._brief, self._largest)
         self._empty = not len(corners)
+        if not self._empty:
+            _require_open3d()
         self._tree: Any = None
         self._grid: DistanceGrid | None = None
         self._refined = False
