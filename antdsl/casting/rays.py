@@ -107,8 +107,8 @@ class RayScene(Nearby):
     `largest` (mm) where what lies beyond it is a backdrop.
 
     Rays with an end, and nearest faces that are asked for within a distance, go to a `TriangleGrid` where one is of use: it asks
-    all faces nearby in float64, and passes on to Open3D whose ray or face is too far away for it. What decides is the scene and
-    the ray, so no answer depends on who else asks. Where two faces that do not meet are nearer to each other than float32 tells,
+    all faces nearby in float64. Longer rays are cut to the box around all faces first, and the grid names the face, if they are
+    short there. Open3D answers the rest. What decides is the scene and the ray, so no answer depends on who else asks. Where two faces that do not meet are nearer to each other than float32 tells,
     it names the nearer and Open3D either.
     """
 
