@@ -13,6 +13,7 @@ import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from io import BufferedWriter, FileIO
 from itertools import islice
 from pathlib import Path
@@ -116,6 +117,12 @@ def _is_running(process: int) -> bool:
 
 def _machine() -> str:
     """Eight digits for this machine, and for the container whose process numbers are seen here."""
+    return _machine_of(os.getpid())
+
+
+@lru_cache(1)
+def _machine_of(process: int) -> str:
+    """The same, asked once by each process."""
     from hashlib import blake2b
 
     space = ""
