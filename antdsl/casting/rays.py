@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import import_module
-from importlib.util import find_spec
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,6 +12,7 @@ from numpy.typing import NDArray
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.nearby import END, Index, Nearby, Vectors
+from antdsl.casting.open3d_module import open3d, require_open3d
 from antdsl.casting.tolerances import FURTHER, NOTHING
 from antdsl.casting.triangle_grid import TriangleGrid
 
@@ -28,7 +24,6 @@ _AGAIN = 16  # faces that a ray may pass by at less than a hair
 _APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
 _FEW = 128  # rays that go on to the end of the scene sooner than they are asked about twice
 _FARTHEST = 1e15  # mm: Open3D, whose squares are float32, names no nearest face from much farther off
-_PLOTS = "open3d.visualization.draw_plotly"
 FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
@@ -52,50 +47,6 @@ class Hits:
         return self.face >= 0
 
 
-class _DeferredModule(ModuleType):
-    """Stands for a module of functions, which is imported when one of them is called."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-
-        def call(*arguments: Any, **named: Any) -> Any:
-            if sys.modules.get(self.__name__) is self:
-                del sys.modules[self.__name__]
-            return getattr(import_module(self.__name__), name)(*arguments, **named)
-
-        return call
-
-
-@cache
-def open3d() -> Any:
-    """The module, imported when it is first needed.
-
-    Its plots are not imported with it: they need a web server and a HTTP client (dash, requests), which take half of the time
-    and bind a socket."""
-    if "open3d" not in sys.modules:
-        sys.modules.setdefault(_PLOTS, _DeferredModule(_PLOTS))
-    try:
-        import open3d
-    except (ImportError, OSError) as problem:
-        raise ImportError(_not_loaded(str(problem))) from problem
-    return open3d
-
-
-def _not_loaded(why: str) -> str:
-    return (
-        f"open3d cannot be loaded ({why}): install the package `open3d-cpu`; on a bare Linux system it also needs "
-        "the system packages libegl1 libgl1 libusb-1.0-0"
-    )
-
-
-@cache
-def _require_open3d() -> None:
-    """Raise ImportError where Open3D is not installed: its import takes long, and may only be needed late in a run."""
-    if find_spec("open3d") is None:
-        raise ImportError(_not_loaded("there is no such package"))
-
-
 class RayScene(Nearby):
     """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths in millimetres.
 
@@ -106,10 +57,10 @@ class RayScene(Nearby):
     is made faster; of one that is not `lasting` no table is stored for other runs. A hair goes by the largest coordinate, or by
     `largest` (mm) where what lies beyond it is a backdrop.
 
-    Rays with an end, and nearest faces that are asked for within a distance, go to a `TriangleGrid` where one is of use: it asks
-    all faces nearby in float64. Longer rays are cut to the box around all faces first, and the grid names the face, if they are
-    short there. Open3D answers the rest. What decides is the scene and the ray, so no answer depends on who else asks. Where two faces that do not meet are nearer to each other than float32 tells,
-    it names the nearer and Open3D either.
+    Rays with an end, and nearest faces that are requested within a distance, go to a `TriangleGrid` where one is of use: it
+    measures all faces nearby in float64. Longer rays are cut to the box around all faces first, and the grid names the face if
+    they are short there. Open3D answers the rest. What decides is the scene and the ray, so no answer depends on other rays.
+    Where two faces that do not meet are nearer to each other than float32 tells, it names the nearer and Open3D either.
     """
 
     _brief = False
@@ -146,7 +97,7 @@ class RayScene(Nearby):
         self._faces = Faces(corners - self.origin, self._brief, self._largest)
         self._empty = not len(corners)
         if not self._empty:
-            _require_open3d()
+            require_open3d()
         self._tree: Any = None
         self._grid: DistanceGrid | None = None
         self._refined = False

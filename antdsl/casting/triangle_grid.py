@@ -37,7 +37,7 @@ _MARGIN = 1e-6  # cubes: further than rounding and `CLOSED` move a place off a f
 _THIN = 1e-8  # sine of the corner of a face, below which its plane is noise and rays go through it
 
 
-_PIECE, _PIECES = 15.0, 3  # cubes along the three axes of a piece of a ray without an end, and how many are asked for
+_PIECE, _PIECES = 15.0, 3  # cubes along the three axes of a piece of a long ray, and the greatest number of pieces
 
 
 class TriangleGrid:

@@ -70,7 +70,7 @@ def text(target: machine.Target) -> str:
     for lane in (0, 1):
         w.do(f"%sum{lane} = phi i64 [ 0, %entry ], [ %mix.sum{lane}, %mixed ]")
     w.do("%left = sub i64 %end, %first\n  %more = icmp sgt i64 %left, 0\n  br i1 %more, label %block, label %over")
-    # What is left in the end, fewer rows than lanes, is a block of its own, all of whose words are gathered.
+    # The rows left in the end, fewer than lanes, are a separate block: all words of it are gathered.
     w.at("block")
     w.do(f"%long = icmp slt i64 %left, {_BLOCK}\n  %most = select i1 %long, i64 %left, i64 {_BLOCK}")
     w.do(f"%few = icmp slt i64 %most, {LANES}\n  %even = and i64 %most, {-LANES}")

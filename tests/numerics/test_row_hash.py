@@ -136,14 +136,14 @@ def test_numbers_are_these() -> None:
 def test_blocks_and_chunks_of_rows_add_up(count: int) -> None:
     ids, columns = table(count)
     parts = [part for column in columns.values() for part in column.reshape(-1, count)]
-    wanted = by_definition(ids, parts) if count < 2_000 else row_hash.row_hash(ids, parts)
+    expected = by_definition(ids, parts) if count < 2_000 else row_hash.row_hash(ids, parts)
     halves = [row_hash.Table([ids[rows], *(part[rows] for part in parts)], row_hash.keys, ids=True).sums(len(ids[rows]))
               for rows in (slice(0, count // 3), slice(count // 3, count))]  # fmt: skip
     added = b"".join(((one + other) % 2**64).to_bytes(8, "little") for one, other in zip(*halves, strict=True))
-    assert row_hash.row_hash(ids, parts) == wanted == added
-    known, numbered = row_hash.RowHash(), row_hash.RowHash()
+    assert row_hash.row_hash(ids, parts) == expected == added
+    table_hash, numbered = row_hash.RowHash(), row_hash.RowHash()
     for threads in (1, 2, 3, 1, 2):
-        assert known.of(ids, parts, threads) == wanted
+        assert table_hash.of(ids, parts, threads) == expected
         assert numbered.of(None, parts[:3], threads) == row_hash.row_hash(None, parts[:3])
 
 

@@ -194,18 +194,18 @@ def test_feet_of_a_frame(count: int, threads: int) -> None:
         array[..., count // 2 :] = rng.normal(size=array[..., count // 2 :].shape) * 1000
     feet.swing[:] = rng.choice(np.array([-1.0, 0.0, 0.5], np.float32), feet.swing.shape)
     world = SimpleNamespace(feet={"ant": feet}, options=SimpleNamespace(threads=threads))
-    found = placed_feet(world, "ant", scale)  # type: ignore[arg-type]
+    arrays = placed_feet(world, "ant", scale)  # type: ignore[arg-type]
     with np.errstate(all="ignore"):
-        wanted = {
+        expected = {
             "P": ((feet.shown.transpose(1, 2, 0) + 0.0) * scale).astype(np.float32),
             "down": feet.down.astype(np.uint8),
             "phase": feet.phase,
             "rise": feet.rise * np.float32(scale),
             "tilt": quaternions(feet.slope),
         }
-    assert list(found) == [f"feet.ant.{name}" for name in wanted]
-    for name, array in wanted.items():
-        made = found[f"feet.ant.{name}"]
+    assert list(arrays) == [f"feet.ant.{name}" for name in expected]
+    for name, array in expected.items():
+        made = arrays[f"feet.ant.{name}"]
         assert made.dtype == array.dtype and made.shape == array.shape and made.flags.c_contiguous
         kind = f"u{array.itemsize}"
         number = np.isnan(array) if array.dtype.kind == "f" else np.zeros(array.shape, np.bool_)

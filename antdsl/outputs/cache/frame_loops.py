@@ -154,7 +154,7 @@ def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]
         out[k, 2], out[k, 3] = np.float32(az * bw - ay * bx), np.float32(aw * bw)
 
 
-_BLOCK = 256  # agents whose rows stay in a core's own memory from leg to leg
+_BLOCK = 256  # agents: their rows stay in the cache of a core from leg to leg
 
 
 @kernel
