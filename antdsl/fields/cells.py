@@ -336,8 +336,13 @@ class SurfaceCells:
     def nearest(self, k: int) -> Cells:
         """For each cell the nearest `k` of its 3³ block, itself included, by (distance, cell), int32[n,k], ascending."""
         if k not in self._tables:
-            self._tables[k] = self._nearest(np.arange(len(self)), k)
+            inputs = (self._keys, self._size, self.position, float(k))
+            work = partial(self._nearest_of_all, k)
+            self._tables[k] = stored_tables.stored("nearest cells", len(self), inputs, work, "cells")["nearest"]
         return self._tables[k]
+
+    def _nearest_of_all(self, k: int) -> stored_tables.Tables:
+        return {"nearest": self._nearest(np.arange(len(self)), k)}
 
     def _nearest(self, cells: NDArray[np.int64], k: int) -> Cells:
         """Rows of `nearest` for some cells."""
