@@ -142,7 +142,7 @@ def stage(
             place(staging, places, line.place, "crowd", number, "place"),
             number,
             walk(scene, line.walk),
-            line.body if line.body in BODY_WORDS else "",
+            line.body if line.body and line.body in BODY_WORDS else "",
             line.layers(),
         )
         for number, line in enumerate(model.crowd)
