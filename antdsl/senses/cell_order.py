@@ -21,7 +21,6 @@ from antdsl.machine_code.kernels import (
     I64,
     Array1,
     Array2,
-    called,
     consecutive,
     independent,
     inlined,
@@ -44,8 +43,8 @@ _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
 _LAYERS_PER_COLUMN = 2
 _CHUNKED = 8_192  # agents for whom several threads pay
-_SHARES = 16  # of a chunk, the least that a thread takes
-_SPARE = 3  # more numbers in a table than it has cells
+SHARES = 16  # of a chunk, the least that a thread takes
+SPARE = 3  # more numbers in a table than it has cells
 NO_ORDER = np.empty(0, np.int64)
 
 
@@ -100,12 +99,12 @@ class Shape:
         if not self.extent[2] > 0:
             return False  # one layer of cells already
         seen = np.zeros((2, max(1 << 16, 64 * len(places[0]))), np.bool_)
-        return bool(_is_sheet(along(self, places), tuple(self.low), self.inverse, tuple(self.size), seen))
+        return bool(_is_sheet(along(self.axes, places), tuple(self.low), self.inverse, tuple(self.size), seen))
 
 
-def along(shape: Shape, places: tuple[Any, ...]) -> tuple[Any, ...]:
+def along(axes: tuple[int, ...], places: tuple[Any, ...]) -> tuple[Any, ...]:
     """Arrays of x, y and z by the fast, middle and slow axis."""
-    a, b, c = shape.axes
+    a, b, c = axes
     return places[a], places[b], places[c]
 
 
@@ -152,7 +151,7 @@ class CellOrder:
         if shape is not self.shape:
             self._take_shape(shape)
         counts, keys = self._counts, self._keys
-        in_chunks(partial(_count, along(shape, places), *self._cells, order, keys, counts), self._chunks, self.threads)
+        in_chunks(partial(_count, along(shape.axes, places), *self._cells, order, keys, counts), self._chunks, self.threads)
         if counts.size:
             add_up(counts, shape.cells)
         else:
@@ -168,7 +167,7 @@ class CellOrder:
         self.shape, self._cells = shape, (tuple(shape.low), shape.inverse, tuple(shape.size), 0)
         self._floats[:] = *shape.low, *shape.width, *shape.inverse
         self._whole[:] = *shape.axes, *shape.size, self.count
-        listed, needed = shape.listed(self.count), shape.cells + _SPARE
+        listed, needed = shape.listed(self.count), shape.cells + SPARE
         if listed and self._table.shape[1] < needed:
             self._table = np.empty((self._chunks, needed + (needed >> 3)), np.int32)
         self._counts = self._table if listed else self._table[:, :0]
@@ -178,7 +177,7 @@ class CellOrder:
 
 def in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
     """Call a kernel for so many chunks. What its last two arguments count are sixteenths of a chunk: a thread takes no less."""
-    parallel.in_parts(work, _SHARES * chunks, threads, _SHARES)
+    parallel.in_parts(work, SHARES * chunks, threads, SHARES)
 
 
 @kernel
@@ -261,10 +260,12 @@ def _chunk(chunk, chunks, count):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _counted(along, low, inverse, size, shift, order, keys, counts, begin, end):  # type: ignore[no-untyped-def]
+def counted(along, low, inverse, size, shift, order, keys, counts, begin, end):  # type: ignore[no-untyped-def]
     """Store the cell of each agent, which is `shift` more than `number_of_cell`, and count the agents of each cell two places
-    behind its own. `order`: rows of the agents, empty where these are all rows."""
-    for chunk in range(begin // _SHARES, end // _SHARES):
+    behind its own. `order`: rows of the agents, empty where these are all rows. Gives how many pairs of agents of a chunk share a
+    cell, either way and each with itself."""
+    mates = 0
+    for chunk in range(begin // SHARES, end // SHARES):
         first, last = _chunk(chunk, counts.shape[0], keys.size)
         if order.size > 0:
             for k in independent(first, last):
@@ -273,10 +274,13 @@ def _counted(along, low, inverse, size, shift, order, keys, counts, begin, end):
             for k in independent(first, last):
                 keys[k] = number_of_cell(along, k, low, inverse, size) + shift
         if counts.shape[1] > 0:
-            for k in range(size[0] * size[1] * size[2] + _SPARE):
+            for k in range(size[0] * size[1] * size[2] + SPARE):
                 counts[chunk, k] = 0
             for k in range(first, last):
-                counts[chunk, keys[k] + 2] += 1
+                count = counts[chunk, keys[k] + 2]
+                mates += 2 * count + 1
+                counts[chunk, keys[k] + 2] = count + 1
+    return mates
 
 
 @kernel
@@ -284,28 +288,30 @@ def _count(
     along: Columns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """As `_counted`."""
-    _counted(along, low, inverse, size, shift, order, keys, counts, begin, end)
+    """As `counted`."""
+    counted(along, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
 @kernel
 def add_up(counts: Array2[I32], cells: I64) -> None:
     """Make numbers of agents the positions that each chunk's first agent of each cell gets, one place behind the cell's own. Once
     all agents are put, the last chunk has the first agent of each cell."""
-    last, total = counts.shape[0] - 1, 0
+    last, position = counts.shape[0] - 1, 0
+    for chunk in range(last):
+        for at in range(cells + 2):
+            counts[last, at] += counts[chunk, at]
     for at in range(cells + 2):
-        total += counts[last, at]
-        for chunk in range(last):
-            total += counts[chunk, at]
-        position = total
-        for chunk in range(last):
-            counts[chunk, at] = position
-            position += counts[chunk, at + 1]
+        position += counts[last, at]
         counts[last, at] = position
+    for chunk in range(last):
+        for at in range(cells + 2):
+            count = counts[chunk, at + 1]
+            counts[chunk, at] = counts[last, at]
+            counts[last, at] += count
 
 
 @inlined
-def _position(counts, chunk, k, key):  # type: ignore[no-untyped-def]
+def position_of(counts, chunk, k, key):  # type: ignore[no-untyped-def]
     """Where the next agent of a cell goes; without a table, agents are in order already."""
     position = k
     if counts.shape[1] > 0:
@@ -320,11 +326,11 @@ def _put(
     at: Array1[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Put x, y, z and the row of each agent at its position. `ordered` and `rows` are one array, by fours."""
-    for chunk in range(begin // _SHARES, end // _SHARES):
+    for chunk in range(begin // SHARES, end // SHARES):
         first, last = _chunk(chunk, counts.shape[0], keys.size)
         for k in range(first, last):
             row = order[k] if order.size > 0 else k
-            position = _position(counts, chunk, k, keys[k])
+            position = position_of(counts, chunk, k, keys[k])
             ordered[4 * position], ordered[4 * position + 1] = places[0][row], places[1][row]
             ordered[4 * position + 2], rows[4 * position + 3] = places[2][row], row
             at[row] = position
@@ -346,9 +352,11 @@ def in_order(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64,
         ordered[first + 2], ordered[first + 3] = registers[2][row], registers[3][row]
 
 
-@called
+@inlined
 def agents_before(starts, keys, key):  # type: ignore[no-untyped-def]
     """How many sorted agents lie in cells before `key`; by bisection of their cells where there is no table."""
     if starts.size > 0:
-        return starts[key]
-    return place_among(keys, key, 0, keys.size)
+        found = starts[key]
+    else:
+        found = place_among(keys, key, 0, keys.size)
+    return found
