@@ -64,6 +64,20 @@ def within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: 
     mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place
     and reach are in no pair. `bounds`: the least and the greatest x, y, z and reach, where they are known, not finite where any
     of them is not."""
+    found = all_within_reach(place, reach, bounds)
+    if found is None:
+        found = _within_reach(place, reach, order, bounds, True)
+    assert found is not None
+    return found
+
+
+def all_within_reach(place: Three, reach: Floats, bounds: Bounds | None = None) -> Pairs | None:
+    """The same where all pairs are found, else None."""
+    return _within_reach(place, reach, NO_ORDER, bounds, False)
+
+
+def _within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None, heaps: bool) -> Pairs | None:
+    """Pairs of all agents; None where there are heaps that are not to be met in part."""
     rows, (x, y, z, reach) = NO_ORDER, plain(*place, reach)
     place = x, y, z
     if bounds is None and len(reach):
@@ -74,12 +88,9 @@ def within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: 
         if not len(rows):
             return Pairs(rows, rows, True)
         bounds = _bounds((*place, reach), rows)
-    found = _among(place, reach, rows, bounds, False)
-    if found is None:  # who is left out goes by the order, not by rows
+    if heaps:  # who is left out goes by the order, not by rows
         rows = rows[stable_order(order[rows])] if rows.size else stable_order(order)
-        found = _among(place, reach, rows, bounds, True)
-    assert found is not None
-    return found
+    return _among(place, reach, rows, bounds, heaps)
 
 
 def _bounds(numbers: Sequence[Floats], rows: Rows = NO_ORDER) -> Bounds:
@@ -159,8 +170,8 @@ class _Grid(NamedTuple):
         return self.low, (rate, rate, rate if deep > 1 else 0.0), self.size, first
 
     def _counted(self, place: Three, rows: Rows, keys: NDArray[np.int64], most: int) -> tuple[NDArray[np.int32], int]:
-        """Store the cells of rows; gives a table of how many are in each, an empty one where there are more than `most` cells, and
-        how many pairs share one."""
+        """Store the cells of rows. Gives a table of how many are in each, empty where there are more than `most` cells, and how
+        many pairs share one."""
         counts = np.empty((1, self.cells + SPARE if self.cells <= most else 0), np.int32)
         return counts, _count(along(self.axes, place), *self._numbers(), rows, keys, counts, 0, SHARES)
 
