@@ -196,7 +196,7 @@ class _Grid(NamedTuple):
             around = around[: 2 if own else 3]
         count, shifts = asking[1].size, np.array(around, np.int64)
         room = tuple(np.empty((3, _TOGETHER * len(around) * _MOST + _WRITTEN), np.int32))
-        used, most_pairs, left_out = -3, 2 * count + 256, 0
+        used, most_pairs, left_out = -3, 4 * count + 256, 0
         while used == -3:
             i, j = np.empty((2, most_pairs), np.int64)
             used, left_out = _filled(asking, self.agents, self.starts, self.cells, shifts, own, _MOST, heaps, room, i, j)
