@@ -61,3 +61,8 @@ def code_page(code: str) -> Path | None:
 def page_file(name: str) -> Path:
     """A file of the preview's page, as it was built: `index.html`, `app.js`, `app.css`."""
     return _PACKAGE / "preview" / "page" / name
+
+
+def body_file(name: str) -> Path:
+    """Return a file of the bodies that come with antdsl: `bodies.json`, `ant.json`, `ant.glb`."""
+    return _PACKAGE / "bodies" / "data" / name

@@ -198,7 +198,7 @@ CASES: Mapping[str, Case] = {
         ),
         Case(
             "valley_of_meshes",
-            "the same, the hill as a mesh that nobody digs",
+            "the same, the hill as a mesh that is not dug",
             _valley_of_meshes,
             (500, 15_000),
             told="the thesis: about 5 frames a second more without the volume",

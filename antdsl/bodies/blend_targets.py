@@ -10,12 +10,8 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.blend_shapes import blend_shapes, difference, knots_of, matched, shares_of
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, Clip, Definition, Rig, Shape
 from antdsl.bodies.agents.deformers import SKINNING, steps
-from antdsl.bodies.agents.layer import Binding
-from antdsl.bodies.agents.rig import Rig
-from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.agents.transforms import world_matrices
 
 

@@ -10,21 +10,19 @@ from functools import cached_property
 import numpy as np
 
 from antdsl.bodies.agents.boxes import rest_box
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Clip, Definition
 from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
 from antdsl.bodies.agents.spoken import spoken_names
-from antdsl.bodies.catalogue import body_of
 from antdsl.bodies.kept_definitions import definition_at
-from antdsl.bodies.library.table import library_body
+from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import COLLISION, own_layer
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.limits import LAYERS_WORN
 from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
 from antdsl.program.traverse import parts
-from antdsl.scene.crowd_model import BODY_WORDS
+from antdsl.scene.library_bodies import BODY_WORDS, body_of
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span
@@ -125,7 +123,7 @@ def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], repor
                 words = f"the body of `{line.species}` has no layer `{name}`"
                 report.error("unknown-name", words, place, f"did you mean `{near}`? {has}" if near else has)
         if len(named) > LAYERS_WORN:
-            words = f"agents of `{line.species}` may wear {len(named)} layers, and {LAYERS_WORN} at most can be told apart"
+            words = f"agents of `{line.species}` may wear {len(named)} layers, and {LAYERS_WORN} at most can be distinguished"
             report.error("too-large", words, place, "put shapes that are worn together into one layer")
 
 
@@ -198,7 +196,7 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
     for test in parts(species):
         if isinstance(test, ClipTest):
-            want("mark", test.mark, marks, Label(test.span, "asked for here"))
+            want("mark", test.mark, marks, Label(test.span, "requested here"))
     for what, help, label in _marks_elsewhere(species, body):
         lacks.setdefault(what, (help, label))
     if lacks:
@@ -234,7 +232,7 @@ def _marks_elsewhere(species: Species, body: Definition) -> Iterator[tuple[str, 
                 yield (
                     f"mark `{test.mark}` in clip `{playing.name}`",
                     f"`{playing.name}` has {has}; `{test.mark}` is a mark of {others}",
-                    Label(test.span, "asked for here"),
+                    Label(test.span, "requested here"),
                 )
 
 

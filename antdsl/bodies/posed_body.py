@@ -15,14 +15,12 @@ from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.coarse import coarse
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import STATE, Binding, Definition, Layer, Shape
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.driving import Driven, with_channels, with_looks
-from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs
 from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
 from antdsl.bodies.agents.poses import Poses, local_transforms
-from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.agents.varied_bodies import colours_of, with_scales
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
@@ -30,7 +28,6 @@ from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
 BODY, CLOSE, COLLISION = "body", "close", "collision"  # layers
 NOTHING = Driven()
 _GOLDEN = (5**0.5 - 1) / 2  # multiples of it are spread evenly over a turn
-STATE = "state"  # the material that has the colour of the agent's state
 
 
 class PosedBody:

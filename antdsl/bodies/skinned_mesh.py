@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, Capture, Definition, Shape
 from antdsl.bodies.agents.deformers import SKINNING, steps
-from antdsl.bodies.agents.layer import Binding
-from antdsl.bodies.agents.shape import Capture, Shape
 from antdsl.bodies.agents.transforms import world_matrices
 
 MOST_JOINTS = 4  # that a vertex follows

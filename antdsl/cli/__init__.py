@@ -175,7 +175,7 @@ def _require_order(words: list[str]) -> None:
     if "--trust-usd" in own and not own[0].startswith("-"):
         rest = [word for word in words if word != "--trust-usd"]
         raise Stop(
-            Exit.USAGE, "error: `--trust-usd` goes before the command", f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}"
+            Exit.USAGE, "error: write `--trust-usd` before the command", f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}"
         )
 
 

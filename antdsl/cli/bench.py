@@ -21,8 +21,8 @@ SLOWEST = "reference"  # left out unless it is named: it takes one agent at a ti
 def bench(
     cases: list[str] = typer.Argument(None, metavar="[CASE…]", help="Cases of --list, or scenes. [default: a quick look]"),
     agents: list[int] = typer.Option([], "--agents", metavar="N", min=1, help="So many agents; may be given several times."),
-    backend: list[str] = typer.Option([], "--backend", metavar="NAME", help="A backend; several are told as ratios."),
-    pairs: int = typer.Option(20, "--pairs", min=1, max=10_000, help="Turns of each; under 20 no interval is told."),
+    backend: list[str] = typer.Option([], "--backend", metavar="NAME", help="A backend; several are compared as ratios."),
+    pairs: int = typer.Option(20, "--pairs", min=1, max=10_000, help="Rounds of each; below 20 no interval is shown."),
     steps: int = typer.Option(0, "--steps", min=0, max=100_000, help="Steps in a turn; 0 takes as many as make 20 ms."),
     threads: int = typer.Option(1, "--threads", min=1, max=256, help="Threads for rays, kernels and NumPy's chunks."),
     steps_only: bool = typer.Option(False, "--steps-only", help="Measure bare steps without full runs."),

@@ -35,7 +35,7 @@ def body(
         "",
         "--layer",
         metavar="NAME",
-        help="Of a .glb or .gltf: the layer whose shapes are written. [default: the one that is drawn]",
+        help="Of a .glb or .gltf: the layer of shapes to write. [default: the one that is drawn]",
         show_default=False,
     ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but complaints."),
@@ -43,17 +43,18 @@ def body(
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
     from antdsl.bodies.agents.reading import read_definition
-    from antdsl.bodies.library.table import BODIES, library_body
+    from antdsl.bodies.library import library_body
     from antdsl.cli.arguments import grants
     from antdsl.cli.printing.body_tables import body_document, body_lines
     from antdsl.cli.printing.reports import show, verdict
     from antdsl.diagnostics import Report
+    from antdsl.scene.library_bodies import BODY_WORDS
     from antdsl.scene.paths import Roots
 
     roots = Roots(file.resolve().parent, grants(root))
     report = Report()
     found: Definition | None
-    if str(file) in BODIES and not file.is_file():
+    if str(file) in BODY_WORDS and not file.is_file():
         found = library_body(str(file))
     else:
         found, report = read_definition(file, roots, prim=prim, rate=rate)

@@ -75,7 +75,7 @@ def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
         return
     there = next(each for each in (path.absolute(), *path.absolute().parents) if os.path.lexists(each))
     if not there.is_dir():
-        raise Stop(Exit.INPUT_OUTPUT, f"error: `{there}` is a file, and a folder is wanted there", f"name another with `{flag}`")
+        raise Stop(Exit.INPUT_OUTPUT, f"error: `{there}` is a file, but a folder is needed there", f"name another with `{flag}`")
     for name in names:
         if (path / name).is_dir():
             words = f"error: `{path / name}` is a folder, and a file is to be put there"

@@ -97,7 +97,7 @@ def _version(name: str) -> str:
 def _optional(package: str, purpose: str) -> None:
     from importlib.util import find_spec
 
-    words = "installed" if find_spec(package) is not None else f"not installed; wanted for {purpose}"
+    words = "installed" if find_spec(package) is not None else f"not installed; needed for {purpose}"
     print_result(f"{'ok     ' if words == 'installed' else '-      '} {package:<16} {words}")
 
 

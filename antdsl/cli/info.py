@@ -130,7 +130,7 @@ def _verify(cache: Cache) -> None:
     count = len(checkpoints) - len(points)
     print_result(f"verified     {len(frames)} frames, {count} checkpoint{'' if count == 1 else 's'}")
     if unknown:
-        print_result(f"not checked  {', '.join(unknown)}: read, but written before hashes of them were kept")
+        print_result(f"not checked  {', '.join(unknown)}: read, but written by a version without hashes of them")
 
 
 def _unread(read: Callable[[], object]) -> list[str]:

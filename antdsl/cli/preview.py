@@ -36,7 +36,7 @@ def preview(
         None, "--host", metavar="HOST", help="Listen at another address than this machine's own; needs --let-others-in."
     ),
     let_others_in: bool = typer.Option(
-        False, "--let-others-in", help="With --host: whoever has the address may watch and steer."
+        False, "--let-others-in", help="With --host: everyone who has the address may watch and steer."
     ),
 ) -> None:
     """Watch a scene while you write it: a page in the browser that reloads, rewinds and explains. Needs the extra [preview]."""

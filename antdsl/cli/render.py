@@ -50,13 +50,13 @@ def render(
         None, "--frames", metavar="A..B", help="Which frames. [default: the last; all with --film]", show_default=False
     ),
     every: int = typer.Option(None, "--every", min=1, metavar="N", help="Every so many frames."),
-    sheet: bool = typer.Option(False, "--sheet", help="One picture with several frames on it, and the last frame by itself."),
+    sheet: bool = typer.Option(False, "--sheet", help="One picture with several frames on it, and the last frame as a picture."),
     film: bool = typer.Option(False, "--film", help="An .mp4; needs the extra [video]."),
     show: str = typer.Option(
         "trail",
         "--show",
         metavar="WORD,…",
-        help="What to draw besides: trail, flow, feelers, velocity, paths, ids; `none` for nothing.",
+        help="What else to draw: trail, flow, feelers, velocity, paths, ids; `none` for nothing.",
     ),
     window: str = typer.Option(
         "1..2", "--window", metavar="A..B", help="Paths: so many seconds before the frame and after it, 60 at most."
@@ -100,9 +100,7 @@ def render(
         help="These are some of the frames of a film: the camera and the strip are those of the whole film, from A to B.",
         show_default=False,
     ),
-    resume: bool = typer.Option(
-        False, "--resume", help="Draw only frames whose pictures are not there, whole and as they would be drawn."
-    ),
+    resume: bool = typer.Option(False, "--resume", help="Draw only frames without a complete and current picture."),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores that it may use."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
@@ -142,7 +140,7 @@ def render(
                     raise typer.BadParameter("a sheet has so few pictures that it is drawn here", param_hint="--scheduler")
                 if film and resume:
                     raise typer.BadParameter(
-                        "a film is drawn anew on a cluster; draw its frames there, `--shot A..B --resume`, then the film here",
+                        "a film cannot be resumed on a cluster; draw its frames there, `--shot A..B --resume`, then it here",
                         param_hint="--resume",
                     )
                 there = [frame for frame in drawn if resume and stills.kept(frame) is not None]

@@ -37,7 +37,9 @@ class OnFault(StrEnum):
 
 
 def run(
-    scenes: list[Path] = typer.Argument(..., metavar="SCENE…", help="A scene.yaml; several are run at a time, each by itself."),
+    scenes: list[Path] = typer.Argument(
+        ..., metavar="SCENE…", help="A scene.yaml; several are run at a time, each independently."
+    ),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Other frames than the scene's."),
     seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
     set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),

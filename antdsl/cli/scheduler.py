@@ -34,7 +34,7 @@ TLS: Any = typer.Option(
 NO_TLS: Any = typer.Option(
     False,
     "--no-tls",
-    help="Speak to a scheduler on another machine in the clear: whoever can reach it runs what they like on it.",
+    help="Use a scheduler on another machine without encryption: everyone who can reach it can run any code on it.",
 )
 _HOW = "pip install 'antdsl[cluster]'"
 
@@ -92,7 +92,7 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
     found = re.fullmatch(r"(tls|tcp)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9_.-]{1,253}):([0-9]{1,5})", address)
     if address == "local":
         if tls is not None or no_tls:
-            raise typer.BadParameter("a cluster that is started here has certificates of its own", param_hint="--tls")
+            raise typer.BadParameter("a cluster that is started here makes its own certificates", param_hint="--tls")
         return None
     if found is None or not 0 < int(found[3]) < 1 << 16:
         raise typer.BadParameter(
@@ -112,7 +112,7 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
         raise typer.BadParameter(f"`{address}` is in the clear; write tls://{found[2]}:{found[3]}", param_hint="--scheduler")
     if not no_tls and not _loopback(found[2].strip("[]")):
         raise typer.BadParameter(
-            f"`{address}` is in the clear, so whoever can reach it runs what they like on it; write tls:// and `--tls DIR`, or, "
+            f"`{address}` is not encrypted, so everyone who can reach it can run code on it; write tls:// and `--tls DIR`, or, "
             "on a network that is trusted, add `--no-tls`",
             param_hint="--scheduler",
         )

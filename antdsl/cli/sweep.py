@@ -89,7 +89,7 @@ def sweep(
     show: list[str] = typer.Option([], "--show", metavar="NAME", help="Measures of the table, by the beginning of their name."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
     resume: bool = typer.Option(
-        False, "--resume", help="Go on with the sweep in --out as it was asked for. The same command does that too."
+        False, "--resume", help="Continue the sweep in --out with its options. The same command does that too."
     ),
     again: bool = typer.Option(False, "--again", help="Run everything again, also what was finished before."),
     scheduler: str = SCHEDULER,
@@ -181,7 +181,7 @@ def sweep(
                 _demand_measures(chooser)
     except (KeyboardInterrupt, Lost) as why:
         _tell(keeper, study, chooser, done, show, plots=False)
-        finished = f"{len(done)} of {len(made)} runs are finished and kept"
+        finished = f"{len(done)} of {len(made)} runs are finished and stored"
         code, words = (Exit.INPUT_OUTPUT, f"error: {why}") if isinstance(why, Lost) else (code_of(why), "stopped")
         raise Stop(code, f"{words}: {finished}", "the same command goes on with the others, and so does `--resume`") from None
     _demand_measures(chooser)

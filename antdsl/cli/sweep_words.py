@@ -47,7 +47,7 @@ def asked_before(context: typer.Context, out: Path | None) -> Asked:
     for name, words in _DECIDES.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
-            raise typer.BadParameter(f"it goes on as it was asked: leave out {words}", param_hint="--resume")
+            raise typer.BadParameter(f"it continues with its own options: leave out {words}", param_hint="--resume")
     if out is None:
         raise typer.BadParameter("say which sweep goes on: `--resume --out DIR`", param_hint="--resume")
     try:

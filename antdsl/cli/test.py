@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def test(
     paths: list[Path] = typer.Argument(..., help="Programs (.ant), scenes (.yaml) or folders. Folders are searched."),
-    named: str = typer.Option("", "-k", metavar="NAME", help="Only specs whose name has this in it."),
+    named: str = typer.Option("", "-k", metavar="NAME", help="Only specs with this in their name."),
     seeds: int = typer.Option(None, "--seeds", metavar="N", min=1, max=1000, help="Run each spec with the seeds 1 to N."),
     junit: Path = typer.Option(None, "--junit", metavar="FILE", help="Write the results as JUnit XML, for build servers."),
     json: Path = typer.Option(None, "--json", metavar="FILE", help="Write the results and the coverage as JSON."),

@@ -54,7 +54,7 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
         other = "" if scene is not None else f"; if `{path}` is not its scene, say which: `--scene FILE`"
         raise ExplainError(
             f"the cache was made from other inputs: {names}",
-            f"what happened can only be told from the texts it happened with: put them back, or run the scene again{other}",
+            f"an explanation needs the texts that the run was made with: put them back, or run the scene again{other}",
         )
     return shot
 

@@ -113,7 +113,7 @@ def absent(replay: Replay, species: str, agent: int, frame: int) -> ExplainError
     if row >= 0:
         return ExplainError(
             f"{species} {agent} was set aside after a fault, and did nothing in the step to frame {frame}",
-            "`antdsl run` told the value that was no number",
+            "`antdsl run` reported the value that was no number",
         )
     ids = population.ids
     there = f"there are {len(ids)}, from {int(ids.min())} to {int(ids.max())}" if len(ids) else "none lives"

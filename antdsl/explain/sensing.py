@@ -1,4 +1,4 @@
-"""What an agent looked at in a step: others and items near it, fields where it stood, rays, curves, flows, draws."""
+"""What an agent looked at in a step: others and items near it, fields at its place, rays, curves, flows, draws."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def _machine(m: MachineStep) -> Iterator[str]:
         verdict = "won" if m.claim.won else "lost: others came first, or there was not enough"
         much = "all" if m.claim.amount is None else f"{m.claim.amount:.4g}"
         what = " ".join(word for word in (much, m.claim.attribute, "of", m.claim.item) if word)
-        yield f"  asked for {what} (turn {m.claim.draw:.4f}): {verdict}"
+        yield f"  requested {what} (turn {m.claim.draw:.4f}): {verdict}"
     if m.choice is not None:
         bars = ", ".join(f"{name} up to {bar:.4g}" for name, bar in m.choice.bars)
         yield f"  drew {m.choice.draw:.4f} among {bars}: {m.choice.chosen}"
@@ -154,7 +154,7 @@ def _bar(layer: Layer) -> str:
 def _layer(layer: Layer) -> str:
     match layer.state:
         case "no strength":
-            return "not asked: no strength is left"
+            return "not evaluated: no strength is left"
         case "off":
             return "off: its condition does not hold"
         case "nothing":
@@ -184,7 +184,7 @@ def _around(e: Explanation) -> Iterator[str]:
             yield from _seen(group)
     if e.fields:
         yield ""
-        yield "fields where it stood"
+        yield "fields at its place"
         yield from (f"  {name} = {value:.4g}" for name, value in e.fields)
     if e.senses:
         yield ""

@@ -89,19 +89,19 @@ FORM_HELP = {
 }
 # Words inside a line; some of them begin lines too and mean something else there.
 INNER_HELP = {
-    "on": "where it lies, or which scene it is asked of",
+    "on": "where it lies, or in which scene it is checked",
     "in": "the range that a param stays in, or the set that is gone through",
-    "from": "from whom it is taken, or where something begins",
-    "to": "to whom it is given, or where something ends",
-    "when": "this layer counts only for those for whom this holds",
+    "from": "the agent or item that it is taken from, or where something begins",
+    "to": "the agent or item that it is given to, or where something ends",
+    "when": "this layer counts only for agents for which this holds",
     "until": "what ends it",
     "each": "a value about each of another species",
-    "strongest": "how many of these values are kept, the greatest",
+    "strongest": "how many of these values are used, the greatest",
     "take": "gets an amount from an item, as part of the condition",
     "all": "as much as there is",
     "after": "so long in this state",
     "held": "it must have been so without a break for that long",
-    "chance": "happens at that rate, whatever the frames a second; a share where it is asked once",
+    "chance": "happens at that rate, whatever the frames a second; a share where it is evaluated once",
     "clip": "the clip that is played: `clip done`, or `clip at MARK`",
     "done": "`clip done`: the clip has been played through",
     "for": "the shortest time in this state, or what a value is about",
@@ -127,11 +127,11 @@ INNER_HELP = {
 }
 # Arguments of `play`.
 PLAY_HELP = {
-    "speed": "times as fast as by itself",
+    "speed": "times as fast as its own speed",
     "weight": "share of the pose, from 0 to 1",
     "on": "only on the joints of that transform group",
-    "again": "whether it begins anew as the state is entered",
-    "add": "`true`: added to all that is played besides",
+    "again": "whether it starts again when the state is entered",
+    "add": "`true`: added to all other clips that play",
     "left": "the clip that it gives way to as the agent turns left",
     "right": "the clip that it gives way to as the agent turns right",
     "up": "the clip that it gives way to uphill",

@@ -10,12 +10,10 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.machine_clips import Played
-from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.body import turned
-from antdsl.bodies.catalogue import body_of
-from antdsl.bodies.library.table import BODIES, library_body
+from antdsl.bodies.library import library_body
 from antdsl.bodies.placed import shape_of
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.body_arrays import definition_of
@@ -33,6 +31,7 @@ from antdsl.outputs.paths import Walks, Window
 from antdsl.outputs.pictures.camera import three
 from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 from antdsl.outputs.pictures.trails import robust_full
+from antdsl.scene.library_bodies import BODY_WORDS, body_of
 
 _KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
 _LOOKS: dict[str, Kind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
@@ -246,7 +245,7 @@ class Gallery:
 
     def _definition(self, species: SpeciesEntry) -> Definition:
         if species.definition is None:
-            return library_body(species.body if species.body in BODIES else body_of(species.name))
+            return library_body(species.body if species.body in BODY_WORDS else body_of(species.name))
         try:
             return definition_of(self.manifest, self.static, species.definition)
         except BodyError as why:

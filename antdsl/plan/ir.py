@@ -87,7 +87,7 @@ OPS: dict[str, Operation] = {
     "param": Operation("", ("name",), F, _R, "a param's value in base units"),
     "run": Operation("", ("name",), F, _R, "dt (s), u (mm per scene unit), up_x, up_y, up_z (the scene's up)"),
     "step": Operation("", ("name",), F, _T, "time (s), frame"),
-    "told": Operation("", ("name",), F, _T, "a number about a whole that a spec has worked out for this frame"),
+    "told": Operation("", ("name",), F, _T, "a number about the whole run that a spec computed for this frame"),
     # elementwise; float32, IEEE, in exactly this order of operations
     "add": Operation("ff", (), F, _C, "a + b"),
     "sub": Operation("ff", (), F, _C, "a - b"),
@@ -145,10 +145,10 @@ OPS: dict[str, Operation] = {
         ("species", "all_round"),
         S,
         _A,
-        "others of a species within radius (first) whose direction has a cosine to the heading >= the second (ignored if all_round); never oneself",
+        "others of a species within radius (first), with a cosine of their direction to the heading >= the second (ignored if all_round); never oneself",
     ),
     "set.every": Operation("", ("species",), S, _A, "all others of a species"),
-    "set.items": Operation("f", ("items",), S, _A, "items whose centre lies within a distance (inf: all)"),
+    "set.items": Operation("f", ("items",), S, _A, "items with their centre within a distance (inf: all)"),
     "other": Operation(
         "",
         ("register",),

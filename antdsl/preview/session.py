@@ -142,7 +142,7 @@ class Session:
 
     def _kept(self, frame: int) -> None:
         if not self.first <= frame <= self.head:
-            raise ValueError(f"frame {frame} is not among those kept, {self.first} to {self.head}")
+            raise ValueError(f"frame {frame} is not among those stored, {self.first} to {self.head}")
 
     def shown(self, frame: int) -> Mapping[str, Light] | None:
         """The agents at a frame by species, without simulating anything; None where that is forgotten."""
@@ -304,7 +304,7 @@ class Session:
         later = [each for each in self.timeline.stretches if each.first > self.frame and each.off == self._stretch.off]
         if all(_files(each.shot) == _files(self.shot) for each in later):
             return ""
-        line = "the files are again what they were at this frame: what came after is simulated anew"
+        line = "the files are again as they were at this frame: later frames are simulated again"
         self.timeline.cut(self.frame, line)
         return line
 

@@ -15,14 +15,14 @@ def migration_line(migration: Migration) -> str:
     parts += [f"{count:,} more of `{name}`" for name, count in migration.joined.items()]
     parts += [f"{count:,} of `{name}` gone" for name, count in migration.removed.items()]
     parts += _listed(migration.items, "has its amount from the scene", "have their amounts from the scene")
-    parts += _listed([f"field {name}" for name in migration.fields], "begins anew", "begin anew")
+    parts += _listed([f"field {name}" for name in migration.fields], "starts again", "start again")
     parts += _listed([f"solid {name}" for name in migration.solids], "is whole", "are whole")
     return " · ".join(parts)
 
 
 def _species(migrated: MigratedSpecies, of: str) -> list[str]:
     parts = [
-        f"{count:,} of removed state `{of}{_plain(gone)}` {'begins' if count == 1 else 'begin'} anew in `{of}{_plain(start)}`"
+        f"{count:,} of removed state `{of}{_plain(gone)}` {'starts' if count == 1 else 'start'} again in `{of}{_plain(start)}`"
         for (gone, start), count in sorted(migrated.begun.items())
     ]
     parts += _listed([of + _plain(name) for name in migrated.states], "is a new state", "are new states")
@@ -32,7 +32,9 @@ def _species(migrated: MigratedSpecies, of: str) -> list[str]:
             f"{migrated.moved:,} {_agents(migrated.moved)} moved with the ground" + (f" of `{migrated.species}`" if of else "")
         )
     parts += _listed([of + name for name in migrated.new], "is new", "are new")
-    parts += _listed([of + name for name in migrated.other], "is another type, begun anew", "are other types, begun anew")
+    parts += _listed(
+        [of + name for name in migrated.other], "has another type and starts again", "have other types and start again"
+    )
     parts += _listed([of + name for name in _written(migrated.rewritten)], "is as written now", "are as written now")
     parts += _listed([of + name for name in migrated.gone], "is gone", "are gone")
     if migrated.forgotten:

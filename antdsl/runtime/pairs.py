@@ -86,7 +86,7 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     except TooManyWithin:
         span = _asked_at(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
-        why = f"has more than {limits.WITHIN_RADIUS:,} others in its radius, of whom the {limits.NEIGHBOURS} nearest count"
+        why = f"has more than {limits.WITHIN_RADIUS:,} others in its radius; the {limits.NEIGHBOURS} nearest count"
         fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_advice(other, radius)}")
         raise LimitStop(fault) from None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.program.model import Program
-from antdsl.scene.crowd_model import BODY_WORDS
+from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.paths import PathRefused
 
@@ -22,7 +22,7 @@ def bodies(scene: Scene, program: Program, report: Report) -> None:
         if known != line.body:
             report.error(
                 "wrong-value", f"`{line.species}` has another body above", place,
-                f"write `{known}` in both, or make it a species of its own",
+                f"write `{known}` in both, or make it another species",
                 labels=(Label(scene.span("crowd", earlier, "body"), "the first one"),),
             )  # fmt: skip
         elif line.body not in BODY_WORDS and earlier == number:

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from antdsl import limits
 from antdsl.program.tables.vocabulary import LENGTH
+from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.parts import Part, PointOrName
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
@@ -26,7 +27,6 @@ from antdsl.scene.values import (
 
 NONE = "none"  # of the layers of a part, the one that is none
 # Of the library of bodies.
-BODY_WORDS = ("ant", "ant_queen", "ant_soldier", "roach", "spider", "hunter", "rabbit", "person", "arrow", "ball")
 Body = Annotated[str, BeforeValidator(word_or_file(*BODY_WORDS))]
 Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]

@@ -242,7 +242,7 @@ class _Reader:
                     "yaml-alias",
                     "anchors and aliases are not supported",
                     self.span(event),
-                    "write the value out where it is wanted",
+                    "write the value out where it is needed",
                 )
             if getattr(event, "tag", None) not in (None, "!"):
                 raise self.refuse("yaml-tag", "tags such as `!name` are not supported", self.span(event), "write the value alone")
@@ -290,7 +290,7 @@ class _Reader:
                     continue
             if key.text == "<<":
                 self.report.error(
-                    "yaml-alias", "merges are not supported", key.span, "write the values out where they are wanted"
+                    "yaml-alias", "merges are not supported", key.span, "write the values out where they are needed"
                 )
                 continue
             other = folded.get(key.text.lower())

@@ -42,7 +42,7 @@ def _read(
 ) -> MappingNode | None:
     text = node.text.strip() if isinstance(node, ScalarNode) else ""
     if not text:
-        report.error("wrong-value", "the name of a scene is wanted here", node.span, f"write `{KEY}: base.yaml`")
+        report.error("wrong-value", "expected the name of a scene here", node.span, f"write `{KEY}: base.yaml`")
         return None
     if "/" in text or "\\" in text:
         words = f"`{text[:80]}` does not lie beside this scene"
@@ -51,7 +51,7 @@ def _read(
     if text in seen:
         circle = " → ".join(f"`{each}`" for each in [*seen[seen.index(text) :], text])
         words = f"these scenes extend each other in a circle: {circle}"
-        report.error("circle", words, node.span, "let one of them stand by itself")
+        report.error("circle", words, node.span, "remove the inheritance from one of them")
         return None
     if len(seen) > limits.USE_DEPTH:
         report.error("too-deep", f"more than {limits.USE_DEPTH} scenes extend each other", node.span, "join some of them")

@@ -201,12 +201,12 @@ _USUAL = {
     "any": "[LAYER, none]",
 }
 _SHAPES = {
-    "tuple_type": "a list is wanted here",
-    "dict_type": "a mapping is wanted here",
-    "model_type": "a mapping is wanted here",
-    "model_attributes_type": "a mapping is wanted here",
+    "tuple_type": "expected a list here",
+    "dict_type": "expected a mapping here",
+    "model_type": "expected a mapping here",
+    "model_attributes_type": "expected a mapping here",
     "too_long": "this list has too many values",
-    "string_type": "a word is wanted here",
+    "string_type": "expected a word here",
     "too_short": "this list has too few values",
 }
 

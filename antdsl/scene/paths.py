@@ -222,7 +222,7 @@ def _refused(problem: OSError, shown: str) -> PathRefused:
         return PathRefused("not-a-file", f"`{shown}` is {problem.kind}", "name a file")
     if isinstance(problem, TooLarge):
         return PathRefused("too-large", f"`{shown}` has {problem.size:,} bytes, and more than {problem.cap:,} are not read")
-    return PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'it is refused').lower()}")
+    return PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'access denied').lower()}")
 
 
 def _open_below(root: Path, parts: tuple[str, ...], shown: str) -> int:

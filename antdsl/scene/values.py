@@ -38,9 +38,9 @@ def _shown(value: Any) -> str:
 
 def _text(value: Any, wanted: str) -> str:
     if not isinstance(value, str):
-        raise refuse(f"{wanted} is wanted here, not {_shown(value)}")
+        raise refuse(f"expected {wanted} here, not {_shown(value)}")
     if not value.strip():
-        raise refuse(f"{wanted} is wanted here, and nothing is given")
+        raise refuse(f"expected {wanted} here, but nothing is given")
     return value.strip()
 
 

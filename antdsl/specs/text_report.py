@@ -79,7 +79,7 @@ def golden(result: GoldenResult) -> str:
     lines = [f"{line}first at frame {result.frame}"]
     lines += [f"  {result.words}"] if result.words else []
     if result.seen is not None and result.seen != result.frame:
-        lines.append(f"  seen at frame {result.seen}, the next that is kept in detail:")
+        lines.append(f"  seen at frame {result.seen}, the next that is stored in detail:")
     lines += [f"  {safe(str(each))}" for each in result.found[:_MOST_DIFFERENCES]]
     more = len(result.found) - _MOST_DIFFERENCES
     lines += [f"  and {more} more attributes"] if more > 0 else []

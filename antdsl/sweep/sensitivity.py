@@ -112,9 +112,7 @@ def effects(
             values = np.array([medians.get((label, measure), math.nan) for label in labels])
             missing = int(np.isnan(values).sum())
             if missing:
-                notes.append(
-                    f"{measure}{where} is not known at {missing} of {len(values)} points, so what it depends on is not told"
-                )
+                notes.append(f"{measure}{where} is not known at {missing} of {len(values)} points, so its sensitivity is unknown")
             elif np.isinf(values).any():
                 late = int(np.isinf(values).sum())
                 notes.append(f"{measure}{where} never happened at {late} of {len(values)} points: more `--frames` may tell")

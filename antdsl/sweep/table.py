@@ -164,7 +164,7 @@ def known_text(known: Sequence[Known]) -> str:
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in known), strict=True))
     for each in known:
         between = f"{_number(each.low)} and {_number(each.high)}" if each.runs and each.low > -math.inf else "too few runs"
-        late = "" if each.met else ", not as close as was asked for"
+        late = "" if each.met else ", not as close as requested"
         lines.append(f"  {each.label:<{label_width}}  {each.measure:<{width}}  {between}, {each.runs} runs{late}")
     return "\n".join(lines) + "\n"
 

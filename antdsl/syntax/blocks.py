@@ -141,7 +141,7 @@ def cut(scan: Scan, tokens: list[Token]) -> list[Line]:
                 if not token.virtual:
                     above = line.tokens[-1].end
                     scan.report.error(
-                        "brace-on-own-line", "`{` on a line of its own", Span(scan.source, token.start, token.end),
+                        "brace-on-own-line", "`{` on a separate line", Span(scan.source, token.start, token.end),
                         "put it at the end of the line above", fix=_up(scan, above, token),
                     )  # fmt: skip
                     scan.blank(above, token.start)

@@ -37,7 +37,7 @@ def has_too_many(scanned: Scan, lines: list[Line]) -> bool:
     for found, most, what in (*counts, (scanned.tokens, limits.TOKENS, "words, numbers and signs")):
         if len(found) > most:
             words = f"{len(found):,} {what} in one file, at most {most:,} are allowed"
-            help = "move a part of them into a file of its own, and write `use NAME`"
+            help = "move a part of them into another file, and write `use NAME`"
             scanned.error("too-many", words, found[most].start, found[most].end, help)
             return True
     return False

@@ -20,13 +20,9 @@ from numpy.typing import NDArray
 
 from antdsl.bench.ratios import LEAST_PAIRS, in_turn, interval
 from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_table import ClipTable, clip_table
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
 from antdsl.bodies.agents.deformers import DEFORMERS, bound
-from antdsl.bodies.agents.layer import Binding
-from antdsl.bodies.agents.rig import Rig
-from antdsl.bodies.agents.shape import Capture, Shape
 
 Floats = NDArray[np.float32]
 JOINTS = 20

@@ -8,13 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, ClipTree, Playing, posed
-from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_table import clip_table
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, Blend, Capture, Channel, Clip, Definition, Rig, Shape, TransformGroup
 from antdsl.bodies.agents.deformers import bound
-from antdsl.bodies.agents.layer import Binding, TransformGroup
-from antdsl.bodies.agents.rig import Channel, Rig
-from antdsl.bodies.agents.shape import Blend, Capture, Shape
 
 JOINTS, POINTS, AGENTS = 11, 70, 300
 

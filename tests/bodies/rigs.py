@@ -7,9 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.rig import Channel, Rig
+from antdsl.bodies.agents.definition import Channel, Clip, Definition, Rig
 
 Floats = NDArray[np.float64]
 

@@ -10,12 +10,10 @@ import pytest
 from rigs import definition, matrix, still, turn
 
 from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, ClipTree, Playing, posed
-from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_lists import playing_of
 from antdsl.bodies.agents.clip_table import clip_table
-from antdsl.bodies.agents.layer import TransformGroup
+from antdsl.bodies.agents.definition import Channel, Clip, TransformGroup
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.rig import Channel
 
 REST = matrix((0, 5, 0), turn("z", 0), (1, 1, 1))
 MADE = definition(
@@ -233,7 +231,7 @@ def test_agents_of_different_trees_are_each_as_alone() -> None:
         count = len(trees[tree].layers)
         alone = one(trees[tree], clips[:count], weights[:count], layers[: len(trees[tree].modes)])
         assert alone.world[0].tobytes() == found.world[k].tobytes()
-    with pytest.raises(ValueError, match=r"`weights` of 4 agents is \(4, 1\) where \[4, 2 or more\] is wanted"):
+    with pytest.raises(ValueError, match=r"`weights` of 4 agents is \(4, 1\) where \[4, 2 or more\] is needed"):
         posed(clip_table(MADE), GROUPS, replace(playing, weights=playing.weights[:, :1]))
     with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
         posed(clip_table(MADE), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))

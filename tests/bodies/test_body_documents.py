@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from antdsl import limits
+from antdsl.bodies.agents.definition import Binding, Channel, Rig, TransformGroup
 from antdsl.bodies.agents.documents import (
     read_group,
     read_layer,
@@ -20,9 +21,7 @@ from antdsl.bodies.agents.documents import (
     write_metadata,
     write_rig,
 )
-from antdsl.bodies.agents.layer import Binding, TransformGroup
 from antdsl.bodies.agents.metadata import Typed, read_metadata
-from antdsl.bodies.agents.rig import Channel, Rig
 
 RIG = """{
     "rig_version": 1,

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from antdsl import limits
-from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_document import read_clip, write_clip
+from antdsl.bodies.agents.definition import Channel, Clip, Rig
 from antdsl.bodies.agents.documents import read_part
-from antdsl.bodies.agents.rig import Channel, Rig
 from antdsl.bodies.agents.transforms import matrix_of, rotation_of_angles
 from antdsl.diagnostics import Report
 

@@ -8,16 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.bodies.agents.layer import Binding, Layer
+from antdsl.bodies.agents.definition import Binding, Layer
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.agents.spoken import spoken_names
-from antdsl.bodies.catalogue import CAPSULES
 from antdsl.bodies.crowd_bodies import clip_data, room_of
-from antdsl.bodies.library.table import BODIES, library_body
+from antdsl.bodies.library import library_body
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot, check_path, check_scene_text, open_scene
 from antdsl.runtime import bind, step
-from antdsl.scene.crowd_model import BODY_WORDS
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "walker"
 PROGRAM = """ant 1
@@ -147,10 +145,6 @@ def test_lists_of_what_is_worn_say_what_to_write(folder: Path, wear: str, help: 
     assert (error.code, error.help) == ("wrong-value", help) and "tuple" not in error.message
 
 
-def test_the_words_of_a_scene_are_those_of_the_library() -> None:
-    assert sorted(BODY_WORDS) == sorted(BODIES) == sorted(CAPSULES)
-
-
 def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.bodies import kept_definitions
     from antdsl.scene.paths import sought
@@ -181,7 +175,7 @@ def test_names_of_files_are_spoken_as_the_language_writes_them(folder: Path) -> 
     assert error.message == "`walker.json` has no clip `walk`, no clip `wave`, no transform group `arms`, no mark `left`"
     assert "clip `wave`: did you mean `wave_01`? it has `armature_walk`, `idle`, `run`, `wave_01`; " in str(error.help)
     assert "transform group `arms`: it has `right_arm`" in str(error.help)
-    assert [label.text for label in error.labels] == ["played here", "played here", "named here", "asked for here"]
+    assert [label.text for label in error.labels] == ["played here", "played here", "named here", "requested here"]
 
 
 def test_names_that_sound_alike_stay_apart() -> None:

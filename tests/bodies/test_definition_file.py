@@ -12,10 +12,9 @@ import pytest
 
 from antdsl import limits
 from antdsl.bodies.agents.clip_document import write_clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Between, Blend, Definition
 from antdsl.bodies.agents.metadata import Typed
 from antdsl.bodies.agents.reading import read_definition
-from antdsl.bodies.agents.shape import Between, Blend
 from antdsl.diagnostics import Diagnostic
 from antdsl.scene.paths import Roots
 
@@ -104,6 +103,29 @@ def test_clips_of_another_file_lose_what_the_rig_does_not_have(folder: Path) -> 
     body, told = read(folder, rig=rig, length=1, clips=[{"file": "arm.glb", "clip": "hop", "rate": 10}])
     assert body is not None and body.clips["hop"].joints == ("elbow",) and body.clips["hop"].samples == 11
     assert [each.code for each in told] == ["body-left-out"] and "`root`" in told[0].message
+
+
+def test_what_a_clip_of_a_file_does_not_key_rests_as_in_the_rig(folder: Path) -> None:
+    rest = [[1, 0, 0, 3], [0, 1, 0, 5], [0, 0, 1, 7], [0, 0, 0, 1]]
+    rig = {"rig_version": 1, "transforms": {"root": ["elbow"], "elbow": []}, "antdsl_rest": {"elbow": rest}}
+    shapes = [{"file": "arm.glb", "shape": "arm.smile", "name": "mask"}]
+    for parts in ({}, {"shapes": shapes}):  # whether the file was read before for its shapes or not
+        body, _ = read(folder, rig=rig, length=1, clips=[{"file": "arm.glb", "clip": "bend"}], **parts)
+        assert body is not None and (body.clips["bend"].translation[:, 0] == (3, 5, 7)).all()
+
+
+def test_joints_stay_in_the_order_of_the_text_where_parents_come_first(folder: Path) -> None:
+    tree = {"root": ["a", "b"], "a": ["c"], "b": [], "c": []}
+    assert fine(folder, rig={"rig_version": 1, "transforms": tree}, length=1).rig.names == ("root", "a", "b", "c")
+    tree = {"c": [], "root": ["a", "b"], "a": ["c"], "b": []}
+    assert fine(folder, rig={"rig_version": 1, "transforms": tree}, length=1).rig.names == ("root", "a", "c", "b")
+
+
+def test_a_unit_may_be_a_number_of_millimetres(folder: Path) -> None:
+    for text, unit in (("6 mm", 6.0), ("0.5 m", 500.0), ("cm", 10.0)):
+        assert fine(folder, rig=RIG, length=1, units=text).unit == unit
+    for text in ("0 mm", "-1 mm", "6mm", "1e3 mm", " mm", "6  mm"):
+        assert told(folder, rig=RIG, units=text)[0] == "wrong-value"
 
 
 def test_one_shape_of_a_file_and_two_of_a_name(folder: Path) -> None:

@@ -8,8 +8,8 @@ from rigs import definition, matrix
 
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.clip_table import clip_table
+from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.driving import with_looks
-from antdsl.bodies.agents.layer import TransformGroup
 from antdsl.bodies.agents.machine_clips import machines_playing
 
 JOINTS = {"root": "", "neck": "root", "head": "neck", "jaw": "head", "tail": "root"}

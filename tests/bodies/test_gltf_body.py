@@ -15,10 +15,8 @@ import pytest
 
 from antdsl import limits
 from antdsl.bodies.agents.boxes import rest_box
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, BodyError, Definition
 from antdsl.bodies.agents.gltf_body import read_gltf
-from antdsl.bodies.agents.layer import Binding
-from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.reading import read_definition
 from antdsl.scene.paths import PathRefused
 
@@ -107,6 +105,64 @@ def test_keys_are_sampled_by_their_kind(arm: Definition) -> None:
     assert smile.values[[0, 10, 15, 20], 0].tolist() == [0, 1, 0.75, 0.5]
 
 
+def with_extras(extras: Any) -> Definition:
+    tree, data = gltf_bodies.arm()
+    tree["animations"][0]["extras"] = {"antdsl": extras}
+    return body_of(tree, data)
+
+
+def test_extras_of_an_animation_hold_what_gltf_has_no_place_for(arm: Definition) -> None:
+    rate = 20 * (1 + 1e-9)  # float32 keys do not tell it from 20
+    bend = with_extras({"rate": rate, "loop": False, "stride": 1.5, "marks": {"top": 0.25}, "feet": False}).clips["bend"]
+    assert (bend.rate, bend.loop, bend.stride, bend.marks, bend.feet) == (rate, False, 1.5, {"top": 0.25}, False)
+    assert bend.samples == 21 and bend.duration == 20 / rate
+    assert with_extras({"rate": 10}).clips["bend"].samples == 11
+    plain = arm.clips["bend"]
+    assert (plain.rate, plain.loop, plain.stride, plain.marks, plain.feet) == (20.0, True, 0.0, {}, True)
+
+
+@pytest.mark.parametrize(
+    "extras", [7, {"rate": "fast"}, {"rate": 0}, {"stride": -1}, {"loop": 1}, {"marks": [1]}, {"marks": {"a": "b"}}]
+)
+def test_extras_that_are_none_of_ours_are_refused(extras: Any) -> None:
+    with pytest.raises(BodyError, match="clip `bend` whose extras `antdsl`"):
+        with_extras(extras)
+
+
+def test_keys_at_the_samples_are_taken_as_they_are() -> None:
+    values = np.array([[0.1, 0.7, 0.3], [0.9, 0.2, 0.6], [0.4, 0.5, 0.8]], np.float32)
+    tree, data = gltf_bodies.arm()
+    times = (np.arange(3) / 90).astype(np.float32)
+    for array in (times, values):
+        tree["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
+        kind = "VEC3" if array.ndim == 2 else "SCALAR"
+        view = len(tree["bufferViews"]) - 1
+        tree["accessors"].append({"bufferView": view, "componentType": 5126, "count": 3, "type": kind})
+        data += array.tobytes()
+    sampler = {"input": len(tree["accessors"]) - 2, "output": len(tree["accessors"]) - 1}
+    channel = {"sampler": 0, "target": {"node": 0, "path": "translation"}}
+    tree["animations"] = [{"name": "shake", "samplers": [sampler], "channels": [channel], "extras": {"antdsl": {"rate": 90}}}]
+    tree["buffers"][0]["byteLength"] = len(data)
+    assert body_of(tree, data).clips["shake"].translation[:, 0].tobytes() == values.tobytes()
+
+
+def test_normals_have_length_1_and_the_material_state_has_no_colour() -> None:
+    tree, data = gltf_bodies.arm()
+    tree["materials"][0]["name"] = "state"
+    normals = np.array([[0, 0, 127, 0], [90, 90, 0, 0], [0, -127, 0, 0], [73, 73, 74, 0], [0, 0, 0, 0]], np.int8)
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": 20, "byteStride": 4})
+    view = len(tree["bufferViews"]) - 1
+    made = {"bufferView": view, "componentType": 5120, "normalized": True, "count": 5, "type": "VEC3"}
+    tree["accessors"].append(made)
+    tree["buffers"][0]["byteLength"] = len(data) + 20
+    tree["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = len(tree["accessors"]) - 1
+    body = body_of(tree, data + normals.tobytes())
+    shape = body.shapes["arm"]
+    assert shape.normals is not None
+    assert np.abs(np.linalg.norm(shape.normals[:4], axis=1) - 1).max() < 1e-6 and (shape.normals[4] == 0).all()
+    assert shape.materials == ("state",) and "state" not in body.materials
+
+
 def test_text_and_binary_say_the_same_and_buffers_may_lie_beside(arm: Definition, tmp_path: Path) -> None:
     tree, data = gltf_bodies.arm()
     (tmp_path / "inside.gltf").write_bytes(gltf_bodies.text(tree, data))
@@ -168,8 +224,8 @@ def changed(change: Any) -> str:
         (lambda t: t["accessors"][0].update(count=10**9), "more than are read"),
         (lambda t: t["accessors"][0].update(count=500), "too few for what is in it"),
         (lambda t: t["bufferViews"][0].update(byteLength=10**9), "has a buffer of"),
-        (lambda t: t["meshes"][0]["primitives"][0]["attributes"].update(POSITION=5), "1 numbers where 3 are wanted"),
-        (lambda t: t["meshes"][0]["primitives"][0].update(indices=0), "3 numbers where 1 are wanted"),
+        (lambda t: t["meshes"][0]["primitives"][0]["attributes"].update(POSITION=5), "1 numbers where 3 are needed"),
+        (lambda t: t["meshes"][0]["primitives"][0].update(indices=0), "3 numbers where 1 are needed"),
         (lambda t: t["skins"][0].update(joints=[0]), "not among the 1 of its skin"),
         (lambda t: t["animations"][0]["samplers"][0].update(output=0), "has 15 values for 2 keys of 4"),
         (lambda t: t["animations"][0]["samplers"][0].update(interpolation="BOUNCE"), "`BOUNCE`"),

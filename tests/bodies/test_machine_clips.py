@@ -10,7 +10,7 @@ from rigs import definition, matrix, still, turn
 
 from antdsl.bodies.agents.blending import OVER, posed
 from antdsl.bodies.agents.clip_table import clip_table
-from antdsl.bodies.agents.layer import TransformGroup
+from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
 
 # A trunk, an arm and a leg beside each other; clips put them at heights: rest 0, low 1, high 3.

@@ -11,10 +11,8 @@ pytest.importorskip("pxr")
 
 import usd_bodies
 
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import Binding
+from antdsl.bodies.agents.definition import Binding, Channel, Definition
 from antdsl.bodies.agents.reading import read_definition
-from antdsl.bodies.agents.rig import Channel
 from antdsl.bodies.agents.transforms import matrix_of, world_matrices
 
 

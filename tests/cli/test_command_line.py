@@ -89,4 +89,4 @@ def test_an_export_creates_its_folder(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (tmp_path / "results" / "first" / "walk.csv").is_file()
     (tmp_path / "taken").write_text("mine")
     code, text = run("export", "walk", "--to", "taken/walk.csv")
-    assert code == 3 and "is a file, and a folder is wanted" in text and (tmp_path / "taken").read_text() == "mine"
+    assert code == 3 and "is a file, but a folder is needed" in text and (tmp_path / "taken").read_text() == "mine"

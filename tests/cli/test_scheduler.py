@@ -28,7 +28,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (("tcp://render1:8786",), "is in the clear"),
         (("tcp://10.0.0.7:8786",), "is in the clear"),
         (("tcp://127.0.0.1:8786", "--tls", "walkers"), "write tls://127.0.0.1:8786"),
-        (("local", "--tls", "walkers"), "certificates of its own"),
+        (("local", "--tls", "walkers"), "makes its own certificates"),
         (("tcp://127.0.0.1:99999",), "is no scheduler"),
     ],
 )

@@ -128,7 +128,7 @@ def test_a_scheduler_that_is_gone_is_told_and_the_table_goes_on_without_it(proje
     until_there(project / "swept", 3)
     stage.processes[0].kill()
     code, _, err = ended(client)
-    assert code == 3 and "the scheduler is gone" in err and "of 30 runs are finished and kept" in err
+    assert code == 3 and "the scheduler is gone" in err and "of 30 runs are finished and stored" in err
     code, out, _ = ended(antdsl(*words, "--jobs", "1", cwd=project))
     assert code == 0 and "of 30 runs were finished before" in out and len(rows(project / "swept")) == 30
 

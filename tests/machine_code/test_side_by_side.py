@@ -24,6 +24,8 @@ from antdsl.machine_code.kernels import (
     three,
     whole,
 )
+from antdsl.machine_code.kernels.interpret import Interpreter
+from antdsl.machine_code.kernels.kernel import text_of
 
 pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code can be made here")
 COUNTS = (0, 1, 7, 8, 9, 64, 203)
@@ -193,3 +195,35 @@ def test_no_operation_is_fused(target: machine.Target) -> None:
     text = "".join(machine.assembly(each.text(target), target) for each in (questions, tables, rows))
     assert "mul" in text
     assert not any(word in text for word in ("fmadd", "fmsub", "fnmadd", "fmla", "fmls"))
+
+
+@kernel
+def reads_one_place(table: Array1[F64], at: I64, count: I64, to: Array1[F64]) -> None:
+    """Read an element that is the same for all turns where it exists: by a statement, in an expression, and behind `and`."""
+    for i in independent(0, to.size):
+        to[i] = 1.0
+        if to[i] > 0.0 and at < count and table[at] > 0.0:
+            to[i] += table[at]
+        to[i] += table[at] if to[i] > 0.0 and at < count else 0.0
+        if at >= count:
+            continue
+        to[i] += table[at] / np.float64(count // (count - at))
+
+
+@pytest.mark.parametrize("size", COUNTS)
+@pytest.mark.parametrize("at", [-3, -1, 0, 2, 5, 1 << 40])
+def test_one_place_is_read_for_all_turns_only_where_a_turn_asks(size: int, at: int) -> None:
+    table = np.array([2.0, -1.0, 4.0])
+    for rows in (table, table[:0]):
+        inside = 0 <= at < len(rows)
+        count = len(rows) if at >= 0 else at
+        code = machine.load(machine.object_code(text_of([reads_one_place], machine.host(), checked=True), machine.host()))
+        outputs = [np.zeros(size) for _ in range(3)]
+        for run, to in zip(
+            (reads_one_place, reads_one_place.caller(code, checked=True), Interpreter(reads_one_place)), outputs, strict=True
+        ):
+            run(rows, at, count, to)
+        first = rows[at] if inside else 0.0
+        expected = 1.0 + (first if first > 0 else 0.0) + first + (first / (count // (count - at)) if inside else 0.0)
+        for to in outputs:
+            np.testing.assert_array_equal(to, expected)

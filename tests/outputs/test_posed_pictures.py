@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from antdsl.bodies.agents.definition import Binding, Layer
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.driving import Driven
-from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.varied_bodies import Draws
 from antdsl.bodies.body import rotation
-from antdsl.bodies.library.table import library_body
+from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.following import followed

@@ -11,11 +11,18 @@ import pytest
 
 pxr = pytest.importorskip("pxr")
 
-from antdsl.bodies.agents.definition import Definition  # noqa: E402
-from antdsl.bodies.agents.layer import Binding, Layer  # noqa: E402
+from antdsl.bodies.agents.definition import (  # noqa: E402  # noqa: E402  # noqa: E402
+    Between,
+    Binding,
+    Blend,
+    Capture,
+    Channel,
+    Definition,
+    Layer,
+    Rig,
+    Shape,
+)
 from antdsl.bodies.agents.poses import Poses  # noqa: E402
-from antdsl.bodies.agents.rig import Channel, Rig  # noqa: E402
-from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape  # noqa: E402
 from antdsl.bodies.body import rotation  # noqa: E402
 from antdsl.bodies.posed_body import PosedBody  # noqa: E402
 from antdsl.outputs.cache.cache_reader import Cache, open_cache  # noqa: E402

@@ -16,18 +16,26 @@ from page_stage import Stage, stage
 from PIL import Image
 
 from antdsl.bodies.agents.blending import Playing, posed
-from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_table import ClipTable, clip_table
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import (
+    Between,
+    Binding,
+    Blend,
+    Capture,
+    Channel,
+    Clip,
+    Definition,
+    Layer,
+    Leg,
+    Rig,
+    Shape,
+    TransformGroup,
+    Variation,
+)
 from antdsl.bodies.agents.driving import Driven, with_looks
-from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
 from antdsl.bodies.agents.leg_ik import Legs, PlacedFeet
-from antdsl.bodies.agents.legs import Leg
 from antdsl.bodies.agents.machine_clips import EARLIER, MachineClips, Played, machines_playing
-from antdsl.bodies.agents.rig import Channel, Rig
-from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
 from antdsl.bodies.agents.transforms import world_matrices
-from antdsl.bodies.agents.variation import Variation
 from antdsl.bodies.agents.varied_bodies import Draws, place_of, size_of
 from antdsl.bodies.blend_targets import blend_targets
 from antdsl.bodies.body import orientation

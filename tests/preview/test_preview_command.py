@@ -234,7 +234,7 @@ def test_the_browser_is_started_with_an_address_that_is_good_once(tmp_path: Path
         (["scene.yaml", "--host", "0.0.0.0"], 2, "--let-others-in"),
         (["scene.yaml", "--host", "::"], 2, "--let-others-in"),
         (["scene.yaml", "--host", "192.0.2.7", "--let-others-in"], 3, "this machine has no address"),
-        (["scene.yaml", "--host", "no such host"], 3, "nobody knows a host"),
+        (["scene.yaml", "--host", "no such host"], 3, "there is no host"),
         (["walker.ant"], 2, "is a program"),
         (["nowhere.yaml"], 3, "nowhere.yaml"),
         (["scene.yaml", "--port", "65536"], 2, "65535"),

@@ -11,7 +11,7 @@ import pytest
 from live_client import Page
 from preview_page import copied
 
-from antdsl.bodies.library.table import library_body
+from antdsl.bodies.library import library_body
 from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.viewing.plays import NONE

@@ -55,7 +55,7 @@ def test_every_frame_can_be_gone_back_to(shot: Path) -> None:
         session.seek(frame)
         assert (session.frame, session.hash) == (frame, hashes[frame])
     assert not session.edited
-    with pytest.raises(ValueError, match="frame 22 is not among those kept, 1 to 21"):
+    with pytest.raises(ValueError, match="frame 22 is not among those stored, 1 to 21"):
         session.seek(22)
     session.seek(5)
     session.step()

@@ -127,7 +127,7 @@ def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, asked:
             "count(neighbours(900 m)) > 5",
             "{on: ground}",
             "count(neighbours(900 m))",
-            "others in its radius, of whom the 256 nearest",
+            "others in its radius; the 256 nearest",
         ),
         ("count(all(walker, within: 900 m)) > 5", "{on: ground}", "count(all(walker, within: 900 m))", "write a smaller one"),
         (

@@ -137,7 +137,7 @@ def test_what_was_dug_stays_dug_while_the_mesh_is_the_same(tmp_path: Path) -> No
     other, what = take_over(world, shot.plan, shot.setting)
     assert other.solids["hill"].digest() == world.solids["hill"].digest()
     assert np.array_equal(other.fields["trail"].values, world.fields["trail"].values)
-    assert re.search(r"\d of removed state `digger.dig` begins? anew in `digger.go`", migration_line(what))
+    assert re.search(r"\d of removed state `digger.dig` starts? again in `digger.go`", migration_line(what))
     for _ in range(3):
         step(other)
     scene.write_text(scene.read_text().replace("voxel: 1 mm", "voxel: 1.25 mm"))
@@ -166,7 +166,7 @@ def test_a_value_of_another_dimension_begins_anew(scene: Path) -> None:
     scene.with_name("life.ant").write_text(PROGRAM.replace("load   = 1", "load   = 3 g").replace("load += 1 /s", "load += 1 g/s"))
     now, what = taken(world, scene)
     assert (now.populations["ant"].now["load"] == 3).all()
-    assert migration_line(what) == "kept 20 agents · `load` is another type, begun anew"
+    assert migration_line(what) == "kept 20 agents · `load` has another type and starts again"
 
 
 COUNTING = """
@@ -213,7 +213,7 @@ def test_agents_go_with_a_ground_whose_vertices_move(scene: Path) -> None:
     save_ground(scene.parent, lift=40.0)
     now, what = taken(world, scene)
     assert np.allclose(now.populations["ant"].position, before + np.array([0, 40, 0]), atol=1e-9)
-    assert migration_line(what) == "kept 20 agents · 20 agents moved with the ground · `field trail` begins anew"
+    assert migration_line(what) == "kept 20 agents · 20 agents moved with the ground · `field trail` starts again"
     step(now)
 
 
@@ -305,7 +305,7 @@ def test_values_per_pair_go_on_by_name_and_type_the_strongest_where_fewer_are_ke
     lengths = LIKING.replace("0 relax to 0", "0 mm relax to 0 mm").replace("strongest 5", "strongest 7").replace("/ 1 m *", "*")
     scene.with_name("life.ant").write_text(lengths)
     anew, what = taken(world, scene)
-    assert migration_line(what) == "kept 20 agents · `likes` is another type, begun anew"
+    assert migration_line(what) == "kept 20 agents · `likes` has another type and starts again"
     assert not any(likings(anew, 7).values())
     scene.with_name("life.ant").write_text(PROGRAM)
     _, what = taken(world, scene)

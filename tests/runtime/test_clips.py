@@ -156,7 +156,7 @@ def test_an_edit_that_numbers_clips_anew_lets_them_go_on() -> None:
 @pytest.mark.parametrize(
     ("line", "code", "help"),
     [
-        ("play wave; play walk", "two-writers", "play it in a machine of its own, `machine arms { … }`"),
+        ("play wave; play walk", "two-writers", "play it in a separate machine, `machine arms { … }`"),
         ("channel jaw = 1; channel jaw = age / 1 s", "two-writers", "keep one of them; choose with `if … then … else …`"),
         ("look head(at: self); look head(at: self, over: 0 s)", "two-writers", None),
         ("play wave(on: arms, on: legs)", "duplicate-argument", "leave one of them out"),

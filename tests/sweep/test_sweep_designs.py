@@ -110,7 +110,7 @@ def test_a_sweep_stops_once_medians_are_known(sweep: Sweep, folder: Path) -> Non
     for known in document["medians"]:
         assert known["low"] <= known["median"] <= known["high"] <= known["low"] + 0.1
     code, told, err = sweep("scene.yaml", "--seeds", "60", "--until-known", "motion.turn=0.001%")
-    assert code == 0 and "not as close as was asked for" in told
+    assert code == 0 and "not as close as requested" in told
     code, _, err = sweep("scene.yaml", "--seeds", "9", "--again", "--until-known", "moton=1")
     assert code == 2 and "no measure begins with `moton`" in err and "motion" in err
 

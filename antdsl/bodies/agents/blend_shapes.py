@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.agents.skinning import Deformed, unit
 
 _OWN = {"P": "points", "N": "normals"}  # attributes with a field of their own

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, normalised, product
 from antdsl.bodies.agents.clip_table import REST, ClipTable
-from antdsl.bodies.agents.layer import TransformGroup
+from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.poses import Pose, Poses, rest_pose, sampled, transforms
 from antdsl.numerics import parallel
 from antdsl.numerics.float_environment import standard
@@ -155,7 +155,7 @@ def _fitting(playing: Playing) -> None:
     for name, least in (("clips", slots), ("times", slots), ("weights", slots), ("layer_weights", layers)):
         shape = getattr(playing, name).shape
         if len(shape) != 2 or shape[0] != n or shape[1] < least:
-            raise ValueError(f"`{name}` of {n} agents is {shape} where [{n}, {least} or more] is wanted")
+            raise ValueError(f"`{name}` of {n} agents is {shape} where [{n}, {least} or more] is needed")
 
 
 def _put(into: Floats, table: ClipTable, whose: slice | NDArray[np.intp], found: Floats) -> None:

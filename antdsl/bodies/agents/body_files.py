@@ -13,11 +13,10 @@ from typing import TypeVar
 
 from antdsl import limits
 from antdsl.bodies.agents.checked_values import Values
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import BodyError, Definition, Rig
 from antdsl.bodies.agents.documents import read_part
 from antdsl.bodies.agents.gltf_body import read_gltf
 from antdsl.bodies.agents.json_text import Node
-from antdsl.bodies.agents.problems import BodyError
 from antdsl.diagnostics import Report
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots, read_named
@@ -58,7 +57,7 @@ class BodyFiles:
     report: Report
     folder: str = ""
     named: dict[str, Path] = field(default_factory=dict)
-    kept: dict[tuple[str, str, float], Definition | None] = field(default_factory=dict)
+    kept: dict[tuple[str, str, float, bool], Definition | None] = field(default_factory=dict)
 
     def full(self, path: str) -> str:
         """A path as the roots take it."""
@@ -106,15 +105,20 @@ class BodyFiles:
             return str(self.named.get(full, full))
         return str(beside.parent / full)
 
-    def body(self, path: str, place: Span | None, prim: str = "", rate: float = 0.0) -> Definition | None:
-        """The definition in a glTF or USD file, read once. `prim`: of USD, what lies at and below it; `rate`: samples a second of
-        its animations, 0 for the file's own."""
-        key = (self.full(path), prim, rate)
+    def body(
+        self, path: str, place: Span | None, prim: str = "", rate: float = 0.0, pose: Rig | None = None
+    ) -> Definition | None:
+        """Return the definition in a glTF or USD file, read once. `prim`: of USD, what lies at and below it; `rate`: samples a
+        second of its animations, 0 for the file's own; `pose`: for what animations of a glTF file do not key."""
+        full = self.full(path)
+        plain = self.kept.get((full, prim, rate, False))
+        posed = pose is not None and (plain is None or _rests_apart(plain.rig, pose))
+        key = (full, prim, rate, posed)
         if key not in self.kept:
-            self.kept[key] = self._body(path, place, prim, rate)
+            self.kept[key] = self._body(path, place, prim, rate, pose)
         return self.kept[key]
 
-    def _body(self, path: str, place: Span | None, prim: str, rate: float) -> Definition | None:
+    def _body(self, path: str, place: Span | None, prim: str, rate: float, pose: Rig | None) -> Definition | None:
         full, kind = self.full(path), ending(path)
         name = posixpath.basename(full.rpartition(":")[2]).rpartition(".")[0] or "body"
         try:
@@ -122,7 +126,7 @@ class BodyFiles:
                 found, left_out = self._usd(full, prim or "/", name, rate)
             else:
                 data = self.bytes_of(full, limits.BODY_BYTES)
-                found, left_out = read_gltf(data, name, self._beside(full), rate or RATE)
+                found, left_out = read_gltf(data, name, self._beside(full), rate or RATE, pose)
         except UsdError as why:
             self.report.error(why.code, str(why), place, why.help)
             return None
@@ -182,3 +186,9 @@ class BodyFiles:
                 if below.startswith(self.folder):
                     return below[len(self.folder) :]
         return None
+
+
+def _rests_apart(one: Rig, other: Rig) -> bool:
+    """Return whether any joint of two rigs has another rest pose in each."""
+    known = {name: number for number, name in enumerate(other.names)}
+    return any((one.rest[k] != other.rest[known[name]]).any() for k, name in enumerate(one.names) if name in known)

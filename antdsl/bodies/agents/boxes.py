@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import Binding
-from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.agents.transforms import followed_by, world_matrices
 from antdsl.scene.geometry.matrices import applied
 

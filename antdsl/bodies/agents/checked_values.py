@@ -49,7 +49,7 @@ class Values:
 
     def wrong(self, node: Node, wanted: str, help: str | None) -> None:
         place = self.head(node) if isinstance(node.value, dict | list) else self.span(node)
-        self.report.error("wrong-value", f"{wanted} is wanted here, not {kind_of(node)}", place, help)
+        self.report.error("wrong-value", f"expected {wanted} here, not {kind_of(node)}", place, help)
 
     def object(
         self, node: Node, what: str, known: Iterable[str], needed: dict[str, str] | None = None, *, strict: bool = True
@@ -81,7 +81,7 @@ class Values:
             return []
         if node.numbers:
             if node.value:
-                self.report.error("wrong-value", f"{what} are wanted here, not numbers", self.head(node), None)
+                self.report.error("wrong-value", f"expected {what} here, not numbers", self.head(node), None)
             return []
         return [each for each in node.value if isinstance(each, Node)]
 
@@ -92,7 +92,7 @@ class Values:
             self.wrong(node, what, 'write `"…"`')
             return None
         if not node.value and not empty:
-            self.report.error("wrong-value", f"{what} is wanted here, and the text is empty", self.span(node), None)
+            self.report.error("wrong-value", f"expected {what} here, but the text is empty", self.span(node), None)
             return None
         if len(node.value) > _NAME_CHARACTERS or "\0" in node.value:
             self.report.error("wrong-value", f"{what} is too long, or has a sign that does not show", self.span(node), None)

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.checked_values import Values
-from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.definition import Clip, Rig
 from antdsl.bodies.agents.documents import json_text
 from antdsl.bodies.agents.json_text import Node
-from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.transforms import ORDERS, angles_of_rotation, one_sign, parts_of, rotation_of_angles
 
 Floats = NDArray[np.float64]

@@ -9,10 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, decomposed, normalised
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import TransformGroup
-from antdsl.bodies.agents.rig import Rig
+from antdsl.bodies.agents.definition import Clip, Definition, Rig, TransformGroup
 
 REST = -1  # the number of no clip: the rest pose, and the defaults of channels
 
@@ -123,7 +120,7 @@ def _rows(clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[
             found[place][:, :, here] = 0  # a clip without shears says that there are none
             continue
         if clip.joints and part.shape != wanted[place]:
-            raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {wanted[place]} is wanted")
+            raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {wanted[place]} is needed")
         if known:
             found[place][:, :, here] = np.moveaxis(part.astype(np.float64)[:, there], 2, 1)
     found[1] = _shorter(normalised(np.moveaxis(found[1], 1, 0)), rest[1])

@@ -7,9 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import Binding, Layer
-from antdsl.bodies.agents.shape import Capture, Shape
+from antdsl.bodies.agents.definition import Binding, Capture, Definition, Layer, Shape
 
 CELLS = 14  # to the length of a body, and at least
 _WIDER = 2.0  # a shape is made again at most

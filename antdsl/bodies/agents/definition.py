@@ -9,12 +9,225 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.layer import Layer, TransformGroup
-from antdsl.bodies.agents.legs import Gait, Leg
-from antdsl.bodies.agents.rig import Rig
-from antdsl.bodies.agents.shape import Shape
-from antdsl.bodies.agents.variation import NONE, Variation
+
+class BodyError(Exception):
+    """Words that fit after the file's name, such as `has no meshes`; `code` is a diagnostic's code, `help` what to do instead."""
+
+    def __init__(self, message: str, help: str | None = None, code: str = "bad-body") -> None:
+        super().__init__(message)
+        self.help, self.code = help, code
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A number that clips animate beside joints. `transform`: the joint that it belongs to, "" for none."""
+
+    name: str
+    default: float = 0.0
+    transform: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """`names` of J joints, parents before children; `parents` int32[J], -1 for a root; `rest` float64[J, 4, 4], local."""
+
+    names: tuple[str, ...]
+    parents: NDArray[np.int32]
+    rest: NDArray[np.float64]
+    channels: tuple[Channel, ...] = ()
+
+    def joint(self, name: str) -> int:
+        """The number of a joint. Raises KeyError."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise KeyError(name) from None
+
+    def channel(self, name: str) -> int:
+        """The number of a channel. Raises KeyError."""
+        for number, each in enumerate(self.channels):
+            if each.name == name:
+                return number
+        raise KeyError(name)
+
+    def below(self, joint: int) -> NDArray[np.intp]:
+        """The numbers of a joint and of all that hang on it, parents before children."""
+        inside = np.zeros(len(self.names), bool)
+        inside[joint] = True
+        for number in range(joint + 1, len(self.names)):
+            inside[number] = self.parents[number] >= 0 and inside[self.parents[number]]
+        return np.flatnonzero(inside)
+
+    @property
+    def defaults(self) -> NDArray[np.float32]:
+        """The default of each channel, float32[C]."""
+        return np.array([each.default for each in self.channels], np.float32)
+
+
+Floats = NDArray[np.float32]
+STATE = "state"  # the material that has the colour of the agent's state
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capture:
+    """Which joints each of P points follows: `joints` int32[P, K] count `names`, `weights` float32[P, K] add up to 1 for each;
+    `inverse` float64[J, 4, 4] takes a point of the rest pose into the space of each joint as it was captured."""
+
+    names: tuple[str, ...]
+    joints: NDArray[np.int32]
+    weights: Floats
+    inverse: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Blend:
+    """Inputs of a blend shape: names of shapes of the library and of the channels that weigh them; which attributes are blended
+    and by which point attribute the points of shapes are matched."""
+
+    shapes: tuple[str, ...]
+    channels: tuple[str, ...]
+    attributes: tuple[str, ...] = ("P", "N")
+    point_id: str = "id"
+    primitive_id: str = "id"
+
+
+@dataclass(frozen=True, slots=True)
+class Between:
+    """Corrective shapes of a blend shape's input, each applied at a weight that is neither 0 nor 1."""
+
+    shapes: tuple[str, ...]
+    weights: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """P points and M triangles. `normals` float32[P, 3], `uvs` float32[P, 2] or None; `materials` names, `material` int32[M] the
+    number of each triangle's. `attributes`: further ones of points, by name, an `id` and a blend attribute among them."""
+
+    name: str
+    points: Floats
+    faces: NDArray[np.int32]
+    normals: Floats | None = None
+    uvs: Floats | None = None
+    materials: tuple[str, ...] = ()
+    material: NDArray[np.int32] | None = None
+    attributes: dict[str, NDArray[np.float32] | NDArray[np.int64]] = field(default_factory=dict)
+    capture: Capture | None = None
+    blend: Blend | None = None
+    between: Between | None = None
+    dual_quaternion_blend: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """A shape at a joint (`transform`; "" for a deforming one that follows many). `deformer`: "" for a static shape."""
+
+    transform: str
+    shape: str
+    bounds_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    deformer: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Shapes that are drawn together."""
+
+    name: str
+    static: tuple[Binding, ...] = ()
+    deforming: tuple[Binding, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class TransformGroup:
+    """A named part of a rig: joints with weights from 0 to 1, and channels."""
+
+    name: str
+    members: tuple[tuple[str, float], ...] = ()
+    channels: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clip:
+    """F samples, `rate` of them a second, of the full local transforms of K joints and of C channels.
+
+    `translation` float32[F, K, 3] in the definition's units, `rotation` float32[F, K, 4] (unit, x y z w), `scale` float32[F, K,
+    3], `shear` float32[F, K, 3] or None; `transforms.py` says in which order they apply. `values` float32[F, C]. A clip that
+    loops has its first pose again as its last sample. `stride`: how far it goes in one turn, in the definition's units, 0 for a
+    clip that stays where it is. `marks`: seconds by name. `feet`: whether feet stand on the ground while it plays, else legs go
+    as the clip has them."""
+
+    name: str
+    rate: float
+    joints: tuple[str, ...]
+    translation: NDArray[np.float32]
+    rotation: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    shear: NDArray[np.float32] | None = None
+    channels: tuple[str, ...] = ()
+    values: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    loop: bool = True
+    stride: float = 0.0
+    marks: Mapping[str, float] = field(default_factory=dict)
+    feet: bool = True
+
+    @property
+    def samples(self) -> int:
+        """How many samples it has."""
+        return max(len(self.translation), len(self.values))
+
+    @property
+    def duration(self) -> float:
+        """Seconds from its first sample to its last."""
+        return (self.samples - 1) / self.rate
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A leg that is bent at the knee so that its foot stands on the ground. `upper`, `lower` and `foot` are joints: at the hip
+    where the thigh (femur) begins, at the knee where the shank (tibia) begins, and at what touches the ground. Each of them lies
+    below the one before in the rig, with any joints between."""
+
+    name: str
+    upper: str
+    lower: str
+    foot: str
+
+
+@dataclass(frozen=True, slots=True)
+class Gait:
+    """How feet follow each other at one speed. `speed`: units of length of the definition a second; `stride`: how far the body
+    goes in one cycle; `duty`: the share of the cycle that each foot stands; `lift`: how high a foot swings, in units of length;
+    `phases`: for each leg, in their order, the share of the cycle by which it is ahead.
+
+    Between two gaits of a definition stride, duty and lift are linear in the speed and phases are those of the slower one; below
+    the slowest and above the fastest the nearest holds, but for the stride, which grows above the fastest as the speed does, so
+    that there are no more cycles a second."""
+
+    name: str
+    speed: float
+    stride: float
+    duty: float
+    lift: float
+    phases: tuple[float, ...]
+
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variation:
+    """`scales`: by transform group how much smaller and larger it may be. `materials`: by material colours (linear, 0 to 1), on
+    the way through which that of each agent lies."""
+
+    scales: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    materials: Mapping[str, tuple[Colour, ...]] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.scales or self.materials)
+
+
+NONE = Variation()
+
 
 FRONT = (1.0, 0.0, 0.0)
 UP = (0.0, 1.0, 0.0)

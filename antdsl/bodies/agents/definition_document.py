@@ -3,6 +3,7 @@ as `{"file": "rig.json"}`, a path below the file's folder or a granted root."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
@@ -13,14 +14,12 @@ from antdsl import limits
 from antdsl.bodies.agents import variation_document
 from antdsl.bodies.agents.body_files import GLTF, USD, BodyFiles, ending
 from antdsl.bodies.agents.checked_values import Values
-from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_document import read_clip, read_marks
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Clip, Definition, Rig
 from antdsl.bodies.agents.documents import read_group, read_layer, read_rig
 from antdsl.bodies.agents.json_text import Node
 from antdsl.bodies.agents.leg_document import Places, read_gaits, read_legs
 from antdsl.bodies.agents.metadata import read_metadata
-from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.shape_references import read_includes, read_shapes
 from antdsl.scene.model import UNIT_MM
 from antdsl.source import Span
@@ -29,6 +28,7 @@ KNOWN = (
     "antdsl_body", "name", "from", "front", "up", "units", "length", "rig", "shapes", "shapelib_includes", "layers", "clips",
     "groups", "metadata", "materials", "legs", "gaits", "idle", "variation",
 )  # fmt: skip
+_UNIT = re.compile(rf"(?:(\d{{1,6}}(?:\.\d{{1,9}})?) )?({'|'.join(UNIT_MM)})")
 _AXES = {sign + letter: np.eye(3)[axis] * (1 if sign == "+" else -1) for axis, letter in enumerate("xyz") for sign in "+-"}
 _OF_CLIP = ("file", "clip", "name", "loop", "stride", "marks", "feet", "rate", "prim")
 T = TypeVar("T")
@@ -309,7 +309,7 @@ def _clips_of(values: Values, entries: Mapping[str, Node], path: str, place: Spa
         return {} if clip is None else {clip.name: clip}
     prim = values.text(entries.get("prim"), "the path of a prim") or ""
     rate = values.number(entries.get("rate"), "samples a second", 1.0, 1000.0) or 0.0
-    body = files.body(path, place, prim, rate)
+    body = files.body(path, place, prim, rate, rig)
     found = {}
     for name, clip in (body.clips if body else {}).items():
         found[name] = _of_rig(files, clip, rig, place)
@@ -338,14 +338,22 @@ def _of_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
 # ---- axes, units, colours
 
 
+def unit_mm(text: object) -> float:
+    """Return the millimetres of a unit of lengths such as `mm` or `6 mm`, 0 where a text is none."""
+    found = _UNIT.fullmatch(text) if isinstance(text, str) else None
+    return float(found[1] or 1) * UNIT_MM[found[2]] if found else 0.0
+
+
 def _unit(values: Values, node: Node | None, otherwise: float) -> float:
     if node is None:
         return otherwise
-    if not isinstance(node.value, str) or node.value not in UNIT_MM:
+    unit = unit_mm(node.value)
+    if not unit:
         known = ", ".join(f"`{unit}`" for unit in UNIT_MM)
-        values.report.error("wrong-value", f"the unit of lengths is one of {known}", values.span(node), 'write `"mm"`')
+        words = f"the unit of lengths is one of {known}, or a number of them"
+        values.report.error("wrong-value", words, values.span(node), 'write `"mm"`, or `"6 mm"`')
         return otherwise
-    return UNIT_MM[node.value]
+    return unit
 
 
 def _axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tuple[Axis, Axis]:

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from antdsl import __version__
-from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_document import write_clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Clip, Definition, Shape
+from antdsl.bodies.agents.definition_document import unit_mm
 from antdsl.bodies.agents.documents import json_text, write_group, write_layer, write_metadata, write_rig
 from antdsl.bodies.agents.gltf_writer import GltfWriter, ShapeParts
 from antdsl.bodies.agents.other_axes import in_axes
-from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.agents.transforms import parts_of
 from antdsl.scene.model import UNIT_MM
 
@@ -25,8 +24,8 @@ SHAPES = "shapes.glb"
 
 def definition_files(body: Definition, name: str) -> dict[str, bytes]:
     """The files of a definition by their paths: `NAME.json`, and the parts that it names in the folder `NAME`."""
-    unit = next((word for word, mm in UNIT_MM.items() if mm == body.unit), "")
-    if not unit:
+    unit = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
+    if unit_mm(unit) != body.unit:
         unit, body = "mm", in_axes(body, body.front, body.up, 1.0)
     files: dict[str, bytes] = {}
 

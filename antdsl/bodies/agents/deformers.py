@@ -13,10 +13,8 @@ import numpy as np
 
 from antdsl.bodies.agents.affine import inverse_transposed
 from antdsl.bodies.agents.blend_shapes import blend_shapes
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import Binding
+from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.agents.skinning import Deformed, apply, dual_quaternion, dual_quaternion_blend, linear, unit
 from antdsl.numerics.float_environment import standard
 

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.checked_values import Values
+from antdsl.bodies.agents.definition import Binding, Channel, Layer, Rig, TransformGroup
 from antdsl.bodies.agents.json_text import Node, read_json
-from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
 from antdsl.bodies.agents.metadata import plain_metadata
-from antdsl.bodies.agents.rig import Channel, Rig
 from antdsl.diagnostics import Report
 from antdsl.scene.document import decode
 from antdsl.source import Span
@@ -66,7 +65,8 @@ def read_rig(values: Values, node: Node) -> Rig | None:
 
 
 def _tree(values: Values, node: Node) -> tuple[tuple[str, ...], list[int]] | None:
-    """Joints, parents before children, in the order of the text, each with the number of its parent."""
+    """Return joints, each with the number of its parent, in the order of the text. If parents do not come first there, the
+    joints go from the roots down."""
     if not isinstance(node.value, dict):
         values.wrong(node, "an object of joints, each with a list of its children,", 'write `{"root": []}`')
         return None
@@ -101,6 +101,9 @@ def _tree(values: Values, node: Node) -> tuple[tuple[str, ...], list[int]] | Non
     _refuse_circles(values, parent)
     if not values.report.ok:
         return None
+    places = {name: count for count, name in enumerate(joints)}
+    if all(places[each[0]] < places[name] for name, each in parent.items()):
+        return tuple(joints), [places[parent[name][0]] if name in parent else -1 for name in joints]
     names: list[str] = []
     waiting = [name for name in reversed(joints) if name not in parent]
     while waiting:

@@ -13,31 +13,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, BodyError, Definition, Layer, Rig
 from antdsl.bodies.agents.gltf_clips import read_clips
 from antdsl.bodies.agents.gltf_shapes import GltfBody, read_shape, rigid, unused
-from antdsl.bodies.agents.layer import Binding, Layer
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
 from antdsl.scene.geometry.gltf_file import Gltf, GltfError, node_parents, nodes_below, scene_roots
 
 Floats = NDArray[np.float64]
 LAYER = "body"
-_EXPORT = "export it anew, as glTF 2.0"
+_EXPORT = "export it again, as glTF 2.0"
 
 
-def read_gltf(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float) -> tuple[Definition, list[str]]:
-    """The definition in a file's bytes, and sentences about what of it is not read. Animations are sampled about `rate` times a
-    second, so that each ends on a sample. `beside(path, cap)` reads a file beside it. BodyError says why there is none."""
+def read_gltf(
+    data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None = None
+) -> tuple[Definition, list[str]]:
+    """Return the definition in a file's bytes, and sentences about what of it is not read.
+
+    Animations are sampled about `rate` times a second, so that each ends on a sample; what they do not key stays as in the rest
+    pose of the file, or of `pose` for the joints that it has. `beside(path, cap)` reads a file beside it. Raises BodyError."""
     with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
         try:
-            return _read(data, name, beside, rate)
+            return _read(data, name, beside, rate, pose)
         except GltfError as why:
             raise BodyError(str(why), why.help, why.code or "bad-body") from None
 
 
-def _read(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float) -> tuple[Definition, list[str]]:
+def _read(
+    data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None
+) -> tuple[Definition, list[str]]:
     body = GltfBody(Gltf(data, beside))
     parents = node_parents(body.file)
     kept = _kept(body.file, parents)
@@ -45,7 +48,7 @@ def _read(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: flo
     rig = _rig(body, kept, parents)
     layer = _layer(body)
     rig = replace(rig, channels=tuple(body.channels.values()))
-    clips = read_clips(body.file, body.joint, body.weights, rig, rate)
+    clips = read_clips(body.file, body.joint, body.weights, _posed(rig, pose), rate)
     found = Definition(
         name, rig, body.shapes, {LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
         materials=body.materials, front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), unit=1000.0,
@@ -106,6 +109,17 @@ def _rig(body: GltfBody, kept: list[int], parents: list[int]) -> Rig:
         np.array([place.get(parents[number], -1) for number in kept], np.int32),
         rest,
     )
+
+
+def _posed(rig: Rig, pose: Rig | None) -> Rig:
+    """Return a rig with the rest pose of the joints of another one that have the same names."""
+    if pose is None:
+        return rig
+    rest, known = rig.rest.copy(), {name: number for number, name in enumerate(pose.names)}
+    for number, name in enumerate(rig.names):
+        if name in known:
+            rest[number] = pose.rest[known[name]]
+    return replace(rig, rest=rest)
 
 
 def local_matrix(file: Gltf, node: dict[str, Any]) -> Floats:

@@ -10,20 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Rig
+from antdsl.bodies.agents.definition import BodyError, Clip, Rig
 from antdsl.bodies.agents.transforms import between_rotations, one_sign, parts_of, unit_quaternion
 from antdsl.scene.geometry.gltf_file import Gltf
 
 Floats = NDArray[np.float64]
-_EXPORT = "export it anew, as glTF 2.0"
+_EXPORT = "export it again, as glTF 2.0"
+EXTRAS = "antdsl"  # the key of extras with what glTF has no place for
+_SAME = 1e-6  # of a rate: what float32 makes of the moments of keys
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
 def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float) -> list[Clip]:
-    """The clips of a file. `joint`: names of nodes by number; `weights`: the channels that weigh the morph targets of a node's
-    mesh. Each is sampled about `rate` times a second, from 0 to its last key."""
+    """Return the clips of a file. `joint`: names of nodes by number; `weights`: the channels that weigh the morph targets of a
+    node's mesh. Each is sampled about `rate` times a second, from 0 to its last key, or as often as its extras say. What a clip
+    does not key stays as in the rest pose of `rig`."""
     animations = file.top("animations")
     if len(animations) > limits.BODY_PARTS:
         raise BodyError(f"has {len(animations):,} animations, more than are read", code="too-large")
@@ -77,7 +78,11 @@ def _clip(
         return None, 0
     if seconds * rate > limits.CLIP_SAMPLES:
         raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
-    times, rate = even_times(seconds, rate)
+    settings = _settings(animation, name)
+    times, rate = even_times(seconds, float(settings.get("rate", rate)))
+    if "rate" in settings and abs(rate - settings["rate"]) <= _SAME * rate:  # float32 keys do not hold it to the last bit
+        rate = float(settings["rate"])
+        times = np.arange(len(times)) / rate
     size = len(times) * (len(moved) * 13 + len(shares)) * 8
     if size > left:
         raise BodyError(f"has clips of more than {limits.CLIP_BYTES:,} bytes when they are sampled", code="too-large")
@@ -95,9 +100,41 @@ def _clip(
         name, rate, joints,
         translation.astype(np.float32), one_sign(unit_quaternion(rotation)).astype(np.float32), scale.astype(np.float32),
         shear.astype(np.float32) if (np.abs(shear) > 1e-6).any() else None,
-        tuple(shares), np.ascontiguousarray(values, np.float32),
+        tuple(shares), np.ascontiguousarray(values, np.float32), settings.get("loop", True), float(settings.get("stride", 0.0)),
+        {mark: float(moment) for mark, moment in settings.get("marks", {}).items()}, settings.get("feet", True),
     )  # fmt: skip
     return made, size
+
+
+def write_settings(clip: Clip) -> dict[str, Any]:
+    """Return the extras of an animation: what glTF has no place for in a clip."""
+    found: dict[str, Any] = {"rate": clip.rate, "loop": clip.loop, "feet": clip.feet}
+    if clip.stride:
+        found["stride"] = clip.stride
+    if clip.marks:
+        found["marks"] = dict(clip.marks)
+    return {EXTRAS: found}
+
+
+def _settings(animation: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return what `write_settings` wrote, if it is there. Raises BodyError for any other values."""
+    extras = animation.get("extras")
+    given = extras.get(EXTRAS) if isinstance(extras, dict) else None
+    if given is None:
+        return {}
+    numbers = {"rate": (0.001, 100_000.0), "stride": (0.0, limits.LARGEST)}
+    if isinstance(given, dict):
+        marks = given.get("marks", {})
+        good = isinstance(marks, dict) and all(_is_number(each, 0.0, limits.LARGEST) for each in marks.values())
+        good = good and all(_is_number(given[key], *ends) for key, ends in numbers.items() if key in given)
+        if good and all(isinstance(given.get(key, True), bool) for key in ("loop", "feet")):
+            return given
+    hint = "they are an object of rate, stride, loop, feet and marks: delete or correct it"
+    raise BodyError(f"has unknown extras `{EXTRAS}` in the clip `{name}`", hint)
+
+
+def _is_number(value: object, low: float, high: float) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
 
 
 class _Keys:
@@ -112,7 +149,7 @@ class _Keys:
         values = file.accessor(sampler.get("output")).astype(np.float64)
         count, each = len(self.times), 3 if self.kind == "CUBICSPLINE" else 1
         if not count or not np.isfinite(self.times).all() or (np.diff(self.times) < 0).any() or self.times[0] < 0:
-            raise BodyError("has keys whose times do not rise from 0 on", _EXPORT)
+            raise BodyError("has key times that do not rise from 0", _EXPORT)
         if values.size != count * each * width or not np.isfinite(values).all():
             raise BodyError(f"has {values.size:,} values for {count:,} keys of {width}, or one that is not finite", _EXPORT)
         self.values = values.reshape(count, each, width)
@@ -122,6 +159,8 @@ class _Keys:
         keys, own = self.times, self.values[:, len(self.values[0]) // 2]
         if len(keys) == 1:
             return np.broadcast_to(own[0], (len(times), own.shape[1]))
+        if len(keys) == len(times) and (keys.astype(np.float32) == times.astype(np.float32)).all():
+            return own
         before = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 2)
         step = keys[before + 1] - keys[before]
         share = np.clip((times - keys[before]) / np.where(step > 0, step, 1.0), 0.0, 1.0)

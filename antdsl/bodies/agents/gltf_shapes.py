@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Channel
-from antdsl.bodies.agents.shape import Blend, Capture, Shape
+from antdsl.bodies.agents.definition import STATE, Blend, BodyError, Capture, Channel, Shape
 from antdsl.scene.geometry.gltf_file import FAN, STRIP, TRIANGLES, Gltf, primitive_triangles
 
 Floats = NDArray[np.float64]
-_EXPORT = "export it anew, as glTF 2.0"
+_OFF = 1e-6  # more or less than 1 that the length of a normal is, to be corrected
+_EXPORT = "export it again, as glTF 2.0"
 
 
 @dataclass(slots=True)
@@ -73,7 +72,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     faces = np.concatenate([f + starts[of] for f, of in zip(pieces.faces, pieces.of, strict=True)]).astype(np.int32)
     points = np.concatenate(pieces.points).astype(np.float32)
     with_normals = all(each is not None for each in pieces.normals)
-    normals = np.concatenate([each for each in pieces.normals if each is not None]).astype(np.float32) if with_normals else None
+    normals = _units(np.concatenate([each for each in pieces.normals if each is not None])) if with_normals else None
     uvs = None
     if any(each is not None for each in pieces.uvs):
         whole = [np.zeros((n, 2)) if each is None else each for each, n in zip(pieces.uvs, counts, strict=True)]
@@ -87,10 +86,17 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     body.shapes[name] = shape
     number = len(pieces.targets[0])
     if any(len(each) != number for each in pieces.targets):
-        raise BodyError(f"has a mesh `{name}` whose primitives have different numbers of morph targets", _EXPORT)
+        raise BodyError(f"has a mesh `{name}` with different numbers of morph targets in its primitives", _EXPORT)
     if number:
         body.shapes[name] = replace(shape, blend=_targets(body, shape, pieces, mesh, node))
     return True
+
+
+def _units(normals: Floats) -> NDArray[np.float32]:
+    """Return normals (n, 3) of length 1: those that a file has as whole numbers are a little longer or shorter."""
+    length = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
+    off = (np.abs(length - 1.0) > _OFF) & (length > 1e-12)
+    return np.where(off, normals / np.where(off, length, 1.0), normals).astype(np.float32)
 
 
 def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: bool) -> None:
@@ -261,7 +267,8 @@ def _materials(body: GltfBody, pieces: _Pieces) -> tuple[tuple[str, ...], NDArra
                 body.left_out[f"the texture of `{name}` is not read, its base colour is"] = None
             red, green, blue, _ = np.clip(file.floats(pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0)), 0.0, 1.0)
             colour = (float(red), float(green), float(blue))
-        body.materials.setdefault(name, colour)
+        if name != STATE:
+            body.materials.setdefault(name, colour)
         names.setdefault(name)
         numbers.append(np.full(len(faces), list(names).index(name), np.int32))
     return tuple(names), np.concatenate(numbers)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.blend_shapes import difference, knots_of, matched, shares_of, values_of
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.definition import Definition, Shape
 
 VERTICES, INDICES = 34962, 34963  # what a buffer view is bound as
 _COMPONENTS = {"f4": 5126, "u2": 5123, "u4": 5125}

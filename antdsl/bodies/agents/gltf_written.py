@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import __version__
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer
+from antdsl.bodies.agents.gltf_clips import write_settings
 from antdsl.bodies.agents.gltf_writer import Entry, GltfWriter, ShapeParts
-from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.other_axes import in_axes
 from antdsl.bodies.agents.transforms import matrix_of, parts_of
 
@@ -37,8 +36,6 @@ def _left_out(body: Definition, layer: Layer) -> list[str]:
         found.append("transform groups are left out: glTF has none")
     if body.metadata:
         found.append("metadata is left out")
-    if any(clip.stride or clip.marks or not clip.loop for clip in body.clips.values()):
-        found.append("strides and marks of clips, and which do not loop, are left out: glTF does not say them")
     if body.legs or body.gaits:
         found.append("legs and gaits are left out: glTF has none")
     if any("dualquat" in binding.deformer for binding in layer.deforming):
@@ -141,4 +138,6 @@ class _Written:
             if set(parts.shape.blend.channels) & set(clip.channels):
                 key(node, "weights", parts.targets.weights(values).reshape(-1))
         if channels:
-            self.writer.add("animations", {"name": clip.name, "samplers": samplers, "channels": channels})
+            self.writer.add(
+                "animations", {"name": clip.name, "samplers": samplers, "channels": channels, "extras": write_settings(clip)}
+            )

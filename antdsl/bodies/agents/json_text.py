@@ -86,7 +86,7 @@ class _Reader:
     def whole(self) -> Node:
         at = self.space(0)
         if at == len(self.text):
-            raise self.refuse(0, 0, f"the file is empty, and {self.what} is wanted", "write `{ … }`")
+            raise self.refuse(0, 0, f"the file is empty: expected {self.what}", "write `{ … }`")
         node = self.value(at, 0)
         at = self.space(node.end)
         if at < len(self.text):

@@ -8,9 +8,8 @@ from itertools import pairwise
 
 from antdsl import limits
 from antdsl.bodies.agents.checked_values import Values
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Definition, Gait, Leg
 from antdsl.bodies.agents.json_text import Node
-from antdsl.bodies.agents.legs import Gait, Leg
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span

@@ -7,10 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import Layer
-from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.definition import Clip, Definition, Layer, Shape
 from antdsl.bodies.agents.transforms import followed_by, matrix_of, parts_of
 
 Axis = tuple[float, float, float]

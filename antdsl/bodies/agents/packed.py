@@ -16,14 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import Binding, Layer, TransformGroup
-from antdsl.bodies.agents.legs import Gait, Leg
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Channel, Rig
-from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
-from antdsl.bodies.agents.variation import Variation
+from antdsl.bodies.agents.definition import (
+    Between,
+    Binding,
+    Blend,
+    BodyError,
+    Capture,
+    Channel,
+    Clip,
+    Definition,
+    Gait,
+    Layer,
+    Leg,
+    Rig,
+    Shape,
+    TransformGroup,
+    Variation,
+)
 
 KINDS = ("f4", "f8", "i4", "i8")
 PARTS = ("text", *KINDS)

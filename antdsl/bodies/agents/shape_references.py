@@ -11,8 +11,8 @@ import numpy as np
 from antdsl import limits
 from antdsl.bodies.agents.body_files import GLTF, MESHES, USD, BodyFiles, ending
 from antdsl.bodies.agents.checked_values import Values
+from antdsl.bodies.agents.definition import Between, Blend, Shape
 from antdsl.bodies.agents.json_text import Node
-from antdsl.bodies.agents.shape import Between, Blend, Shape
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import read_mesh
 from antdsl.scene.model import UNIT_MM
@@ -162,7 +162,7 @@ def _factor(values: Values, node: Node | None, unit: float) -> float:
     if node is None:
         return 1.0
     if not isinstance(node.value, str) or node.value not in UNIT_MM:
-        values.report.error("wrong-value", "a unit of length is wanted here", values.span(node), 'write `"mm"`')
+        values.report.error("wrong-value", "expected a unit of length here", values.span(node), 'write `"mm"`')
         return 1.0
     return UNIT_MM[node.value] / unit
 

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, Numbers, inverse_transposed, product, quaternions, rotation_part, times
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.shape import Shape
 
 
 @dataclass(frozen=True, slots=True, eq=False)

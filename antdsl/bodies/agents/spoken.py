@@ -6,8 +6,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import replace
 
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.variation import Variation
+from antdsl.bodies.agents.definition import Definition, Variation
 
 _OTHER = re.compile(r"[^a-z0-9_]+")
 

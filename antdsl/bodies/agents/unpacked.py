@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.definition_checks import whole
 from antdsl.bodies.agents.definition_document import Parts
 from antdsl.bodies.agents.packed import read_packed
-from antdsl.bodies.agents.problems import BodyError
 from antdsl.diagnostics import Report
 
 

@@ -14,14 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Binding, BodyError, Clip, Definition, Layer, Rig
 from antdsl.bodies.agents.gltf_clips import even_times
 from antdsl.bodies.agents.gltf_shapes import rigid, unused
-from antdsl.bodies.agents.layer import Binding, Layer
 from antdsl.bodies.agents.packed import packed
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Rig
 from antdsl.bodies.agents.transforms import followed_by, one_sign, unit_quaternion
 from antdsl.bodies.agents.usd_shapes import Skin, UsdBody, read_usd_shape
 from antdsl.reader.refusal import Refusal
@@ -128,21 +124,19 @@ def _bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
 def _skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
     """Adds the joints of a skeleton."""
     if not query:
-        raise BodyError(f"has a skeleton `{prim.GetPath()}` that does not hold together", "export it anew")
+        raise BodyError(f"has a skeleton `{prim.GetPath()}` that does not hold together", "export it again")
     paths = [str(path) for path in query.GetJointOrder()]
     parents = list(query.GetTopology().GetParentIndices())
     rest = query.ComputeJointLocalTransforms(body.stage.first, True)
     bind = query.GetJointWorldBindTransforms()
     if rest is None or len(rest) != len(paths) or len(bind) != len(paths):
-        raise BodyError(f"has a skeleton `{prim.GetPath()}` without a rest pose for each joint", "export it anew")
+        raise BodyError(f"has a skeleton `{prim.GetPath()}` without a rest pose for each joint", "export it again")
     leaves = [path.rsplit("/", 1)[-1] for path in paths]
     top = body.joint(prim.GetName(), -1, _place(body.stage, prim))
     names = []
     for number, path in enumerate(paths):
         if not -1 <= parents[number] < number:
-            raise BodyError(
-                f"has a skeleton `{prim.GetPath()}` whose joints do not come behind their parents", "export it anew", "bad-rig"
-            )
+            raise BodyError(f"has a skeleton `{prim.GetPath()}` with joints before their parents", "export it again", "bad-rig")
         name = leaves[number] if leaves.count(leaves[number]) == 1 else path
         above = top if parents[number] < 0 else top + 1 + parents[number]
         names.append(body.names[body.joint(name, above, column_matrix(rest[number]))])
@@ -168,12 +162,12 @@ def _skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
     missing = next((path for path in paths if path not in number), None)
     if missing is not None:
         raise BodyError(
-            f"has a mesh `{mesh.GetPath()}` that follows `{missing[:80]}`, which its skeleton does not have", "export it anew"
+            f"has a mesh `{mesh.GetPath()}` that follows `{missing[:80]}`, which its skeleton does not have", "export it again"
         )
     bind = np.array([column_matrix(m) for m in skeleton.query.GetJointWorldBindTransforms()])[[number[path] for path in paths]]
     if not all(has_inverse(matrix[:3]) for matrix in bind):
         words = f"has a skeleton `{skeleton.prim.GetPath()}` with a bind transform that flattens"
-        raise BodyError(words, "export it anew")
+        raise BodyError(words, "export it again")
     back = np.tile(np.eye(4), (len(bind), 1, 1))
     back[:, :3] = [inverse(matrix[:3]) for matrix in bind]
     found = followed_by(back, column_matrix(target.GetGeomBindTransform()))
@@ -237,17 +231,17 @@ def _clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left
         if joints:
             parts = query.ComputeJointLocalTransformComponents(code)
             if parts is None or any(len(part) != len(paths) for part in parts):
-                raise BodyError(f"has an animation `{name}` without a transform for each of its joints", "export it anew")
+                raise BodyError(f"has an animation `{name}` without a transform for each of its joints", "export it again")
             translation[count], scale[count] = (np.array(parts[k], np.float64).reshape(-1, 3)[columns] for k in (0, 2))
             turns = [(*each.GetImaginary(), each.GetReal()) for each in parts[1]]
             rotation[count] = np.array(turns, np.float64)[columns]
         if shares:
             given = query.ComputeBlendShapeWeights(code)
             if given is None or len(given) != len(order):
-                raise BodyError(f"has an animation `{name}` without a weight for each of its blend shapes", "export it anew")
+                raise BodyError(f"has an animation `{name}` without a weight for each of its blend shapes", "export it again")
             weights[count] = np.array(given, np.float64)[shares]
     if not all(np.isfinite(each).all() for each in (translation, rotation, scale, weights)):
-        raise BodyError(f"has an animation `{name}` with a value that is not finite", "export it anew")
+        raise BodyError(f"has an animation `{name}` with a value that is not finite", "export it again")
     return Clip(
         name, rate, joints, translation.astype(np.float32), one_sign(unit_quaternion(rotation)).astype(np.float32),
         scale.astype(np.float32), None, tuple(order[count] for count in shares), weights.astype(np.float32),

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import PARTS, read_packed
-from antdsl.bodies.agents.problems import BodyError
 from antdsl.reader.protocol import ProtocolError
 from antdsl.reader.refusal import Refusal, shown
 from antdsl.scene.geometry.usd import UsdError, open_stage

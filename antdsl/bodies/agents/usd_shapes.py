@@ -10,17 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.bodies.agents.definition import Between, Blend, BodyError, Capture, Channel, Shape
 from antdsl.bodies.agents.gltf_shapes import captured, unused
-from antdsl.bodies.agents.problems import BodyError
-from antdsl.bodies.agents.rig import Channel
-from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import pxr
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
-_EXPORT = "export it anew"
+_EXPORT = "export it again"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +49,7 @@ class UsdBody:
         if len(self.names) >= limits.JOINTS:
             raise BodyError(f"has more than {limits.JOINTS:,} joints", code="too-large")
         if not np.isfinite(rest).all():
-            raise BodyError(f"has a joint `{name}` whose transform is not finite", "export it anew")
+            raise BodyError(f"has a joint `{name}` with a transform that is not finite", "export it again")
         self.names.append(unused(name, self.names))
         self.parents.append(parent)
         self.rest.append(rest)
@@ -109,7 +107,7 @@ def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Whole, 
         raise BodyError(f"has a mesh `{prim.GetPath()}` of more than {limits.MESH_FACES:,} faces", code="too-large")
     right = counts.sum() == len(corners) and (not len(counts) or counts.min() >= 0)
     if not right or (len(corners) and (corners.min() < 0 or corners.max() >= len(points))):
-        raise BodyError(f"has a mesh `{prim.GetPath()}` whose faces name points which are not there", _EXPORT)
+        raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that name missing points", _EXPORT)
     try:
         cut = triangulate(points, counts, corners)
     except TooManyCorners as why:
@@ -217,7 +215,7 @@ def _moved(body: UsdBody, shape: Shape, name: str, source: Whole, points: Floats
     moves = _rows(offsets, 3)
     right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))
     if not right or not np.isfinite(moves).all():
-        raise BodyError(f"has a blend shape `{name}` whose offsets do not fit its mesh", _EXPORT)
+        raise BodyError(f"has a blend shape `{name}` with offsets that do not fit its mesh", _EXPORT)
     whole = np.zeros_like(points)
     whole[rows] = moves
     normals = shape.normals

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from antdsl import limits
 from antdsl.bodies.agents.checked_values import Values
+from antdsl.bodies.agents.definition import Colour, Variation
 from antdsl.bodies.agents.json_text import Node
-from antdsl.bodies.agents.variation import Colour, Variation
 from antdsl.source import Span
 
 Places = dict[tuple[str, str], Span]

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.clip_table import ClipTable
-from antdsl.bodies.agents.layer import TransformGroup
+from antdsl.bodies.agents.definition import Rig, TransformGroup, Variation
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.rig import Rig
-from antdsl.bodies.agents.variation import Variation
 from antdsl.numerics.randomness import uniform
 
 

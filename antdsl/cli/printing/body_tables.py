@@ -8,12 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.clip import Clip
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import Layer
-from antdsl.bodies.agents.legs import Gait
+from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape
 from antdsl.bodies.agents.metadata import plain_metadata
-from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.agents.spoken import spoken_names
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.places import safe_line

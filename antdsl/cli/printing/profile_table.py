@@ -38,7 +38,7 @@ def _tell(console: Console, profile: Profile, lines: bool) -> None:
     phases = sorted(profile.phases.items(), key=lambda each: -each[1])
     _table(console, "phase", ((name, "", ms) for name, ms in phases), whole, profile.worked)
     if not lines:
-        console.print("layers and lines are told for the backends `native` and `numpy`")
+        console.print("layers and lines are measured on the backends `native` and `numpy`")
         return
     layers = sorted(profile.layers, key=lambda each: -each.ms)
     _table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), whole)

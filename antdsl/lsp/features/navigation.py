@@ -182,7 +182,7 @@ def renamable(workspace: Workspace, document: Document, offset: int) -> Occurren
     found = replace(found, key=meant(workspace, document, found.key))
     word = found.span.text.strip('"')
     if found.key[0] not in GIVEN_BY_AUTHOR or (found.key[0] == "event" and found.key[1] in ("spawn", "collision")):
-        raise Refused(f"`{word}` is a word of the language, or nobody declares it")
+        raise Refused(f"`{word}` is a word of the language, or is declared nowhere")
     return found
 
 

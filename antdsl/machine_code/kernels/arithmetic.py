@@ -11,6 +11,7 @@ import numpy as np
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED
 from antdsl.machine_code.kernels.values import Number, constant
 from antdsl.machine_code.kernels.vectors import Vectors
+from antdsl.machine_code.kinds import WIDTH
 
 _FOLDED: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b, ast.FloorDiv: lambda a, b: a // b,
@@ -27,6 +28,18 @@ class Arithmetic(Vectors[Number]):
     """Operations on numbers."""
 
     mask: Number | None = None  # the turns for which the text counts; None where one turn is written
+    reached: Number | None = None  # the mask that holds for one turn at least wherever it is the present one
+
+    def some(self, mask: Number) -> Number:
+        """Whether a mask holds for one turn at least."""
+        bits = self.op("lanes", f"i{WIDTH}", mask, lanes=1)
+        return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
+
+    def counts(self) -> Number | None:
+        """Whether the text counts for one turn at least; None where it does for certain."""
+        if self.mask is None or self.mask.known is not None or self.mask is self.reached:
+            return None
+        return self.some(self.mask)
 
     def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
         return Number(kind, name, known, lanes)
@@ -148,7 +161,9 @@ class Arithmetic(Vectors[Number]):
         if b.known == 0:
             self.fail(node, "division by 0")
         if b.known is None:
-            self.do("divisor", b, *([self.mask] if b.wide and self.mask is not None else []), node=node)
+            counts = None if b.wide else self.counts()
+            checked = b if counts is None else self.select(counts, b, self.convert(constant(1), b.kind))
+            self.do("divisor", checked, *([self.mask] if b.wide and self.mask is not None else []), node=node)
             without = self.compare("eq", b, constant(0))
             if a.kind == INT and (a.known is None or a.known == _INT_RANGE[0]):
                 both = self.both(self.compare("eq", b, constant(-1)), self.compare("eq", a, constant(_INT_RANGE[0])))

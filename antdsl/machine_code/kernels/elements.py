@@ -24,6 +24,9 @@ class Elements(Arithmetic):
         if index.known is not None and (index.known < 0 or (length.known is not None and index.known + count > length.known)):
             self.fail(node, f"{index.known} is no index of an axis, or a negative one")
         if index.known is None or length.known is None:
+            counts = None if index.wide else self.counts()
+            if counts is not None:
+                index, length = self.select(counts, index, constant(0)), self.select(counts, length, constant(count))
             self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
 
     def _check_span(self, array: Array, first: Number, count: int = WIDTH) -> None:
@@ -51,7 +54,7 @@ class Elements(Arithmetic):
         """The element so far behind the first one."""
         scalar = array.of
         if not at.wide:
-            found = self.op("load", scalar.loaded, self._place(array, at))
+            found = self.op("load", scalar.loaded, self._counting(self._place(array, at)))
         elif at.first:
             self._check_span(array, at.first)
             found = self._load_lanes(array, scalar.loaded, self._place(array, at.first))
@@ -120,6 +123,11 @@ class Elements(Arithmetic):
         """The address of an element of an array so far behind another one."""
         index = Number(INT, str(at)) if isinstance(at, int) else at
         return self.op("element", "ptr", address, index, x=array.of.stored, lanes=index.lanes)
+
+    def _counting(self, place: Number) -> Number:
+        """The address of an element that is the same for all turns; of zeros where no turn counts, and the index may be none."""
+        counts = self.counts()
+        return place if counts is None else self.op("select", "ptr", counts, place, ZEROS)
 
     def _places(self, array: Array, at: Number) -> Number:
         """The addresses of elements; of zeros that nobody writes to for turns that do not count."""

@@ -82,19 +82,15 @@ class SideBySide(Writer):
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
-    def _some(self, mask: Number) -> Number:
-        bits = self.op("lanes", f"i{WIDTH}", mask, lanes=1)
-        return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
-
     def _within(self, mask: Number, write: Callable[[], None]) -> None:
         """Write what is done where a mask holds for some of the turns."""
-        before, then, done = self.mask, self.label("then"), self.label("done")
+        before, reached, then, done = self.mask, self.reached, self.label("then"), self.label("done")
         if mask.known is None:
-            self.branch(self._some(mask), then, done)
+            self.branch(self.some(mask), then, done)
             self.begin(then)
-        self.mask = mask
+        self.mask = self.reached = mask
         write()
-        self.mask, self.open = before, True
+        self.mask, self.reached, self.open = before, reached, True
         if mask.known is None:
             self.jump(done)
             self.begin(done)
@@ -149,10 +145,12 @@ class SideBySide(Writer):
         here = self.both(self.mask, self.widened(self.truth(test)))
         self.put(turns.inside, here)
         self.put(turns.now, here)
-        self.branch(self._some(here), inner, end)
+        self.branch(self.some(here), inner, end)
         self.begin(inner)
-        self.mask = here
+        reached = self.reached
+        self.mask = self.reached = here
         self.block(body)
+        self.reached = reached
         self.jump(head)
         self.begin(end)
         self._left(before, body)
@@ -189,10 +187,12 @@ class SideBySide(Writer):
         here = self.widened(here)
         self.put(turns.inside, here)
         self.put(turns.now, here)
-        self.branch(self._some(here), inner, done)
+        self.branch(self.some(here), inner, done)
         self.begin(inner)
-        self.mask, self.variables[name] = here, at
+        reached = self.reached
+        self.mask, self.reached, self.variables[name] = here, here, at
         write()
+        self.reached = reached
         self.put(number, self.arithmetic(ast.Pass(), ast.Add(), at, constant(step)))
         self.jump(head)
         self.begin(done)

@@ -8,9 +8,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import PARTS, digest, packed
-from antdsl.bodies.agents.problems import BodyError
 from antdsl.bodies.agents.unpacked import unpacked
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest
 

@@ -70,15 +70,15 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     make_folder(folder)
     for name in ("frames", "checkpoints"):
         if is_link(folder / name):
-            raise InTheWay(f"`{folder / name}` is a link, and a folder is wanted there")
+            raise InTheWay(f"`{folder / name}` is a link, but a folder is needed there")
         if (folder / name).exists() and not (folder / name).is_dir():
-            raise InTheWay(f"`{folder / name}` is a file, and a folder is wanted there")
+            raise InTheWay(f"`{folder / name}` is a file, but a folder is needed there")
     for path in _files(folder):
         if path.is_dir() and not path.is_symlink():
-            raise InTheWay(f"`{path}` is a folder, and a file of the cache is wanted there")
+            raise InTheWay(f"`{path}` is a folder, but a file of the cache is needed there")
     lock = folder / LOCK
     if os.path.lexists(lock) and not stat.S_ISREG(os.lstat(lock).st_mode):
-        raise InTheWay(f"`{lock}` is a link or a device, and a file of the cache is wanted there")
+        raise InTheWay(f"`{lock}` is a link or a device, but a file of the cache is needed there")
     marker = folder / MARKER
     if not marker.exists():
         # a lock or a half-written marker is what a run leaves that was killed as it began

@@ -77,7 +77,7 @@ def _kind(name: str, dtype: np.dtype[Any]) -> str:
     """What a type is in a file."""
     kind = dtype.newbyteorder("<").str
     if kind not in DTYPES:
-        raise ValueError(f"array `{name}` of type {dtype} cannot be kept")
+        raise ValueError(f"array `{name}` of type {dtype} cannot be stored")
     return kind
 
 

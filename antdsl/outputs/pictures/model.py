@@ -11,7 +11,7 @@ from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.library.table import library_body
+from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import NOTHING, PosedBody
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.definition import Clip
 from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody

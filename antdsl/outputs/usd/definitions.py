@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.bodies.agents.blend_shapes import difference, knots_of, matched, values_of
-from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.layer import Binding
-from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.usd.drawn import DrawnBody
 from antdsl.outputs.usd.materials import Looks

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.posed_body import STATE
+from antdsl.bodies.agents.definition import STATE
 from antdsl.outputs.usd.values import Array, identifier, integers
 from antdsl.scene.geometry.usd import pxr
 

@@ -65,7 +65,7 @@ def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
         _assign_all(w, s, attribute)
         return
     if s.of is None:
-        raise PlanError(f"a value per pair about nobody: {s.span.text!r}")
+        raise PlanError(f"a value per pair without another agent: {s.span.text!r}")
     whom = _id(w, lower(w, s.of))
     value = _changed(w, s, read(w, attribute, s.of), scalar(w, s.value))
     with w.region(w.b("ne", whom, w.b.agent(-1)), s.span):

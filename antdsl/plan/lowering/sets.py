@@ -84,7 +84,7 @@ def scalar_of_agent(w: Writer, e: model.Expr | None, whole: model.SetOf) -> Node
         raise PlanError(f"a set without its size: {whole.span.text!r}")
     node = scalar(w, e)
     if node.rate > Rate.AGENT:
-        raise NotYet("a set whose size depends on an element of another set", e.span, "use a size that is the agent's own")
+        raise NotYet("a set with a size that depends on an element of another set", e.span, "use a size that is the agent's own")
     return node
 
 

@@ -48,7 +48,7 @@ class StretchHistory:
         self.stretch.before_step(world)
 
     def missing(self, frame: int) -> ExplainError:
-        return ExplainError(f"what led to frame {frame} is not kept any more", f"there is {self.session.first} to here")
+        return ExplainError(f"the history of frame {frame} is no longer stored", f"there is {self.session.first} to here")
 
     def differs(self, frame: int) -> ExplainError:
         return ExplainError(f"frame {frame} comes out otherwise than it was", "this is a bug in antdsl: please report it")

@@ -108,7 +108,7 @@ def _found(host: str) -> tuple[str, ...]:
     try:
         found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
-        raise CannotListen(f"nobody knows a host `{host}`") from None
+        raise CannotListen(f"there is no host `{host}`") from None
     return tuple(dict.fromkeys(str(each[4][0]) for each in found))
 
 

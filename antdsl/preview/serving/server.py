@@ -168,7 +168,7 @@ class Server:
                     await _let_go(connection, CloseCode.TRY_AGAIN_LATER, "asks too much")
                     return
                 elif tell.take():
-                    mailbox.tell(Refused("", "this page asks too much at once: what it asked last is lost").message_out())
+                    mailbox.tell(Refused("", "this page sends too many requests at once: the last one is lost").message_out())
 
     def _pass_on(self, message: str, mailbox: Mailbox) -> None:
         asked = read(message)
@@ -178,9 +178,7 @@ class Server:
         try:
             self._live.ask(asked, mailbox)
         except Busy:
-            mailbox.tell(
-                Refused(asked.op, "too much was asked before that is not done yet", "ask again in a moment").message_out()
-            )
+            mailbox.tell(Refused(asked.op, "too many requests are waiting", "try again in a moment").message_out())
         except Exception:
             traceback.print_exc(file=sys.stderr)
             mailbox.tell(Refused(asked.op, "this is a bug in antdsl: the terminal has more").message_out())

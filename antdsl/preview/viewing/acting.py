@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.clip_table import ClipTable, clip_table
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Definition, TransformGroup
 from antdsl.bodies.agents.driving import with_channels
-from antdsl.bodies.agents.layer import TransformGroup
 from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
 from antdsl.bodies.agents.varied_bodies import Draws, place_of, size_of
 from antdsl.bodies.blend_targets import of_channels, weights_of

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.catalogue import body_of
-from antdsl.bodies.library.table import BODIES, library_body
+from antdsl.bodies.library import library_body
 from antdsl.bodies.placed import placed, shape_of
 from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import Packets, Seen
+from antdsl.scene.library_bodies import BODY_WORDS, body_of
 
 
 def body_of_species(shot: Shot, species: str) -> Definition:
@@ -19,7 +19,7 @@ def body_of_species(shot: Shot, species: str) -> Definition:
     if own is not None:
         return own
     asked = next((line.body for line in shot.scene.model.crowd if line.species == species), None)
-    return library_body(asked if asked in BODIES else body_of(species))
+    return library_body(asked if asked in BODY_WORDS else body_of(species))
 
 
 class ItemBodies:

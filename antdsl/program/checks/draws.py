@@ -35,7 +35,7 @@ def _test(test: Expr, report: Report) -> None:
             rate = _rate(part)
             report.warning(
                 "draw-in-condition",
-                f"{quoted(part.span)} draws anew in every step",
+                f"{quoted(part.span)} draws a new number in every step",
                 part.span,
                 f"write `{rate}`, which is as likely at {_FPS} frames a second" if rate
                 else "write `chance 20 %/s`, or draw once: an attribute, set in `enter`",

@@ -22,14 +22,14 @@ def events(checked: Checked, report: Report) -> None:
         if raised and not noticed:
             report.warning(
                 "unheard-event",
-                f"nobody notices the event `{event}`",
+                f"no agent notices the event `{event}`",
                 span,
                 f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`",
             )
         elif noticed and not raised:
             report.warning(
                 "silent-event",
-                f"nobody raises the event `{event}`",
+                f"no agent raises the event `{event}`",
                 span,
                 f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens",
             )
@@ -40,6 +40,6 @@ def _told(checked: Checked, event: str, span: Span, report: Report) -> None:
     for name in checked.declared.species:
         if checked.uses("told", f"{event} {name}") and not checked.uses("heard", f"{event} {name}"):
             report.warning(
-                "unheard-event", f"a `{name}` is told of the event `{event}`, and does not notice it", span,
+                "unheard-event", f"a `{name}` gets the event `{event}`, but does not notice it", span,
                 f"write `on {event} {{ … }}` in `species {name}`, or ask for it there: `when {event} -> …`",
             )  # fmt: skip

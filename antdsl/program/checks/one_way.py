@@ -28,7 +28,7 @@ def one_way(checked: Checked, report: Report) -> None:
                 "unread-field",
                 f"field `{field.name}` is laid and never smelled",
                 field.span,
-                f"let somebody follow it: `steer climb({field.name})`, or delete it",
+                f"let agents follow it: `steer climb({field.name})`, or delete it",
             )
 
 
@@ -65,5 +65,5 @@ def _attribute(checked: Checked, species: Species, attribute: AttributeDecl, rep
             "constant-attribute",
             f"attribute `{attribute.name}` is always {value}",
             attribute.span,
-            f"set it where it changes: `{attribute.name} = …`, or make it a `param` if it is the same for all",
+            f"set it where it changes: `{attribute.name} = …`, or make it a `param` if all agents share it",
         )

@@ -33,7 +33,7 @@ def wide_radius(checked: Checked, report: Report) -> None:
             span = own[-1] if own else written.span
             report.warning(
                 "wide-radius",
-                f"within {quoted(span)} there is everybody: that is {radius.number / size:,.0f} body lengths",
+                f"within {quoted(span)} there are all agents: that is {radius.number / size:,.0f} body lengths",
                 span,
                 f"write some body lengths, such as `3 * size`; of all within it the {limits.NEIGHBOURS} nearest count",
             )

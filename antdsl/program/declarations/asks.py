@@ -154,7 +154,7 @@ def _there(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
         case "event":
             if text in EVENTS:
                 scope.report.error(
-                    "wrong-argument", f"`{text}` comes by itself, and nobody can `{row.op}` it", name.span,
+                    "wrong-argument", f"`{text}` is computed, and no agent can `{row.op}` it", name.span,
                     f"give the event another name, such as `{row.op} bump`",
                 )  # fmt: skip
             return text not in EVENTS

@@ -21,7 +21,7 @@ from antdsl.syntax.words import WORDS
 
 _STORED = (Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD)
 _MAY_BE_0 = ("radius", "clearance", "min_speed")
-_EARLY = "starting values are worked out before the animal has sensed anything"
+_EARLY = "starting values are computed before the animal has sensed anything"
 
 
 # --- attributes ------------------------------------------------------------------------------------------------------
@@ -92,9 +92,9 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
 def _belongs(word: str) -> str | None:
     """Where a line that begins with a sense or a word of the language belongs, which no attribute can be called."""
     if word in OTHER_SENSES:
-        return f"what it senses is asked where it is wanted: {OTHER_SENSES[word].replace('X', 'food')}"
+        return f"write the sense where its value is needed: {OTHER_SENSES[word].replace('X', 'food')}"
     if word in BUILTINS or word in REDUCERS:
-        return f"`{word}` is asked where its value is wanted: `let x = {word}(…)`"
+        return f"`{word}` belongs where its value is needed: `let x = {word}(…)`"
     return f"`{word}` is a word of the language and begins no line here" if word in WORDS else None
 
 

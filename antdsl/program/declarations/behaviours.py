@@ -223,7 +223,7 @@ def _keep(scope: Scope, line: nodes.Keep) -> Binding:
     if type.kind not in _STORED:
         scope.report.error(
             "wrong-kind",
-            f"{type_words(type)} cannot be kept",
+            f"{type_words(type)} cannot be stored",
             line.first.span,
             "keep a number, a vector, a yes or no, an item or an agent",
         )
@@ -314,7 +314,7 @@ def _allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
             "keep-inside",
             f"`{name}` remembers something, and {scope.no_keep}",
             node.span,
-            "call it in a line of its own: `steer …`, or a line of `layers`",
+            "call it in a separate line: `steer …`, or a line of `layers`",
         )
         return False
     if info.draws and scope.sets:

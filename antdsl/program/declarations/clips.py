@@ -76,7 +76,7 @@ def _sensible(scope: Scope, clip: str, argument: str, found: Expr) -> bool:
     words, help = "", ""
     if argument == "add" and known is None:
         words, help = (
-            f"`add` of `play` is the same for all, and `{text}` may be another for each",
+            f"`add` of `play` is one value for all agents, but `{text}` may differ",
             f"write `play {clip}(add: true)`",
         )
     elif argument == "weight" and known is not None and not 0 <= known.number <= 1:
@@ -94,5 +94,5 @@ def one_clip(scope: Scope, node: nodes.State) -> None:
     for line in lines[1:]:
         scope.report.error(
             "two-writers", f"`{node.name.text}` plays a clip already, and a state plays one", line.span,
-            "play it in a machine of its own, `machine arms { … }`", labels=(Label(lines[0].span, "first here"),),
+            "play it in a separate machine, `machine arms { … }`", labels=(Label(lines[0].span, "first here"),),
         )  # fmt: skip

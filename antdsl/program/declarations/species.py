@@ -175,7 +175,7 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
         if node.each.strongest is None:
             scope.report.error(
                 "missing-bound",
-                f"`{attribute.name}` does not say about how many it is kept",
+                f"`{attribute.name}` does not say for how many others it is stored",
                 node.each.span,
                 f"write `for each {each}, strongest 8`",
             )

@@ -288,7 +288,7 @@ def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, a
         names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
         report.error(
             "wrong-rate",
-            f"{text} differs from agent to agent, and nobody in particular is asked",
+            f"{text} differs from agent to agent, but no agent is named",
             found.span,
             f"write it in `each {names[0]} {{ … }}`, or ask for the `share`, `mean`, `min` or `max` of all",
         )

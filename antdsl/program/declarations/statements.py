@@ -127,7 +127,7 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
     assert species is not None
     scope.bind_own(name.span, name.text)
     if text in species.each:
-        report.error("wrong-kind", f"`{text}` is a value per pair: say about whom", name.span, f"write `{text}[other]`")
+        report.error("wrong-kind", f"`{text}` is a value per pair: name the other agent", name.span, f"write `{text}[other]`")
         return None
     if text in species.attributes:
         return text, species.attributes[text]
@@ -142,7 +142,7 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
     if text in species.params:
         report.error(
             "not-settable",
-            f"`{text}` is a param, the same for all agents",
+            f"`{text}` is a param, with one value for all agents",
             name.span,
             f"make it an attribute: `{text} = …` without `param`",
         )

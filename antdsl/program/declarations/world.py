@@ -67,7 +67,7 @@ def _thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
     if kind not in ("items", "species") and item.attributes:
         report.error(
             "wrong-kind",
-            f"{kind} `{name}` has no values of its own",
+            f"{kind} `{name}` has no values",
             item.attributes[0].span,
             "only `items` and `species` have attributes",
         )

@@ -246,7 +246,7 @@ _ROWS = (
                     Arg("most", "number", "10", above=0, whole=True),
                 ),
                 "velocity",
-                "the velocity nearest to `wish` by which it meets nobody for `horizon`, if the others do their half",
+                "the velocity nearest to `wish` that avoids collisions for `horizon`, if the others do their half",
                 "clear_velocity",
                 "",
                 sense=True,
@@ -289,7 +289,7 @@ _ROWS = (
         "contact",
         "species",
         (Part("whom", "l"), *(Part(f"touched{number}", "l") for number in range(1, limits.TOUCHED + 1))),
-        "the id of the deepest agent that the body has begun to touch, -1 for nobody, and of all that it touches then; operands: "
+        "the id of the deepest agent that the body has begun to touch, -1 for none, and of all that it touches then; operands: "
         "of those whom it touched until now",
         operands="l" * limits.TOUCHED,
         trace="begins to touch number {whom:.0f}",

@@ -20,7 +20,7 @@ _SET_ROWS = (
             _set(
                 "neighbours",
                 (Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True), _MOST),
-                "others of its own species (or of another) near it and in its field of view",
+                "others of the same species (or of another) near it and in its field of view",
             ),
         ),
         ("set.agents",),

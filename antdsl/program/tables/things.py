@@ -58,7 +58,7 @@ _ROWS = (
     ),
     KindOfThing(
         "items",
-        "things that are placed, each with values of its own",
+        "things that are placed, each with its own values",
         "world { items fruit { load = 0 } }",
         serves=("items",),
         typed="all items of a name",

@@ -121,7 +121,7 @@ _DRAW = Cost(60, "{word}", "draws")
 # What is no sense: a function of its arguments, or a draw.
 _PLAIN: dict[str, tuple[Builtin, ...]] = {
     "abs": (_f("abs", [Arg("x", "number A")], "number A", "without its sign"),),
-    "clamp": (_f("clamp", [Arg("x", "number A"), Arg("to", "range A")], "number A", "kept inside a range"),),
+    "clamp": (_f("clamp", [Arg("x", "number A"), Arg("to", "range A")], "number A", "limited to a range"),),
     "floor": (_f("floor", [Arg("x", "number")], "number", "the whole number below"),),
     "sqrt": (
         _f("sqrt", [Arg("x", "number A")], "number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE),

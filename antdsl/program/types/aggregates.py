@@ -69,7 +69,7 @@ class SpecRules:
         if self.inside:
             scope.report.error(
                 "set-in-set",
-                "`at_start` cannot stand inside of what is asked of each",
+                "`at_start` cannot stand inside an expression for each agent",
                 span,
                 "write `at_start(total(food.load))`",
             )
@@ -89,7 +89,7 @@ class SpecRules:
             return bad(span)
         if self.inside or scope.species is not None or found.type.kind is not Kind.NUMBER or found.rate > Rate.STEP:
             scope.report.error(
-                "wrong-rate", "`other` is a number of the whole in another run, where nobody in particular is asked", span,
+                "wrong-rate", "`other` is a number of the whole in another run, where no agent is named", span,
                 "write it in a line of the spec itself: `always: total(nest.load) >= other`",
             )  # fmt: skip
             return bad(span)
@@ -128,7 +128,7 @@ class SpecRules:
         if self.cells == field:
             return CellValue(NUMBER, Rate.ELEMENT, node.span, field)
         scope.report.error(
-            "wrong-rate", f"`{field}.value` is a value of each cell, and nobody says of which", node.span,
+            "wrong-rate", f"`{field}.value` needs a cell", node.span,
             f"ask of all: `max({field}.value)`, `share({field}.value > 0)`; where an agent stands it is `{field}` alone",
         )  # fmt: skip
         return bad(node.span)
@@ -209,7 +209,7 @@ class SpecRules:
     def _nested(self, scope: Scope, span: Span) -> bool:
         if self.inside:
             scope.report.error(
-                "set-in-set", f"{quoted(span)} stands inside of what is asked of each", span, "ask the one beside the other"
+                "set-in-set", f"{quoted(span)} stands inside an expression for each agent", span, "ask the one beside the other"
             )
         return self.inside
 
@@ -288,7 +288,7 @@ class SpecRules:
         if not whole or found.how in ("best", "nearest") or found.type.kind not in (Kind.NUMBER, Kind.BOOL):
             scope.report.error(
                 "wrong-rate",
-                f"{quoted(found.span)} is asked of nobody in particular",
+                f"{quoted(found.span)} needs an agent, but none is named",
                 found.span,
                 "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all",
             )
@@ -345,7 +345,7 @@ def _whom(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Type | None:
     if len(things) > 1:
         parts = " and ".join(f"`{name}`" for name in things)
         scope.report.error(
-            "wrong-argument", f"{quoted(node.span)} asks of {parts} at once", node.span, "ask of each by itself, and add up"
+            "wrong-argument", f"{quoted(node.span)} asks of {parts} at once", node.span, "ask of each one separately, and add up"
         )
         return None
     if scope.species is not None:
@@ -360,7 +360,7 @@ def _whom(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Type | None:
         advice = f"name the species: `{node.function.span.text}({name}.{text})`"
     else:  # a sense has no owner to name
         advice = f"name the species: `count(a in {name}: {text})`, or ask in `each {name} {{ … }}`"
-    scope.report.error("wrong-argument", f"{quoted(node.span)} does not say of whom", node.span, advice)
+    scope.report.error("wrong-argument", f"{quoted(node.span)} does not say of which agents", node.span, advice)
     return None
 
 

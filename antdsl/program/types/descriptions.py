@@ -72,7 +72,7 @@ def mismatch(report: Report, node: nodes.Expr, actual: Type, wanted: Type, place
         report.add(
             Diagnostic(
                 "wrong-kind",
-                f"`{text}` is a map, whose value is a plain number, and {place} wants {type_words(wanted)}",
+                f"`{text}` is a map of plain numbers, and {place} wants {type_words(wanted)}",
                 node.span,
                 help=f"what is painted with directions is a flow: `world {{ flow {text} }}`",
             )
@@ -168,7 +168,7 @@ def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
         return f"`distance({short})` is a length; `{short}.size` and the like are its values"
     if wanted.kind is Kind.FLOW:
         if actual.kind is Kind.VECTOR:
-            return f"`toward({short})` takes any direction; here the name of a flow is wanted"
+            return f"`toward({short})` takes any direction; here the name of a flow is needed"
         return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"
     if wanted.kind is Kind.ITEM and actual.kind is Kind.ITEMS:
         return f"`nearest({short})` is one of them"

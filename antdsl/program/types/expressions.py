@@ -135,8 +135,8 @@ def _too_early(scope: Scope, name: str, span: Span) -> None:
 
 def about_whom(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
     """The complaint about a value per pair that is named as if it were a value of one."""
-    help = f"it is read by the one whose it is: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
-    scope.report.error("wrong-kind", f"`{node.text}` is a value per pair: say about whom", node.span, help)
+    help = f"the agent that has it reads it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
+    scope.report.error("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
     return bad(node.span)
 
 
@@ -334,7 +334,7 @@ def _no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict[str, T
     else:
         scope.report.error(
             "wrong-kind",
-            f"{quoted(node.owner.span)} is {type_words(owner.type)} and has no values of its own",
+            f"{quoted(node.owner.span)} is {type_words(owner.type)} and has no values",
             node.span,
             f"leave `.{name}` out",
         )

@@ -59,7 +59,7 @@ def resting(scope: Scope, attribute: AttributeDecl, to: Expr | None) -> None:
         )  # fmt: skip
     elif to is not None and to.type.kind is not Kind.BAD and not _alike(default, to):
         scope.report.error(
-            "wrong-argument", f"`{name}` begins at {text} about everybody, and cannot return to {quoted(to.span)}", to.span,
+            "wrong-argument", f"`{name}` begins at {text} for all others, and cannot return to {quoted(to.span)}", to.span,
             f"write `relax to {text}`",
         )  # fmt: skip
 

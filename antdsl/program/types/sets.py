@@ -66,7 +66,7 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
             return bad(node.span)
         of = species.type.of
     elif scope.behaviour is None and scope.species is None:
-        scope.report.error("wrong-argument", "`neighbours` of nobody", node.span, "say whose: `of: forager`")
+        scope.report.error("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
         return bad(node.span)
     _check_reach(scope, radius, node)
     most = _most(scope, name, row, found, node)
@@ -79,7 +79,7 @@ def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
     if known is not None and known.number <= 0:
         scope.report.error(
             "out-of-range",
-            "a radius of 0 or less reaches nobody",
+            "a radius of 0 or less reaches no agent",
             node.arguments[0].span if node.arguments else node.span,
             "write a length above 0",
         )
@@ -118,7 +118,7 @@ def every(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
 
 
 def _within_set(scope: Scope, element: Binding) -> Scope:
-    return scope.inside(sets=(*scope.sets, element), no_keep="inside a set it would not be clear whose memory it is")
+    return scope.inside(sets=(*scope.sets, element), no_keep="inside a set it would not be clear which agent remembers")
 
 
 def nearest(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
@@ -286,5 +286,5 @@ def _check_nesting(scope: Scope, made: Expr, node: nodes.Call) -> None:
     if outer is not None:
         scope.report.error(
             "set-in-set", f"{quoted(node.span)} would look at the neighbours of neighbours, through `{outer.name}`", node.span,
-            "keep what is asked about each in an attribute of its own, and read that",
+            "store the inner result in an attribute, and read that",
         )  # fmt: skip

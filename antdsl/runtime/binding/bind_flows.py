@@ -63,7 +63,7 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     except LatticeTooFine as why:
         report.error(
             "flow-too-fine",
-            f"flow `{name}` would be worked out in about {why.needed:,} points; {limits.FLOW_POINTS:,} are allowed",
+            f"flow `{name}` would have about {why.needed:,} points; {limits.FLOW_POINTS:,} are allowed",
             world.setting.spans.get(name),
             "give it a larger `cell`, or a smaller `radius`",
         )

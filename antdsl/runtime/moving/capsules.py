@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.catalogue import CAPSULES, Capsule, body_of
 from antdsl.numerics import elementary, parallel, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.moving.capsule_distances import before, gathered, measured, met, nothing_seen, trunks
 from antdsl.runtime.world import AXES, Population, World
+from antdsl.scene.library_bodies import CAPSULES, Capsule, body_of
 from antdsl.senses.touching import Bounds, within_reach
 
 Floats = NDArray[np.float64]

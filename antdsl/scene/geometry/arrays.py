@@ -71,9 +71,9 @@ def parse_npy(data: bytes, name: str) -> NDArray[Any]:
     length = int.from_bytes(data[8:10], "little")
     header = _HEADER.fullmatch(data[10 : 10 + length].decode("latin-1"))
     if header is None or header[1] not in DTYPES:
-        raise ArrayFileError(f"has an array `{name}` whose header is not understood")
+        raise ArrayFileError(f"has an array `{name}` with an unknown header")
     shape = tuple(int(part) for part in re.findall("[0-9]+", header[3]))
     dtype = np.dtype(header[1])
     if len(shape) > 8 or prod(shape) * dtype.itemsize != len(data) - 10 - length:
-        raise ArrayFileError(f"has an array `{name}` whose shape does not fit its size")
+        raise ArrayFileError(f"has an array `{name}` with a shape that does not fit its size")
     return np.frombuffer(data, dtype, offset=10 + length).reshape(shape)

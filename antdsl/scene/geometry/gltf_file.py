@@ -135,7 +135,7 @@ class Gltf:
             self._kept[number] = self._read(accessors[number], number)
         found = self._kept[number]
         if width is not None and found.shape[1] != width:
-            raise GltfError(f"has an accessor {number} of {found.shape[1]} numbers where {width} are wanted", _EXPORT)
+            raise GltfError(f"has an accessor {number} of {found.shape[1]} numbers where {width} are needed", _EXPORT)
         return found
 
     def _read(self, accessor: dict[str, Any], number: int) -> NDArray[Any]:

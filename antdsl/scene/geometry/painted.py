@@ -107,7 +107,7 @@ def _from_npz(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     rows = rows[:, None] if rows.ndim == 1 and width == 1 else rows
     if rows.ndim != 2 or rows.shape[1] != width:
         shape = "(n,)" if width == 1 else "(n, 3)"
-        raise PaintError(f"has an array `{names[0]}` of shape {parts[0].shape}, and {shape} is wanted")
+        raise PaintError(f"has an array `{names[0]}` of shape {parts[0].shape}, but needs {shape}")
     return rows
 
 

@@ -177,7 +177,7 @@ def check_live(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> N
             words = f"the mesh `{shown}` is less than a millionth as wide as all surfaces together ({extent:.3g} mm)"
             help = "check its `units` and `scale`, or leave it out"
         else:
-            words = f"the mesh `{shown}` has only faces that are as thin as lines, on which nobody can stand"
+            words = f"the mesh `{shown}` has only faces that are as thin as lines, on which no agent can stand"
             help = "make it wider in the program that made the mesh"
         staging.report.error("bad-mesh", words, span, help)
 

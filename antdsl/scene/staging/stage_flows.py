@@ -289,4 +289,4 @@ def check_densities(staging: Staging, maps: Mapping[str, stage_of.Painted]) -> N
             words = f"`{name}` is painted on `{painted.surface}`, and the crowd is placed on `{line.place.on}`"
             staging.report.error("bad-paint", words, span, f"write `on: {painted.surface}`")
         elif not (painted.values > 0).any():
-            staging.report.error("bad-paint", f"`{name}` is nowhere above 0, so nobody can be placed by it", span)
+            staging.report.error("bad-paint", f"`{name}` is nowhere above 0, so no agent can be placed by it", span)

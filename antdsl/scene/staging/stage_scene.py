@@ -18,7 +18,6 @@ from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program
 from antdsl.scene import setting as stage_of
-from antdsl.scene.crowd_model import BODY_WORDS
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.closed import check_sides
 from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
@@ -26,6 +25,7 @@ from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, sound, within_reach
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
+from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.model import (
     UNIT_MM,

@@ -361,7 +361,7 @@ def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, 
     except MeshError as why:
         words = f"the mesh `{prim}` of `{text}` {why}"
         staging.report.error(
-            "bad-mesh", words, staging.scene.span(*path, "prim"), "mend it where it was made, and export it anew"
+            "bad-mesh", words, staging.scene.span(*path, "prim"), "mend it where it was made, and export it again"
         )
     return None
 

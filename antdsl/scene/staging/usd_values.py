@@ -59,7 +59,7 @@ def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
     if (np.abs(column) > limits.LARGEST).any():
         most = found.names[int(np.nanargmax(np.abs(column)))]
         report.error(
-            "bad-usd", f"`{key}` of `{most}` in `{file.name}` is too large to be kept", file.span, "write a smaller number"
+            "bad-usd", f"`{key}` of `{most}` in `{file.name}` is too large to be stored", file.span, "write a smaller number"
         )
         return np.full(len(found.names), np.nan)
     return column

@@ -60,7 +60,7 @@ class Goldens:
             try:
                 self.files[path] = read_golden(path)
             except GoldenError as why:
-                self.report.error("wrong-value", str(why), None, "write it anew with `antdsl test … --update`")
+                self.report.error("wrong-value", str(why), None, "record it again with `antdsl test … --update`")
         return self.files[path]
 
     def write(self) -> None:

@@ -201,7 +201,7 @@ class Comparer:
             if self.result.frame is None:
                 self.result.outcome = "same"
             else:
-                self.result.words = "no frame after that is kept in detail"
+                self.result.words = "no later frame is stored in detail"
 
     def end(self, world: World) -> None:
         """All is known."""

@@ -66,7 +66,7 @@ def _check_member(entry: zipfile.ZipInfo, seen: set[str]) -> None:
     told = f"`{shown(name[:60])}`"
     parts = name.removesuffix("/").split("/")
     if not all(_NAME.fullmatch(part) and part not in (".", "..") for part in parts) or len(name) > 4096:
-        raise PackageError(f"has a member {told} whose name is absolute, leaves the package or is no plain name")
+        raise PackageError(f"has a member {told} with a name that is absolute, leaves the package or is no plain name")
     if posixpath.normcase(name) in seen:
         raise PackageError(f"has two members {told}")
     seen.add(name)

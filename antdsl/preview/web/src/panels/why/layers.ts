@@ -69,7 +69,7 @@ function row(store: Store, layer: Layer, colour: string): HTMLElement {
 }
 
 function words(layer: Layer): string {
-  if (layer.state === "no strength") return "not asked: no strength is left";
+  if (layer.state === "no strength") return "not evaluated: no strength is left";
   if (layer.state === "off") return "off: its condition does not hold";
   if (layer.state === "nothing") return "no push";
   const push = `push ${shown(layer.length)}`;

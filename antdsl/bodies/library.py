@@ -1,0 +1,21 @@
+"""The definitions of the bodies that come with antdsl, each read when it is first used."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from antdsl import resources
+from antdsl.bodies.agents.definition import BodyError, Definition
+from antdsl.bodies.agents.reading import read_definition
+from antdsl.scene.library_bodies import BODY_WORDS
+
+
+@cache
+def library_body(word: str) -> Definition:
+    """Return the body called `word`. Raises KeyError if it is not among BODY_WORDS, BodyError if its file is damaged."""
+    if word not in BODY_WORDS:
+        raise KeyError(word)
+    found, report = read_definition(resources.body_file(f"{word}.json"))
+    if found is None or not report.ok:
+        raise BodyError(f"`{word}` of the installation is damaged: {report.errors[0].message}", "install antdsl again")
+    return found

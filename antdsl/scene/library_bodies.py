@@ -1,0 +1,33 @@
+"""The bodies that come with antdsl: their names, the room that each takes, and the species that each suits.
+
+They are data: `NAME.json` and `NAME.glb` in `antdsl/bodies/data`, and a row for each in `bodies.json` there."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+from antdsl import resources
+
+
+@dataclass(frozen=True, slots=True)
+class Capsule:
+    """The room that a trunk takes, without legs and feelers, in body lengths.
+
+    It is `length` long and `width` wide along the heading. Its middle is `height` above the feet and `ahead` of them."""
+
+    length: float
+    width: float
+    height: float
+    ahead: float = 0.0
+
+
+_ROWS = json.loads(resources.body_file("bodies.json").read_text("utf-8"))
+CAPSULES = {name: Capsule(**row["capsule"]) for name, row in _ROWS.items()}
+BODY_WORDS = tuple(CAPSULES)  # what a scene's `body:` takes beside files
+_BODY_OF = [(word, name) for name, row in _ROWS.items() for word in row["species"]]
+
+
+def body_of(species: str) -> str:
+    """Return the name of the body that suits a species by its name, an ant where no other does."""
+    return next((name for word, name in _BODY_OF if word in species.lower()), "ant")
