@@ -100,25 +100,25 @@ def test_agents_are_put_in_the_order_of_cells(monkeypatch: pytest.MonkeyPatch, e
     many, ids = crowd(extent)
     crowds = [[each[:count] for each in many] for count in (0, 1, 2, 8, 50, 333, 2000)]
     for positions in (*crowds, [np.full(5, np.nan, np.float32)] * 3):
-        places, count = tuple(np.ascontiguousarray(each) for each in positions), len(positions[0])
-        finite = np.isfinite(np.array(places)).all(axis=0)
-        low, high = box_around(places)
-        assert low == [float(each[finite].min()) if finite.any() else 0 for each in places]
-        assert high == [float(each[finite].max()) if finite.any() else 0 for each in places]
+        columns, count = tuple(np.ascontiguousarray(each) for each in positions), len(positions[0])
+        finite = np.isfinite(np.array(columns)).all(axis=0)
+        low, high = box_around(columns)
+        assert low == [float(each[finite].min()) if finite.any() else 0 for each in columns]
+        assert high == [float(each[finite].max()) if finite.any() else 0 for each in columns]
         order = CellOrder(count, threads)
         for cell in (6.0, 80.0, 0.0, 5e4, 2.0, np.inf):  # arrays serve again
             shape = Shape.of(low, high, cell)
             for each in (shape, shape.as_sheet() if shape.extent[2] > 0 else shape):
-                key = cells_of(each, places)
+                key = cells_of(each, columns)
                 for names in (NO_ORDER, stable_order(ids[:count])):
-                    order.sort(each, places, names)
+                    order.sort(each, columns, names)
                     rows = names if names.size else np.arange(count)
                     rows = rows[np.argsort(key[rows], kind="stable")]
                     assert np.array_equal(order.rows, rows) and np.array_equal(order.at[rows], np.arange(count))
-                    for own, column in zip(order.columns, places, strict=True):
+                    for own, column in zip(order.columns, columns, strict=True):
                         assert np.array_equal(own[:count], column[rows], equal_nan=True)
                     assert np.array_equal(
-                        order.tables["places"][:count, :3].T, [column[rows] for column in places], equal_nan=True
+                        order.tables["places"][:count, :3].T, [column[rows] for column in columns], equal_nan=True
                     )
                     assert (order.tables["starts"] is None) == (each.cells > max(1 << 16, 16 * count)) == (order.starts.size == 0)
                     if order.starts.size:
@@ -149,11 +149,11 @@ def test_a_crowd_of_few_layers_is_a_sheet(layers: int, agents: int, sheet: bool)
 def test_registers_are_put_in_the_order_of_cells(count: int) -> None:
     rng = np.random.default_rng(count)
     four, at = rng.random((4, count)).astype(np.float32), rng.permutation(count).astype(np.int32)
-    expected, found = np.zeros((count, 4), np.float32), np.zeros((count, 4), np.float32)
+    expected, ordered = np.zeros((count, 4), np.float32), np.zeros((count, 4), np.float32)
     expected[at] = four.T
     for first in range(0, count, 1000):
-        in_order(at, tuple(four), found.reshape(-1), first, min(first + 1000, count))
-    assert np.array_equal(found, expected)
+        in_order(at, tuple(four), ordered.reshape(-1), first, min(first + 1000, count))
+    assert np.array_equal(ordered, expected)
 
 
 def test_a_cell_table_too_large_to_list_is_searched() -> None:
