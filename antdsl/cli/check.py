@@ -112,6 +112,10 @@ def check(
         raise Stop(verdict(report))
     if format is Format.full:
         warnings = len(report.diagnostics)
+        if not files and not warnings:
+            folders = ", ".join(f"`{path}`" for path in paths or [Path()])
+            print_result(f"checked no file: there is no program and no scene in {folders}")
+            return
         tail = f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else ", nothing to complain about"
         print_result(f"checked {len(files)} file{'' if len(files) == 1 else 's'}{tail}")
 

@@ -64,6 +64,11 @@ def test_check_without_a_path_checks_the_working_directory(tmp_path: Path, monke
     assert run("check") == (0, "checked 1 file, nothing to complain about\n")
 
 
+def test_check_of_a_folder_without_programs_says_so(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("no program")
+    assert run("check", str(tmp_path)) == (0, f"checked no file: there is no program and no scene in `{tmp_path}`\n")
+
+
 def test_check_reads_a_program_from_standard_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.ant").write_text("ant 1\nbehaviour go() -> push { heading }\n")
     monkeypatch.chdir(tmp_path)

@@ -58,7 +58,7 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
         ("steer wander", 0, ["what the animal wants in this state", "steer seek(meal)"]),
         ("turn_p99", 0, ["how the crowd moves"]),
         ("on ground, boulder", 0, ["where it lies"]),
-        ("from meal", 0, ["from whom it is taken"]),
+        ("from meal", 0, ["the agent or item that it is taken from"]),
         ("total(food", 0, ["the sum over all"]),
         ("state  # whatever", 0, ["what the states of the animal steer"]),
     ],
