@@ -131,7 +131,9 @@ def test_agents_are_put_in_the_order_of_cells(monkeypatch: pytest.MonkeyPatch, e
                     assert width.tolist() == each.width and order.tables["whole"].tolist() == [*each.axes, *each.size, count]
 
 
-@pytest.mark.parametrize("layers, agents, sheet", [(1, 900, True), (2, 9000, True), (5, 9000, False), (5, 1200, True), (5, 300, True)])
+@pytest.mark.parametrize(
+    "layers, agents, sheet", [(1, 900, True), (2, 9000, True), (5, 9000, False), (5, 1200, True), (5, 300, True)]
+)
 def test_a_crowd_of_few_layers_is_a_sheet(layers: int, agents: int, sheet: bool) -> None:
     rng = np.random.default_rng(3)
     x, z = rng.uniform(0, 300, (2, agents)).astype(np.float32)
