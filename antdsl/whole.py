@@ -13,6 +13,7 @@ import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from io import BufferedWriter, FileIO
 from itertools import islice
 from pathlib import Path
@@ -116,6 +117,12 @@ def _is_running(process: int) -> bool:
 
 def _machine() -> str:
     """Eight digits for this machine, and for the container whose process numbers are seen here."""
+    return _machine_of(os.getpid())
+
+
+@lru_cache(1)
+def _machine_of(process: int) -> str:
+    """The same, asked once by each process."""
     from hashlib import blake2b
 
     space = ""
@@ -241,6 +248,18 @@ def sync_file(path: Path) -> None:
             os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def drop_cached(path: Path) -> None:
+    """Have the system give back the memory that it keeps a file in, as far as that is on the disk already. It may not."""
+    if not hasattr(os, "posix_fadvise"):
+        return
+    with suppress(OSError):
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
+        finally:
+            os.close(handle)
 
 
 def sync_files(paths: Iterable[Path]) -> None:

@@ -76,7 +76,7 @@ class DistanceGrid:
 
 
 @inlined
-def _bound(cells, least, px, py, pz):  # type: ignore[no-untyped-def]
+def _bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
     low, high, size, width = cells
     part = 1.0 / width
     ix, iy, iz = _inside(px, low[0], high[0]), _inside(py, low[1], high[1]), _inside(pz, low[2], high[2])
@@ -107,13 +107,13 @@ def at_least_of(places: Places, cells: Cells, least: Array1[F32], found: Array1[
 
 
 @inlined
-def _number(place):  # type: ignore[no-untyped-def]
+def _number(place: F64) -> I64:
     """The number of a cell, of a place among cells that is not below 0."""
     return whole(np.floor(place))
 
 
 @inlined
-def _inside(place, low, high):  # type: ignore[no-untyped-def]
+def _inside(place: F64, low: F64, high: F64) -> F64:
     """As fmin and fmax have it: what is no place lies at the lowest."""
     inside = place if place > low else low
     return inside if inside < high else high

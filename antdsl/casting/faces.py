@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from antdsl.casting.tolerances import CLOSED
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, inlined, kernel
+from antdsl.numerics.kernel_vectors import Vec3, minus
 from antdsl.numerics.kernel_vectors import dot as dot_of
-from antdsl.numerics.kernel_vectors import minus
 from antdsl.numerics.vector_rows import dot, unit
 
 Floats = NDArray[np.float64]
@@ -258,7 +258,7 @@ def hits(
         a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
         h = hair / np.sqrt((x * x + y * y) + z * z)
         face = named[i]
-        t, w0, w1, w2, least = _crossing(planes, face, a, b, c, x, y, z)
+        t, (w0, w1, w2), least = _crossing(planes, face, a, b, c, x, y, z)
         short[i], here[i], hit[i] = h, t, least >= -CLOSED and abs(t) < np.inf and t > h
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         if not abs(least) > rims[face]:
@@ -266,7 +266,7 @@ def hits(
             place = weld[3 * face + _heaviest(w0, w1, w2)]
             most = at[i] + ahead * h
             for k in range(first[place], first[place + 1]):
-                t, w0, w1, w2, least = _crossing(planes, faces[k], a, b, c, x, y, z)
+                t, (w0, w1, w2), least = _crossing(planes, faces[k], a, b, c, x, y, z)
                 good = least >= -CLOSED and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
                 if good and (not hit[i] or t < here[i]):
                     named[i], here[i], hit[i] = faces[k], t, True
@@ -304,19 +304,19 @@ def nearest(
 
 
 @inlined
-def along(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
+def along(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
     """One row of a face's planes, for a place."""
     return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 
 @inlined
-def towards(planes, face, row, x, y, z):  # type: ignore[no-untyped-def]
+def towards(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
     """The same for a way."""
     return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
 
 
 @inlined
-def _least(a, b, c):  # type: ignore[no-untyped-def]
+def _least(a: F64, b: F64, c: F64) -> F64:
     """NaN if any is, as `np.minimum` has it."""
     if a != a or b != b or c != c:
         return np.nan
@@ -324,7 +324,7 @@ def _least(a, b, c):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _heaviest(a, b, c):  # type: ignore[no-untyped-def]
+def _heaviest(a: F64, b: F64, c: F64) -> I64:
     """As `np.argmax` has it: NaN is the greatest, and the first of equals counts."""
     if a != a or (not (b > a or b != b) and not (c > a or c != c)):
         return 0
@@ -334,27 +334,27 @@ def _heaviest(a, b, c):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _crossing(planes, face, a, b, c, x, y, z):  # type: ignore[no-untyped-def]
+def _crossing(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, Vec3, F64]:
     t = -along(planes, face, 0, a, b, c) / towards(planes, face, 0, x, y, z)
     w1 = along(planes, face, 1, a, b, c) + t * towards(planes, face, 1, x, y, z)
     w2 = along(planes, face, 2, a, b, c) + t * towards(planes, face, 2, x, y, z)
     w0 = (1.0 - w1) - w2
-    return t, w0, w1, w2, _least(w0, w1, w2)
+    return t, (w0, w1, w2), _least(w0, w1, w2)
 
 
 @inlined
-def square_of(a):  # type: ignore[no-untyped-def]
+def square_of(a: Vec3) -> F64:
     """The square of a vector's length."""
     return dot_of(a, a)
 
 
 @inlined
-def _on(a, v, s):  # type: ignore[no-untyped-def]
+def _on(a: Vec3, v: Vec3, s: F64) -> Vec3:
     return a[0] + s * v[0], a[1] + s * v[1], a[2] + s * v[2]
 
 
 @inlined
-def nearest_on(corners, face, p):  # type: ignore[no-untyped-def]
+def nearest_on(corners: Array3[F64], face: I64, p: Vec3) -> Vec3:
     """As `nearest_on_triangle`."""
     a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])
     b = (corners[face, 1, 0], corners[face, 1, 1], corners[face, 1, 2])

@@ -23,7 +23,7 @@ from antdsl.machine_code.kernels import (
     scratch,
     whole,
 )
-from antdsl.numerics.kernel_vectors import minus, of
+from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus, of
 
 # As `TriangleGrid.tables`.
 Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
@@ -91,7 +91,7 @@ def faced(
 
 
 @inlined
-def _fetch(grid, origin, zero, way, cells, low, high):  # type: ignore[no-untyped-def]
+def _fetch(grid: Grid, origin: Strided2[F64], zero: Vec3, way: Strided2[F64], cells: Array1[I64], low: I64, high: I64) -> None:
     """Prefetch the faces near both ends of rays from `low` to before `high`; origins count from a `zero`."""
     for i in range(low, high):
         a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
@@ -141,7 +141,7 @@ def felt(grid: Grid, places: Four, asking: Array1[BOOL], ways: Four, found: Felt
 
 
 @called
-def feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
+def feel(grid: Grid, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
     """The normal of what a feeler touches, towards the asker, and after how many mm (inf = nothing, NaN = the grid cannot tell);
     and the face."""
     shape, normals = grid[0], grid[7]
@@ -158,7 +158,7 @@ def feel(grid, p, d, reach):  # type: ignore[no-untyped-def]
 
 
 @called
-def first_hit(grid, a, w):  # type: ignore[no-untyped-def]
+def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """After what part of its way a ray meets its first face, and which."""
     shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
@@ -224,7 +224,9 @@ def first_hit(grid, a, w):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def fetch_rays(grid, origins, zero, ways, rays, cells, count):  # type: ignore[no-untyped-def]
+def fetch_rays(
+    grid: Grid, origins: Array2[F64], zero: Vec3, ways: Array2[F64], rays: Array1[I64], cells: Array1[I64], count: I64
+) -> None:
     """Prefetch the faces near both ends of rays whose numbers are in `rays`; origins and ways (3, k) count from a `zero`."""
     for n in range(count):
         _look_along(grid, minus(of(origins, rays[n]), zero), of(ways, rays[n]), cells, n)
@@ -232,21 +234,21 @@ def fetch_rays(grid, origins, zero, ways, rays, cells, count):  # type: ignore[n
 
 
 @inlined
-def _look_along(grid, a, w, cells, n):  # type: ignore[no-untyped-def]
+def _look_along(grid: Grid, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
     """Put the cubes of both ends of ray `n` of a batch into `cells`."""
     cells[2 * n] = _look_at(grid, a)
     cells[2 * n + 1] = _look_at(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
 
 
 @inlined
-def _fetch_lists(grid, cells, count):  # type: ignore[no-untyped-def]
+def _fetch_lists(grid: Grid, cells: Array1[I64], count: I64) -> None:
     """Prefetch the first faces of the cubes of `count` rays."""
     for n in range(2 * count):
         _fetch_list(grid, cells[n])
 
 
 @inlined
-def _look_at(grid, a):  # type: ignore[no-untyped-def]
+def _look_at(grid: Grid, a: Vec3) -> I64:
     """The cube of a place, or one beside it where there is none, whose beginning is brought near."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
@@ -259,10 +261,10 @@ def _look_at(grid, a):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _fetch_list(grid, cell):  # type: ignore[no-untyped-def]
+def _fetch_list(grid: Grid, cell: I64) -> None:
     """Have the first faces of a cube brought near: two lie in a line of memory."""
     first, listed, bound = grid[2], grid[3], grid[4]
-    k = first[cell]
+    k: I64 = first[cell]
     fetch_ahead(listed, k)
     fetch_ahead(bound, 8 * k)
     fetch_ahead(bound, 8 * k + 16)
@@ -271,7 +273,7 @@ def _fetch_list(grid, cell):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _between(p, inverse, moves, size):  # type: ignore[no-untyped-def]
+def _between(p: F64, inverse: F64, moves: BOOL, size: F64) -> tuple[F64, F64]:
     """After which parts of its way a ray enters and leaves the grid along one axis."""
     if not moves:
         return (0.0, 1.0) if p >= 0.0 and p < size else (np.inf, -np.inf)

@@ -51,7 +51,7 @@ class Nearby:
     _lasting: bool
     _faces: Faces
     _first_face: Index
-    _scene: Any
+    _empty: bool
     _grid: DistanceGrid | None
     _refined: bool
 
@@ -75,7 +75,7 @@ class Nearby:
 
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which places have no face; 0 when near, inf without faces."""
-        if self._scene is None:
+        if self._empty:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
             self._grid = self._distances()
@@ -173,7 +173,7 @@ class Nearby:
         reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
         t = np.full(n, np.inf, np.float32)
         normal = np.zeros((3, n), np.float32)
-        if self._scene is not None and n:
+        if not self._empty and n:
             if self._grid is None:
                 self._grid = self._distances()
             asked = np.flatnonzero(self._grid.at_least(x, y, z) <= reach)
@@ -206,7 +206,7 @@ class Nearby:
         self, points: Vectors, within: NDArray[Any] | float, threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         mesh, face, place, distance = self.closest(points, threads, within)
-        if self._scene is None or not len(points):
+        if self._empty or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
         normal = self._faces.normal(face + self._first_face[mesh])
         away = points - place
@@ -226,7 +226,7 @@ class Nearby:
         reach: NDArray[Any],
     ) -> NDArray[np.int64]:
         """Rays that may hit: those whose ball around the middle of the feeler is not known to be empty."""
-        if self._scene is None:
+        if self._empty:
             return np.empty(0, np.int64)
         if self._grid is None:
             self._grid = self._distances()

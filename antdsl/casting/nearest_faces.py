@@ -7,8 +7,8 @@ import numpy as np
 from antdsl.casting.faces import nearest_on, square_of
 from antdsl.casting.grid_rays import Grid, Three
 from antdsl.casting.tolerances import BEYOND, FURTHER, RINGS, TOUCHING, UNSURE
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, called, fetch_ahead, inlined, kernel, whole
-from antdsl.numerics.kernel_vectors import minus
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, called, fetch_ahead, inlined, kernel, whole
+from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus
 
 _FETCHED = 12  # faces of a row of cubes that are brought near
 
@@ -27,7 +27,7 @@ def apart(grid: Grid, places: Three, found: Array2[F32], begin: I64, end: I64) -
 
 
 @inlined
-def way_out(grid, place, within):  # type: ignore[no-untyped-def]
+def way_out(grid: Grid, place: Vec3F32, within: F64) -> tuple[F32, Vec3F32]:
     """As `apart`, of one place: how far it is out of the faces, NaN where the grid cannot tell, and the way out; or that it is
     infinitely far out, where that is more than `within` mm."""
     shape, normals = grid[0], grid[7]
@@ -63,7 +63,7 @@ def nearests(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Arra
 
 
 @inlined
-def fetch_around(grid, place, rows, k):  # type: ignore[no-untyped-def]
+def fetch_around(grid: Grid, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
     """Have where the cubes around a place begin brought near; these, in nine rows of three, from number 9 `k` of `rows` on."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
@@ -79,7 +79,7 @@ def fetch_around(grid, place, rows, k):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def fetch_lists(grid, rows, count):  # type: ignore[no-untyped-def]
+def fetch_lists(grid: Grid, rows: Array1[I64], count: I64) -> None:
     """Have the first faces of so many rows of three cubes brought near."""
     first, listed, bound = grid[2], grid[3], grid[4]
     last = first.size - 1
@@ -92,12 +92,12 @@ def fetch_lists(grid, rows, count):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _layer(at, low, part, size):  # type: ignore[no-untyped-def]
+def _layer(at: F64, low: F64, part: F64, size: I64) -> I64:
     return min(max(whole(np.floor((at - low) * part)), 0), size - 1)
 
 
 @called
-def _nearest(grid, p, within):  # type: ignore[no-untyped-def]
+def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
     """The square distance of a place's nearest face, which one, and the place on it. If that is farther than `within` (mm), it
     may be BEYOND, with the place before it, or UNSURE.
 
@@ -163,7 +163,7 @@ def _nearest(grid, p, within):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _apart(bound, k, p):  # type: ignore[no-untyped-def]
+def _apart(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
     """How far a place is above a face's plane, and the square distance from the middle of its ball."""
     nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
     above = ((nx * p[0] + ny * p[1]) + nz * p[2]) + np.float64(bound[k, 3])
@@ -172,7 +172,7 @@ def _apart(bound, k, p):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _farther(away, above, square, least):  # type: ignore[no-untyped-def]
+def _farther(away: F64, above: F64, square: F64, least: F64) -> BOOL:
     """Whether a face is farther away than `least` for certain: its plane is, or its ball of radius `away`, along the plane."""
     if abs(above) > least:
         return True
@@ -183,17 +183,17 @@ def _farther(away, above, square, least):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _around(at, size):  # type: ignore[no-untyped-def]
+def _around(at: F64, size: I64) -> BOOL:
     return at >= -RINGS and at <= size + RINGS
 
 
 @inlined
-def _middle(at, size):  # type: ignore[no-untyped-def]
+def _middle(at: F64, size: I64) -> I64:
     return min(np.int64(np.floor(max(at, 0.0))), size - 1)
 
 
 @inlined
-def _known(at, middle, ring, size):  # type: ignore[no-untyped-def]
+def _known(at: F64, middle: I64, ring: I64, size: I64) -> F64:
     below, above = middle - ring, middle + ring + 1
     low = np.inf if below <= 0 else at - np.float64(below)
     high = np.inf if above >= size else np.float64(above) - at
@@ -201,7 +201,7 @@ def _known(at, middle, ring, size):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _off(at, cell):  # type: ignore[no-untyped-def]
+def _off(at: F64, cell: I64) -> F64:
     """The square distance (cubes) of a place from a layer of cubes along one axis, less what their faces may stand out."""
     off = max(max(np.float64(cell) - at, at - np.float64(cell + 1)) - 1e-5, 0.0)
     return off * off

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.rays import open3d
+from antdsl.casting.open3d_module import open3d
 
 _CHUNK = 1 << 17  # rays at once
 

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,6 +12,7 @@ from numpy.typing import NDArray
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.nearby import END, Index, Nearby, Vectors
+from antdsl.casting.open3d_module import open3d, require_open3d
 from antdsl.casting.tolerances import FURTHER, NOTHING
 from antdsl.casting.triangle_grid import TriangleGrid
 
@@ -27,7 +24,6 @@ _AGAIN = 16  # faces that a ray may pass by at less than a hair
 _APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
 _FEW = 128  # rays that go on to the end of the scene sooner than they are asked about twice
 _FARTHEST = 1e15  # mm: Open3D, whose squares are float32, names no nearest face from much farther off
-_PLOTS = "open3d.visualization.draw_plotly"
 FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
@@ -51,39 +47,6 @@ class Hits:
         return self.face >= 0
 
 
-class _DeferredModule(ModuleType):
-    """Stands for a module of functions, which is imported when one of them is called."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-
-        def call(*arguments: Any, **named: Any) -> Any:
-            if sys.modules.get(self.__name__) is self:
-                del sys.modules[self.__name__]
-            return getattr(import_module(self.__name__), name)(*arguments, **named)
-
-        return call
-
-
-@cache
-def open3d() -> Any:
-    """The module, imported when it is first needed.
-
-    Its plots are not imported with it: they need a web server and a HTTP client (dash, requests), which take half of the time
-    and bind a socket."""
-    if "open3d" not in sys.modules:
-        sys.modules.setdefault(_PLOTS, _DeferredModule(_PLOTS))
-    try:
-        import open3d
-    except (ImportError, OSError) as problem:
-        raise ImportError(
-            f"open3d cannot be loaded ({problem}): install the package `open3d-cpu`; on a bare Linux system it also needs "
-            "the system packages libegl1 libgl1 libusb-1.0-0"
-        ) from problem
-    return open3d
-
-
 class RayScene(Nearby):
     """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths in millimetres.
 
@@ -94,10 +57,10 @@ class RayScene(Nearby):
     is made faster; of one that is not `lasting` no table is stored for other runs. A hair goes by the largest coordinate, or by
     `largest` (mm) where what lies beyond it is a backdrop.
 
-    Rays with an end, and nearest faces that are asked for within a distance, go to a `TriangleGrid` where one is of use: it asks
-    all faces nearby in float64, and passes on to Open3D whose ray or face is too far away for it. What decides is the scene and
-    the ray, so no answer depends on who else asks. Where two faces that do not meet are nearer to each other than float32 tells,
-    it names the nearer and Open3D either.
+    Rays with an end, and nearest faces that are requested within a distance, go to a `TriangleGrid` where one is of use: it
+    measures all faces nearby in float64. Longer rays are cut to the box around all faces first, and the grid names the face if
+    they are short there. Open3D answers the rest. What decides is the scene and the ray, so no answer depends on other rays.
+    Where two faces that do not meet are nearer to each other than float32 tells, it names the nearer and Open3D either.
     """
 
     _brief = False
@@ -132,14 +95,22 @@ class RayScene(Nearby):
         # Whole metres, and none at all near zero: one more stone at the rim moves no bit of a ray at the others.
         self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR else np.zeros(3)
         self._faces = Faces(corners - self.origin, self._brief, self._largest)
-        self._scene: Any = None
+        self._empty = not len(corners)
+        if not self._empty:
+            require_open3d()
+        self._tree: Any = None
         self._grid: DistanceGrid | None = None
         self._refined = False
         self._exact: Any = None
         self._short: TriangleGrid | None = None
         self._sought = False
-        if len(corners):
-            self._scene = self._built(self._faces.widened())
+
+    @property
+    def _scene(self) -> Any:
+        """Open3D's scene, made when it is first asked: the grid answers most of what is asked in a run."""
+        if self._tree is None:
+            self._tree = self._built(self._faces.widened())
+        return self._tree
 
     def _built(self, corners: NDArray[np.float32]) -> Any:
         # By one thread, so that the tree is the same on every machine of one kind.
@@ -153,15 +124,17 @@ class RayScene(Nearby):
 
     # ---- rays
 
-    def cast(self, origin: Vectors, direction: Vectors, threads: int = 1) -> Hits:
-        """First hit of each ray from `origin` [n,3] along `direction` [n,3] (any length)."""
+    def cast(self, origin: Vectors, direction: Vectors, threads: int = 1, through: bool = False) -> Hits:
+        """First hit of each ray from `origin` [n,3] along `direction` [n,3] (any length). `through`: most are short in the box
+        around all faces, so that the grid names what they meet."""
         n = len(origin)
         t, mesh, local = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         weights, normal = np.zeros((n, 3)), np.zeros((n, 3), np.float32)
         for start in range(0, n, _CHUNK):
             rays = slice(start, start + _CHUNK)
             way = np.ascontiguousarray(direction[rays], np.float64)
-            met, here, face, at = self._first(np.asarray(origin[rays], np.float64) - self.origin, way, np.inf, threads)
+            first = self._first_through if through else self._first
+            met, here, face, at = first(np.asarray(origin[rays], np.float64) - self.origin, way, np.inf, threads)
             rows = start + met
             t[rows], weights[rows], normal[rows] = here, at, self._towards(face, way[met])
             mesh[rows], local[rows] = self._counted(face)
@@ -203,7 +176,7 @@ class RayScene(Nearby):
         further = np.flatnonzero(face == FURTHER)
         if further.size:
             face[further] = NOTHING
-            rows, part, named, _ = self._first(origin[further], way[further], 1.0, threads, most_hit)
+            rows, part, named, _ = self._first_through(origin[further], way[further], 1.0, threads, most_hit)
             t[further[rows]], face[further[rows]] = part, named
         met = np.flatnonzero(face >= 0)
         return met, t.take(met), face.take(met)
@@ -216,7 +189,7 @@ class RayScene(Nearby):
         it names and that is not hit: one that a ray passes by at less than a hair, or starts from.
         """
         nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
-        if self._scene is None:
+        if self._empty:
             return nothing
         rows, a, w = np.arange(len(origin)), origin, way
         begin: Vectors | None = None
@@ -268,6 +241,25 @@ class RayScene(Nearby):
         met = np.flatnonzero(near)
         return rows.take(met), here.take(met), named.take(met), weights.take(met, axis=0)
 
+    def _first_through(self, origin: Vectors, way: Vectors, most: float, threads: int, most_hit: bool = False) -> Met:
+        """As `_first`, by the grid for rays that pass few of its cubes."""
+        grid = self._triangles()
+        if grid is None:
+            return self._first(origin, way, most, threads, most_hit)
+        part, named = grid.first_through(origin, way, most, threads)
+        known = np.flatnonzero(named >= 0)
+        here, weights, hit, _ = self._faces.judged(face := named[known], origin[known], way[known], part[known])
+        hit &= here <= most
+        named[known[~hit]] = FURTHER
+        found = known[hit], here[hit], face[hit], weights[hit]
+        left = np.flatnonzero(named == FURTHER)
+        if not left.size:
+            return found
+        rows, *others = self._first(origin[left], way[left], most, threads, most_hit)
+        joined = [np.concatenate(pair) for pair in zip(found, (left[rows], *others), strict=True)]
+        order = np.argsort(joined[0])
+        return tuple(each[order] for each in joined)  # type: ignore[return-value]
+
     def _named(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
         """After about what part of prepared rays Open3D names a face, and which, over all meshes (-1 = none)."""
         answer = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
@@ -298,7 +290,7 @@ class RayScene(Nearby):
         return self._occluded(rays, far, threads)
 
     def _occluded(self, rays: NDArray[np.float32], far: float, threads: int) -> NDArray[np.bool_]:
-        if self._scene is None or len(rays) == 0:
+        if self._empty or len(rays) == 0:
             return np.zeros(len(rays), bool)
         met: NDArray[np.bool_] = self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=far, nthreads=threads).numpy()
         return met
@@ -314,7 +306,7 @@ class RayScene(Nearby):
         float[n]) one that is as near on another side may stand for it.
         """
         n = len(points)
-        if self._scene is None or n == 0:
+        if self._empty or n == 0:
             nothing = np.full(n, -1, np.int32)
             return nothing, nothing.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
         local = np.asarray(points, np.float64) - self.origin
@@ -365,7 +357,7 @@ class RayScene(Nearby):
         """How far inside each point [n,3] is, mm: the way out for those from which most of three rays leave by an odd number of
         faces, 0 for the others. Meshes are taken to be closed."""
         deep = np.zeros(len(points))
-        if self._scene is not None and len(points):
+        if not self._empty and len(points):
             local = self._tensor((np.asarray(points, np.float64) - self.origin).astype(np.float32))
             inside = np.flatnonzero(self._scene.compute_occupancy(local, nthreads=threads, nsamples=3).numpy() > 0.5)
             deep[inside] = self.closest(points[inside], threads)[3]

@@ -6,10 +6,14 @@ import re
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from antdsl import limits
+
+if TYPE_CHECKING:
+    from antdsl.scene.values import FrameRange
 
 
 def pairs(words: Iterable[str], flag: str) -> dict[str, str]:
@@ -57,7 +61,7 @@ def require_scene(path: Path, hint: str = "SCENE") -> None:
         raise typer.BadParameter(f"`{path}` is a folder; name a scene, such as `{shown}`", param_hint=hint)
 
 
-def frame_range(text: str | None, flag: str = "--frames"):  # type: ignore[no-untyped-def]
+def frame_range(text: str | None, flag: str = "--frames") -> FrameRange | None:
     """`A..B` as a FrameRange, or None for None."""
     if text is None:
         return None

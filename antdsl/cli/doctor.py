@@ -64,7 +64,7 @@ def _system_libraries(problems: list[str]) -> None:
 def _package(package: str, problems: list[str]) -> None:
     from importlib import import_module
 
-    from antdsl.casting.rays import open3d
+    from antdsl.casting.open3d_module import open3d
 
     shown = _NAMES.get(package, package)
     try:

@@ -108,7 +108,7 @@ def run(
     files, folders = {"--summary": summary}, {"--out": (folder, NAMES)}
     with _setting_up(again), keeping_inputs(files, folders) as inputs:
         inputs.append(scene)
-        shot, report = open_scene(scene, choices)
+        shot, report = open_scene(scene, choices, thorough=False)
     demand(report)
     if shot is None:
         raise Stop(Exit.FINDINGS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -73,7 +73,7 @@ def study_of(asked: Asked) -> tuple[Study, list[Job], Report]:
     chosen, report = choose(asked.design, found, asked.points, asked.design_seed)
     _demand_words(report)
     assert chosen is not None
-    about = {"frames": frame_range(asked.frames), "until": tuple(asked.until_empty), "grants": grants(asked.root)}
+    about: dict[str, Any] = {"frames": frame_range(asked.frames), "until": tuple(asked.until_empty), "grants": grants(asked.root)}
     numbers = _seeds(asked.seeds)
     _, report = jobs(variations(scenes, ends(found) or [{}]), (), **about)  # each end once, and not each point beyond one
     if not report.ok:

@@ -1,15 +1,17 @@
 """The cell of each agent's voxel and side, as one pass over the agents."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from antdsl.machine_code.kernels import F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
+from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
 from antdsl.numerics.sorting import place_among
 
 _TOGETHER = 64  # points whose cells are brought near at once
 
 
 @inlined
-def _along(place, cell, low, size):  # type: ignore[no-untyped-def]
+def _along(place: F64, cell: F64, low: I64, size: I64) -> I64:
     """The number of a voxel along one axis of the box, -1 outside."""
     step = np.floor(place / cell + 0.5) - np.float64(low)
     if step >= 0.0 and step < np.float64(size):
@@ -18,7 +20,7 @@ def _along(place, cell, low, size):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _found(direct, listed, keys, shift, start, key):  # type: ignore[no-untyped-def]
+def _found(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64) -> I64:
     """The cell of a key, -1 for none."""
     if listed:
         return np.int64(direct[key])
@@ -26,29 +28,36 @@ def _found(direct, listed, keys, shift, start, key):  # type: ignore[no-untyped-
     return a if a < keys.size and keys[a] == key else -1
 
 
+class CellIndex(NamedTuple):
+    """Cells of voxels: their width, the lowest voxel of the box and how many there are. Cells are in `direct` by key, or where
+    that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each."""
+
+    cell: F64
+    low: Array1[I64]
+    size: Array1[I64]
+    direct: Array1[I32]
+    keys: Array1[I64]
+    shift: I64
+    start: Array1[I32]
+
+
 @kernel
 def located(
     points: tuple[Array1[F64], Array1[F64], Array1[F64]],
     side: Array1[I8],
-    cell: F64,
-    box: Array1[I64],
-    size: Array1[I64],
-    direct: Array1[I32],
-    keys: Array1[I64],
-    shift: I64,
-    start: Array1[I32],
+    index: CellIndex,
     known: Array1[I64],
     here: Array1[I32],
     found: Array1[I32],
     begin: I64,
     end: I64,
-) -> int:
+) -> I64:
     """Write the cell of the voxel and side of each point from `begin` to before `end` into `found` [n]; gives how many have
     none, which get -1.
 
-    `points`: x, y, z [n] mm, `box` and `size` [3]: the lowest voxel of the box, and how many. Cells stand in `direct` by key, or
-    where that is empty, by halving among the `keys` of their block: these begin at `start` [blocks + 1], of 2**shift keys each.
-    `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are renewed."""
+    `points`: x, y, z [n] mm. `known` and `here` [n]: keys of the points before, -1 outside the box, and their cells; they are
+    renewed."""
+    cell, box, size, direct, keys, shift, start = index
     listed = direct.size > 0
     wanted, moved, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
     missed = 0

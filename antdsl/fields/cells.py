@@ -14,7 +14,7 @@ from antdsl import limits
 from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import Mesh
-from antdsl.fields.cell_lookup import located
+from antdsl.fields.cell_lookup import CellIndex, located
 from antdsl.fields.numbered import NO_CELLS, NO_INDEX, Index, rank, summed
 from antdsl.ground.mesh.topology import facing
 from antdsl.numerics import parallel, stored_tables
@@ -191,9 +191,9 @@ class SurfaceCells:
         if known is None or known.of is not self or len(known.key) != len(points):
             known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
         index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
-        keys = (self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
+        keys = CellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
         along = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
-        work = partial(located, along, side, *keys, known.key, known.cell, cell)
+        work = partial(located, along, side, keys, known.key, known.cell, cell)
         return sum(parallel.in_parts(work, len(points), threads, parallel.LIGHT)), known
 
     def _searched(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
@@ -336,8 +336,13 @@ class SurfaceCells:
     def nearest(self, k: int) -> Cells:
         """For each cell the nearest `k` of its 3³ block, itself included, by (distance, cell), int32[n,k], ascending."""
         if k not in self._tables:
-            self._tables[k] = self._nearest(np.arange(len(self)), k)
+            inputs = (self._keys, self._size, self.position, float(k))
+            work = partial(self._nearest_of_all, k)
+            self._tables[k] = stored_tables.stored("nearest cells", len(self), inputs, work, "cells")["nearest"]
         return self._tables[k]
+
+    def _nearest_of_all(self, k: int) -> stored_tables.Tables:
+        return {"nearest": self._nearest(np.arange(len(self)), k)}
 
     def _nearest(self, cells: NDArray[np.int64], k: int) -> Cells:
         """Rows of `nearest` for some cells."""

@@ -134,7 +134,7 @@ class GrowingCells(SurfaceCells):
 
 
 @inlined
-def _square(position, at, x, y, z):  # type: ignore[no-untyped-def]
+def _square(position: Array2[F64], at: I64, x: F64, y: F64, z: F64) -> F64:
     """The square of a cell's distance from a place."""
     dx, dy, dz = position[at, 0] - x, position[at, 1] - y, position[at, 2] - z
     return (dx * dx + dy * dy) + dz * dz

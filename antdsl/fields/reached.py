@@ -50,7 +50,7 @@ class Reached:
 
 
 @kernel
-def differing(held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64) -> tuple[int, int]:
+def differing(held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64) -> tuple[I64, I64]:
     """Write down the cells from `begin` to before `end` of which `holds` does not say whether what they hold, in float32, is as
     much as `least`, in `changed` from `begin` on; gives `begin`, and how many there are."""
     other, count = scratch(_PART, I32), 0

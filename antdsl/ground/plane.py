@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh.topology import facing
 from antdsl.ground.protocol import Floats, Footing, Move
 from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, inlined, kernel
-from antdsl.numerics.kernel_vectors import dot, minus, plus, times
+from antdsl.numerics.kernel_vectors import Pose, Vec3, dot, minus, plus, times
 
 
 class Plane:
@@ -88,14 +88,14 @@ class Plane:
 
 
 @inlined
-def straight(up, point, way, ahead):  # type: ignore[no-untyped-def]
-    """Straight on, for one: place, heading, direction and the way gone."""
+def straight(up: Vec3, point: Vec3, way: Vec3, ahead: Vec3) -> tuple[Pose, F64]:
+    """Straight on, for one, and how far it has gone."""
     step, look = minus(way, times(up, dot(way, up))), minus(ahead, times(up, dot(ahead, up)))
     far = np.sqrt(dot(step, step))
     direction = look
     if far > 0:
         direction = (step[0] / far, step[1] / far, step[2] / far)
-    return plus(point, step), look, direction, far
+    return Pose(plus(point, step), up, look, direction), far
 
 
 @kernel
@@ -113,7 +113,7 @@ def straight_on(
     normal = (up[0], up[1], up[2])
     for i in range(travelled.size):
         step, look = (way[i, 0], way[i, 1], way[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])
-        there, look, go, far = straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
+        pose, far = straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
         for k in range(3):
-            to[i, k], heading[i, k], direction[i, k] = there[k], look[k], go[k]
+            to[i, k], heading[i, k], direction[i, k] = pose.place[k], pose.heading[k], pose.direction[k]
         travelled[i] = far

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, Array1, as_bits, as_float, independent, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F32, F64, Array1, as_bits, as_float, independent, inlined, kernel
 from antdsl.numerics.coefficients import (
     ATAN,
     COS,
@@ -28,7 +30,7 @@ _FRACTION, _EXPONENT, _BIAS = 52, 0x7FF, 1023  # of float64: bits of the fractio
 
 
 @inlined
-def _series(x, coefficients):  # type: ignore[no-untyped-def]
+def _series(x: F64, coefficients: Any) -> F64:
     value = x * 0.0 + coefficients[-1]
     for c in coefficients[-2::-1]:
         value *= x
@@ -37,7 +39,7 @@ def _series(x, coefficients):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def cos_sin(x):  # type: ignore[no-untyped-def]
+def cos_sin(x: F32) -> tuple[F32, F32]:
     """Cosine and sine, float32, of an angle below 1e6."""
     wide = np.float64(x)
     turns = np.rint(wide * TWO_OVER_PI)
@@ -51,7 +53,7 @@ def cos_sin(x):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def atan2(y, x):  # type: ignore[no-untyped-def]
+def atan2(y: F32, x: F32) -> F32:
     """Angle of (x, y), float32, of finite float32."""
     wide_y, wide_x = np.float64(y), np.float64(x)
     high, low = max(abs(wide_y), abs(wide_x)), min(abs(wide_y), abs(wide_x))
@@ -67,7 +69,7 @@ def atan2(y, x):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _usual(x, least, most):  # type: ignore[no-untyped-def]
+def _usual(x: Array1[F32], least: F64, most: F64) -> BOOL:
     """Whether all numbers lie between two others."""
     usual = True
     for k in range(x.size):

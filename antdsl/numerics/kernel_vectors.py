@@ -2,64 +2,82 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from antdsl.machine_code.kernels import inlined
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, inlined
+
+Vec3 = tuple[F64, F64, F64]
+Vec3F32 = tuple[F32, F32, F32]
+Weights = tuple[F64, F64]  # of the second and third corner of a triangle
+VectorColumns = tuple[Array1[F32], Array1[F32], Array1[F32]]  # x, y and z of vectors
+AnyVec3 = tuple[Any, Any, Any]  # of either float type
+
+
+class Pose(NamedTuple):
+    """How an agent is in space: unit vectors up, ahead and along its path."""
+
+    place: Vec3
+    up: Vec3
+    heading: Vec3
+    direction: Vec3
+
 
 _LEAST, _STEEP = 1e-12, 0.9  # as `vectors.unit` and `vectors.across`
 
 
 @inlined
-def at(table, k):  # type: ignore[no-untyped-def]
+def at(table: Array1[F64], k: I64) -> Vec3:
     """Three numbers of a table."""
     return table[k], table[k + 1], table[k + 2]
 
 
 @inlined
-def of(vectors, i):  # type: ignore[no-untyped-def]
+def of(vectors: Any, i: I64) -> Vec3:
     """One of vectors (3, n)."""
     return vectors[0, i], vectors[1, i], vectors[2, i]
 
 
 @inlined
-def put(vectors, i, v):  # type: ignore[no-untyped-def]
+def put(vectors: Any, i: I64, v: Vec3) -> None:
     """Write one of vectors (3, n)."""
     vectors[0, i], vectors[1, i], vectors[2, i] = v
 
 
 @inlined
-def plus(a, b):  # type: ignore[no-untyped-def]
+def plus(a: AnyVec3, b: AnyVec3) -> AnyVec3:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @inlined
-def minus(a, b):  # type: ignore[no-untyped-def]
+def minus(a: AnyVec3, b: AnyVec3) -> AnyVec3:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @inlined
-def times(a, factor):  # type: ignore[no-untyped-def]
+def times(a: AnyVec3, factor: Any) -> AnyVec3:
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
 @inlined
-def dot(a, b):  # type: ignore[no-untyped-def]
+def dot(a: AnyVec3, b: AnyVec3) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @inlined
-def cross(a, b):  # type: ignore[no-untyped-def]
+def cross(a: AnyVec3, b: AnyVec3) -> AnyVec3:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @inlined
-def flat(a, up):  # type: ignore[no-untyped-def]
+def flat(a: AnyVec3, up: AnyVec3) -> AnyVec3:
     """As `vectors.flat`."""
     return minus(a, times(up, dot(a, up)))
 
 
 @inlined
-def across(up):  # type: ignore[no-untyped-def]
+def across(up: Vec3) -> Vec3:
     """As `vectors.across`, in float64."""
     steep = abs(up[0]) > _STEEP
     side = flat(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
@@ -67,7 +85,7 @@ def across(up):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def direction(v, up):  # type: ignore[no-untyped-def]
+def direction(v: Vec3, up: Vec3) -> Vec3:
     """The unit vector along `v`, or one across a unit vector where it has no direction, in float64."""
     size = np.sqrt(dot(v, v))
     if size > _LEAST and np.isfinite(size):
@@ -76,19 +94,19 @@ def direction(v, up):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def more(a, b):  # type: ignore[no-untyped-def]
+def more(a: F64, b: F64) -> F64:
     """As np.fmax of a number that may be NaN and one that is not."""
     return a if a > b else b
 
 
 @inlined
-def less(a, b):  # type: ignore[no-untyped-def]
+def less(a: F64, b: F64) -> F64:
     """As np.fmin of the same."""
     return a if a < b else b
 
 
 @inlined
-def inside(b1, b2):  # type: ignore[no-untyped-def]
+def inside(b1: F64, b2: F64) -> Weights:
     """Weights moved to the nearest that are of a point of the triangle, against rounding."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2
@@ -98,7 +116,7 @@ def inside(b1, b2):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def turned(v, before, after, direction):  # type: ignore[no-untyped-def]
+def turned(v: Vec3, before: Vec3, after: Vec3, direction: Vec3) -> Vec3:
     """A vector turned by the least turn that takes one unit normal into another; half a turn goes over `direction`."""
     cosine = dot(before, after)
     if cosine < -1 + 1e-9:
@@ -110,7 +128,7 @@ def turned(v, before, after, direction):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def level(c, s):  # type: ignore[no-untyped-def]
+def level(c: F64, s: F64) -> tuple[F64, F64]:
     """A direction in a face of unit length; along its first axis where nothing is left of it."""
     size = np.sqrt(c * c + s * s)
     if size > 1e-9:
@@ -119,7 +137,7 @@ def level(c, s):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def nearest(edge1, edge2, v):  # type: ignore[no-untyped-def]
+def nearest(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
     """Weights of the point of a triangle nearest to a place `v` from its first corner, and how far off it is: above the inside,
     else on an edge."""
     edge3 = minus(edge2, edge1)

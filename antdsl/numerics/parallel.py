@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import inlined
+from antdsl.machine_code.kernels import I64, inlined
 from antdsl.numerics.cores import cores
 
 T = TypeVar("T")
@@ -82,7 +82,7 @@ def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], 
 
 
 @inlined
-def own(begin, count, rooms):  # type: ignore[no-untyped-def]
+def own(begin: I64, count: I64, rooms: I64) -> I64:
     """The number of the room of the part of `count` numbers (1 at least) that starts at `begin`, of as many `rooms` as
     `parts` says: no two parts have the same."""
     return (begin * rooms + count - 1) // count

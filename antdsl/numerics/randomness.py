@@ -109,7 +109,7 @@ def draw_words(ids: Array1[I64], shared: Shared, which: I64, found: Array1[U64])
 
 
 @inlined
-def _word(number, shared, which):  # type: ignore[no-untyped-def]
+def _word(number: I64, shared: Shared, which: I64) -> U64:
     wide = np.uint64(number)
     c0, low, c3, first, second = shared
     a, b, c, d = c0, wide & LOW, (((wide >> HALF) * SPREAD) & LOW) ^ low, c3

@@ -37,7 +37,7 @@ def interleaved(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint6
 
 
 @inlined
-def _spread(bits):  # type: ignore[no-untyped-def]
+def _spread(bits: U64) -> U64:
     """21 bits, two free ones after each."""
     bits = (bits | (bits << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
     bits = (bits | (bits << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
@@ -55,7 +55,7 @@ def interleave(cells: Array2[U64], code: Array1[U64], begin: I64, end: I64) -> N
 
 
 @inlined
-def place_among(keys, key, first, last):  # type: ignore[no-untyped-def]
+def place_among(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
     """How many of the keys are less than a key, which is known to stand between `first` and `last`: by halving."""
     a, b = first, last
     while a < b:
@@ -68,7 +68,7 @@ def place_among(keys, key, first, last):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def listed(flags, count):  # type: ignore[no-untyped-def]
+def listed(flags: Array1[Any], count: I64) -> I64:
     """How many of the first flags are 1, not 0, whose numbers come first now."""
     found = 0
     for k in range(count):

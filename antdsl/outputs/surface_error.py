@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import parallel
 from antdsl.outputs.cache.frame_loops import farthest
 from antdsl.runtime import Population, World
 
@@ -23,7 +26,8 @@ def surface_error(world: World) -> float:
 def _worst(world: World, population: Population, ground: NDArray[np.float64]) -> float:
     clearance, size = population.now.get("clearance", np.zeros(len(population), np.float32)), population.now["size"]
     if not world.solids:
-        return float(farthest(population.position, ground, clearance, size))
+        work = partial(farthest, population.position, ground, clearance, size)
+        return float(np.max(parallel.in_parts(work, len(population), world.options.threads, parallel.LIGHT)))
     x, y, z = (population.position.astype(np.float32) - ground).T
     distance = np.sqrt((x * x + y * y) + z * z)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):

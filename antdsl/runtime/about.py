@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from antdsl import limits
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import Vec3
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.planes import Plane, Vectors32, Vectors64, known
@@ -67,25 +68,29 @@ def _others(
     x, y, vx, vy, room = (np.zeros(shape) for _ in range(5))
     there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
     nearest = np.empty(shape, np.float32), *(np.empty(shape, np.int64) for _ in range(3)), np.zeros(n, np.int64)
-    up, ahead, left = (parallel.plain(*each) for each in (plane.up, plane.ahead, plane.left))
-    moving = ahead if own is None else parallel.plain(*own)
+    up, ahead, left = (_plain(each) for each in (plane.up, plane.ahead, plane.left))
+    moving = ahead if own is None else _plain(own)
+    asking = Asking(ids, radius, ahead, left, own is not None, moving)
+    columns = OtherColumns(x, y, vx, vy, room, there, first)
     found = []
     for number, (name, other) in enumerate(world.populations.items()):
         if not len(other) or not widest:
             continue
         p = _near(world, other, ids if other is population else None, place, reach, far)
-        theirs = parallel.plain(*vec.named(other.start, "up"))
+        theirs = _plain(vec.named(other.start, "up"))
         _choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
         found.append((number, name, other, p))
     for number, name, other, p in found:
-        velocity = parallel.plain(*vec.named(other.start, "velocity"))
-        both = radius, _radius(other)
-        who = ids, other is population, population.name < name
-        _lay(
-            nearest, number, p.j, (p.dx, p.dy, p.dz), ahead, left, own is not None, moving, velocity, *both, *who, x, y, vx, vy,
-            room, there, first,
-        )  # fmt: skip
-    return Others(x, y, vx, vy, room, there, first)
+        velocity = _plain(vec.named(other.start, "velocity"))
+        asked = Asked(number, other is population, population.name < name, velocity, _radius(other))
+        _lay(nearest, asking, asked, p.j, (p.dx, p.dy, p.dz), columns)
+    return Others(*columns)
+
+
+def _plain(vectors: vec.Columns) -> Vector:
+    """The same, as kernels read them."""
+    x, y, z = parallel.plain(*vectors)
+    return x, y, z
 
 
 def _near(
@@ -103,7 +108,7 @@ def _radius(population: Population, rows: Rows | slice = slice(None)) -> Floats:
 
 
 @inlined
-def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+def _dot(a: Vec3, b: Vec3) -> F64:
     return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
 
 
@@ -141,14 +146,45 @@ def _choose(
         far[a, at], species[a, at], names[a, at], pairs[a, at] = d, number, name, k
 
 
+class Asking(NamedTuple):
+    """Agents that ask: their ids, radii, planes, and velocities if these count (`moves`)."""
+
+    ids: Array1[I64]
+    radius: Array1[F64]
+    ahead: Vectors64
+    left: Vectors64
+    moves: BOOL
+    velocity: Vectors64
+
+
+class Asked(NamedTuple):
+    """Those of a species: its number, the `same` as that of the agents that ask, else `sooner` by name or not."""
+
+    number: I64
+    same: BOOL
+    sooner: BOOL
+    velocity: Vectors32
+    radius: Array1[F64]
+
+
+class OtherColumns(NamedTuple):
+    """The columns of `Others`."""
+
+    x: Array2[F64]
+    y: Array2[F64]
+    vx: Array2[F64]
+    vy: Array2[F64]
+    room: Array2[F64]
+    there: Array2[BOOL]
+    first: Array2[BOOL]
+
+
 @kernel
-def _lay(
-    nearest: Nearest, number: I64, j: Array1[I64], way: Vectors32, ahead: Vectors64, left: Vectors64, moves: BOOL, own: Vectors64,
-    theirs: Vectors32, radius: Array1[F64], other: Array1[F64], ids: Array1[I64], same: BOOL, sooner: BOOL, x: Array2[F64],
-    y: Array2[F64], vx: Array2[F64], vy: Array2[F64], room: Array2[F64], there: Array2[BOOL], first: Array2[BOOL],
-) -> None:  # fmt: skip
-    """Fill the columns of `Others` with those in the tables who are of one species: `same` as the agents that ask, else `sooner`
-    by name or not."""
+def _lay(nearest: Nearest, asking: Asking, asked: Asked, j: Array1[I64], way: Vectors32, columns: OtherColumns) -> None:
+    """Fill the columns with those in the tables who are of one species."""
+    ids, radius, ahead, left, moves, own = asking
+    number, same, sooner, theirs, other = asked
+    x, y, vx, vy, room, there, first = columns
     _, species, names, pairs, taken = nearest
     for a in range(taken.size):
         ax, ay, az = ahead[0][a], ahead[1][a], ahead[2][a]

@@ -296,7 +296,7 @@ def _settle_in_turn(
     claimed: Array1[I64],
     change: Array1[F64],
     got: Array1[F64],
-) -> bool:
+) -> BOOL:
     """Settle the claims of one statement, of different agents, in an order by `item`: who is served has its `amount` added to its
     `own` register and has `won`. Not where one asks for all: then nothing is settled, and it gives False.
 
@@ -322,7 +322,7 @@ def _settle_in_turn(
 
 
 @inlined
-def _serve_each(rest, item, change, got, count):  # type: ignore[no-untyped-def]
+def _serve_each(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64], count: I64) -> None:
     k = 0
     while k < count:
         which, begin, taken, enough = item[k], k, 0.0, True

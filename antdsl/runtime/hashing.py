@@ -15,19 +15,19 @@ _ALWAYS = ("born", "quarantined", "position", "normal")
 
 def state_hash(world: World) -> str:
     """First 128 bits of a SHA-256, in hexadecimal, of the `row_hash` of each species, and of items, fields, solids, flows."""
-    digest = sha256()
+    digest, threads = sha256(), world.options.threads
     digest.update(np.int64(world.frame).tobytes())
     for name in sorted(world.populations):
         population = world.populations[name]
         digest.update(f"\0{name}\0{len(population)}".encode())
-        digest.update(_rows(population))
+        digest.update(_rows(population, threads))
         digest.update(np.int64(population.next_id).tobytes())
     for name in sorted(world.items):
         for attribute, amounts in sorted(world.items[name].amounts.items()):
             digest.update(f"\0{name}\0{attribute}\0".encode() + amounts.tobytes())
     for name in sorted(world.fields):
         values = world.fields[name].values
-        digest.update(f"\0{name}\0{len(values)}".encode() + world.fields[name].hashed.of(None, [values]))
+        digest.update(f"\0{name}\0{len(values)}".encode() + world.fields[name].hashed.of(None, [values], threads))
     for name in sorted(world.solids):
         digest.update(f"\0{name}\0".encode() + world.solids[name].digest())
     for name in sorted(world.flows):
@@ -36,7 +36,7 @@ def state_hash(world: World) -> str:
     return digest.hexdigest()[:32]
 
 
-def _rows(population: Population) -> bytes:
+def _rows(population: Population, threads: int) -> bytes:
     """The hash of all that belongs to the state of agents."""
     names, footing, now = population.state_registers(), population.footing.columns, population.now
     events = sorted(population.events)
@@ -44,4 +44,4 @@ def _rows(population: Population) -> bytes:
     columns = [population.born, population.quarantined, population.position, population.normal, *footing.values()]
     columns += [now[name] for name in names]
     columns += [population.events[name] for name in events]
-    return named(told, columns) + population.hashed.of(population.ids, columns)
+    return named(told, columns) + population.hashed.of(population.ids, columns, threads)

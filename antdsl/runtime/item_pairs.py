@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, I64, Array1, kernel
+from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.numerics.parallel import plain
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.world import AXES, Items
 
 Floats = NDArray[np.float32]
 Columns = tuple[NDArray[Any], ...]  # row, item, x, y, z, distance
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 Found = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 _MEASURED = 1 << 16  # pairs of an agent and an item at once
@@ -90,7 +90,7 @@ def _joined(parts: list[Columns]) -> Columns:
 
 
 @kernel
-def _fill(items: Three, places: Three, reach: Array1[F32], pairs: Found, row: I64, used: I64) -> tuple[I64, I64]:
+def _fill(items: VectorColumns, places: VectorColumns, reach: Array1[F32], pairs: Found, row: I64, used: I64) -> tuple[I64, I64]:
     """Go on with a row, with so many pairs found before it, until the arrays are too short."""
     ix, iy, iz = items
     x, y, z = places

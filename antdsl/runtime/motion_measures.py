@@ -11,7 +11,7 @@ from functools import cache, partial
 from itertools import chain
 from math import fsum
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.numerics.parallel import own
 from antdsl.runtime.binding.spacing import takes_room
 from antdsl.runtime.moving.capsules import depths
@@ -51,8 +52,6 @@ _NOW, _START = itemgetter(*_COUNTED), itemgetter(*_SEEN)
 _MEANT = (np.float32(_WISH), np.float32(_STILL), np.float32(_MOVED))
 _PART = 512  # agents, of whom the numbers are worked out before they are counted
 _CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
-
-_Vector = tuple[Array1[F32], Array1[F32], Array1[F32]]
 
 
 @dataclass(slots=True, eq=False)
@@ -157,14 +156,16 @@ class Motion:
         """Adds a step to the counts and to the ways; gives how straight those are that have ended, 0 to 1."""
         now, start = _NOW(population.now), _START(population.start)
         seen = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
-        given = (*seen, now[9:12], now[12:15], *now[15:], population.position, window.start, window.path, window.age)
-
+        agents = Agents(*seen, now[9:12], now[12:15], *now[15:])
+        paths = Paths(population.position, window.start, window.path, window.age, window.straight)
         n = len(population)
         several = parallel.parts(n, threads, parallel.LIGHT)
         if self.counted.shape[1] < several:
             self._add_counted()
             self.counted = np.zeros((2, several, _BINS + 1), np.int64)
-        work = partial(_count_step, *given, *self.counted, several, n, *_bins(), window.straight, dt, *_MEANT, steps)
+        (turns, tilts), (least, first) = self.counted, _bins()
+        bins = Bins(turns, tilts, several, n, least, first)
+        work = partial(_count_step, agents, paths, bins, Meant(dt, *_MEANT, steps))
         counts = parallel.in_parts(work, n, threads, parallel.LIGHT)
         for _, _, standing, half, share in counts:
             if half > self.half_max:
@@ -277,17 +278,17 @@ def _percentile(counts: NDArray[Any]) -> float:
 
 
 @inlined
-def _length(x, y, z):  # type: ignore[no-untyped-def]
+def _length(x: Any, y: Any, z: Any) -> Any:
     return np.sqrt((x * x + y * y) + z * z)
 
 
 @inlined
-def _between(a, b, i):  # type: ignore[no-untyped-def]
+def _between(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
     return _length(a[0][i] - b[0][i], a[1][i] - b[1][i], a[2][i] - b[2][i])
 
 
 @inlined
-def _count(half, least, first, bins, part):  # type: ignore[no-untyped-def]
+def _count(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I64], part: I64) -> None:
     """The last bin whose least half chord is no more than this one's; `first`: where to begin to look, by its size."""
     k = first[np.int64(half * np.float32(4096.0))]
     k += 1 if half >= least[k + 1] else 0  # seldom more, so that what follows is foretold
@@ -296,45 +297,72 @@ def _count(half, least, first, bins, part):  # type: ignore[no-untyped-def]
     bins[part, k] += 1
 
 
-@kernel
-def _count_step(
-    position: _Vector,
-    heading: _Vector,
-    up: _Vector,
-    position_before: _Vector,
-    heading_before: _Vector,
-    up_before: _Vector,
-    velocity: _Vector,
-    push: _Vector,
-    fastest: Array1[F32],
-    size: Array1[F32],
-    place: Strided2[F64],
-    began: Strided2[F64],
-    path: Array1[F64],
-    age: Array1[I64],
-    turns: Array2[I64],
-    tilts: Array2[I64],
-    several: I64,
-    count: I64,
-    least: Array1[F32],
-    first: Array1[I64],
-    straight: Array1[F64],
-    dt: F32,
-    wish: F32,
-    still: F32,
-    far: F32,
-    steps: I64,
-    begin: I64,
-    end: I64,
-) -> tuple[int, int, int, float, float]:
-    """Adds one step of agents from `begin` to before `end` of a `count` to the measures: to the bins of turns and tilts, of which
-    each of `several` parts has a row of its own, and to `path` and `age` of the ways that they `began`. Gives `begin`; how many
-    ways have ended, whose straightness is written to `straight` from there on; how many stand; the greatest half chord of a tilt,
-    and the greatest share of the longest step.
+class Agents(NamedTuple):
+    """Agents now and before the step; `fastest` (mm/s) and `size` (mm) of each."""
 
-    `fastest` (mm/s) and `size` (mm) of each; `least` half chord of each bin, and the `first` to look at. `dt` s; `wish`: the
-    least push that is meant; `still`: the share of speed that is standing; a way ends after `steps` and counts when it is `far`
-    body lengths long."""
+    position: VectorColumns
+    heading: VectorColumns
+    up: VectorColumns
+    position_before: VectorColumns
+    heading_before: VectorColumns
+    up_before: VectorColumns
+    velocity: VectorColumns
+    push: VectorColumns
+    fastest: Array1[F32]
+    size: Array1[F32]
+
+
+class Paths(NamedTuple):
+    """Where agents are and where their paths `began` (n, 3), how long (mm) and old these are, and how straight those that end."""
+
+    place: Strided2[F64]
+    began: Strided2[F64]
+    length: Array1[F64]
+    age: Array1[I64]
+    straight: Array1[F64]
+
+
+class Bins(NamedTuple):
+    """Bins of turns and tilts, of which each of `several` parts of a `count` of agents has a row; the `least` half chord of each
+    bin, and the `first` to look at."""
+
+    turns: Array2[I64]
+    tilts: Array2[I64]
+    several: I64
+    count: I64
+    least: Array1[F32]
+    first: Array1[I64]
+
+
+class Meant(NamedTuple):
+    """Seconds of a step; the least push that is meant, the share of speed that is standing; a path ends after `steps` and counts
+    when it is `far` body lengths long."""
+
+    dt: F32
+    wish: F32
+    still: F32
+    far: F32
+    steps: I64
+
+
+class StepCounts(NamedTuple):
+    """The first agent of a part; how many paths have ended, whose straightness is written from there on; how many agents stand;
+    the greatest half chord of a tilt, and the greatest share of the longest step."""
+
+    begin: I64
+    ended: I64
+    standing: I64
+    tilted: F64
+    longest: F64
+
+
+@kernel
+def _count_step(agents: Agents, paths: Paths, bins: Bins, meant: Meant, begin: I64, end: I64) -> StepCounts:
+    """Adds one step of agents from `begin` to before `end` to the measures."""
+    position, heading, up, position_before, heading_before, up_before, velocity, push, fastest, size = agents
+    place, began, path, age, straight = paths
+    turns, tilts, several, count, least, first = bins
+    dt, wish, still, far, steps = meant
     ended, standing, part = 0, 0, own(begin, count, several)
     tilted, longest = np.float32(0.0), np.float32(0.0)
     turn, tilt, share, speed = scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32)
@@ -371,4 +399,4 @@ def _count_step(
                     began[i, k] = place[i, k]
                 path[i] = 0.0
                 age[i] = 0
-    return begin, ended, standing, np.float64(tilted), np.float64(longest)
+    return StepCounts(begin, ended, standing, np.float64(tilted), np.float64(longest))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, independent, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.kernel_vectors import cross, direction, dot, flat, put
+from antdsl.numerics.kernel_vectors import Vec3, cross, direction, dot, flat, put
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.world import Population
 
@@ -68,7 +69,7 @@ class Plane:
 
 
 @inlined
-def known(x, y, z):  # type: ignore[no-untyped-def]
+def known(x: Any, y: Any, z: Any) -> Vec3:
     """A vector in float64, 0 where it is no number."""
     a, b, c = np.float64(x), np.float64(y), np.float64(z)
     good = np.isfinite(a) and np.isfinite(b) and np.isfinite(c)
@@ -76,12 +77,12 @@ def known(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _of(vectors, k):  # type: ignore[no-untyped-def]
+def _of(vectors: Vectors64, k: I64) -> Vec3:
     return vectors[0][k], vectors[1][k], vectors[2][k]
 
 
 @inlined
-def _known_of(vectors, k):  # type: ignore[no-untyped-def]
+def _known_of(vectors: tuple[Array1[Any], Array1[Any], Array1[Any]], k: I64) -> Vec3:
     return known(vectors[0][k], vectors[1][k], vectors[2][k])
 
 

@@ -98,9 +98,7 @@ def _clear(
 
 
 @inlined
-def _border(
-    others: Any, a: int, c: int, own_x: float, own_y: float, horizon: float, dt: float, borders: Any
-) -> None:  # fmt: skip
+def _border(others: Any, a: I64, c: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: Lines) -> None:
     """Set the half-plane that neighbour c of agent a allows."""
     xs, ys, vxs, vys, rooms, there, first = others
     px, py, dx, dy, sound = borders
@@ -132,16 +130,14 @@ def _border(
 
 
 @inlined
-def _beyond(borders: tuple[Floats, ...], k: int, x: float, y: float) -> float:
+def _beyond(borders: Lines, k: I64, x: F64, y: F64) -> F64:
     px, py, dx, dy, _ = borders
     away: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
     return away
 
 
 @called
-def _nearest(
-    borders: Any, most: int, fastest: float, wx: float, wy: float, x: float, y: float, along: bool
-) -> tuple[float, float, int]:  # fmt: skip
+def _nearest(borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, y: F64, along: BOOL) -> tuple[F64, F64, I64]:
     """The allowed point nearest to a wish from where that stands in the circle, or with `along` the farthest along it; and which
     border left none."""
     px, py, dx, dy, there = borders
@@ -181,9 +177,7 @@ def _nearest(
 
 
 @called
-def _least_forbidden(
-    borders: Any, between: Any, most: int, fastest: float, x: float, y: float, failed: int
-) -> tuple[float, float]:  # fmt: skip
+def _least_forbidden(borders: Lines, between: Any, most: I64, fastest: F64, x: F64, y: F64, failed: I64) -> tuple[F64, F64]:
     """The point that is least far beyond any border, from the one that those before `failed` allow."""
     px, py, dx, dy, there = borders
     qx, qy, ex, ey, some = between

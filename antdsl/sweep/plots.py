@@ -5,13 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from antdsl.sweep.factors import Factor
 from antdsl.sweep.figures import figure
 from antdsl.sweep.sensitivity import Analysis, Effect
 from antdsl.sweep.study import Study
 from antdsl.sweep.table import Result, quantile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _COLOURS = ("#3b6ea5", "#b5651d", "#4f8a4f", "#8a4f7d", "#7a7a3a", "#555555")  # of scenes
 _PARTS = 6  # of a range, for each of which a median is drawn
@@ -28,7 +31,7 @@ def draw(results: Sequence[Result], measures: Sequence[str], path: Path) -> None
             _panel(panel, results, labels, measure)
 
 
-def _panel(panel, results: Sequence[Result], labels: Sequence[str], measure: str) -> None:  # type: ignore[no-untyped-def]
+def _panel(panel: Axes, results: Sequence[Result], labels: Sequence[str], measure: str) -> None:
     known = [float(v) for _, found in results if (v := found.get(measure)) is not None]
     edge = max(known, default=1.0)
     room = 0.08 * (edge - min(known, default=0.0)) or 1.0

@@ -39,7 +39,7 @@ class Shaken:
 
 
 def shaken(scene: RayScene, seed: int) -> RayScene:
-    scene._scene = Shaken(scene._scene, seed)
+    scene._tree = Shaken(scene._scene, seed)
     scene._exact = Shaken(scene._built(scene._faces.corners.reshape(-1, 3).astype(np.float32)), seed)
     return scene
 

@@ -8,7 +8,7 @@ from meshes import ball, terrain
 from numpy.typing import NDArray
 from open_shapes import joined, soup
 
-from antdsl.ground.mesh.boxes import Boxes, first_of, gather
+from antdsl.ground.mesh.boxes import Boxes, FaceList, first_of, gather
 from antdsl.ground.mesh.surface import MeshGround
 
 Floats = NDArray[np.float64]
@@ -34,12 +34,13 @@ def ways(ground: MeshGround, rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 def first_met(ground: MeshGround, origin: Floats, step: Floats, face: int, piece: int) -> tuple[int, float, float, float]:
     """The first face on a way that goes on by a millionth of a mm: the kernel's functions, as Python runs them."""
-    table, boxes = ground.triangles[3], (ground._boxes.order, ground._boxes.first, ground._boxes.bounds)
-    found = (np.empty(len(table.live), np.int64), 0)
+    table, boxes = ground.triangles[3], ground._boxes.tree()
+    found = FaceList(np.empty(len(table.live), np.int64), 0)
     one, way = tuple(origin.tolist()), tuple(step.tolist())
     with np.errstate(all="ignore"):
         count = gather(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, found)
-        return first_of(ground._walk().packed, boxes, found, count, one, way, 1e-6)
+        hit = first_of(ground._walk().packed, boxes, found, count, one, way, 1e-6)
+    return hit.face, hit.part, *hit.weights
 
 
 @pytest.mark.parametrize("far", [0.0, 900.0])

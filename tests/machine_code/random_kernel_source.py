@@ -9,7 +9,9 @@ from random import Random
 
 OUTPUTS = ("F64", "F32", "I64", "U64", "BOOL", "I32", "I16", "U8")
 KINDS = ("F64", "F32", "I64", "U64", "BOOL")
+RECORDS = {f"{a}and{b}": (a, b) for a in KINDS for b in KINDS}  # records of two fields, `one` and `other`
 IMPORTS = """import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from antdsl.machine_code.kernels import (
     fetch_ahead, independent, inlined, kernel, put_three, scratch, three, whole,
 )
 """
+CLASSES = [f"class {name}(NamedTuple):\n    one: {a}\n    other: {b}" for name, (a, b) in RECORDS.items()]
 PARAMETERS = ", ".join([
     *(f"in_{name}: Array1[{name}]" for name in OUTPUTS), "rows: Array2[F64]", "rows32: Array2[F32]", "strided: Strided2[F64]",
     "cube: Array3[F64]", "table: Array1[F64]", "table32: Array1[F32]", "small: Array1[I64]", "ahead: Array1[F64]",
@@ -133,7 +136,13 @@ class Source:
 
     def call(self, helper: tuple[str, list[str], list[str]], depth: int) -> str:
         name, takes, _ = helper
-        return f"{name}({', '.join(['table', *(self.of(kind, depth) for kind in takes)])})"
+        passed = [self.record(kind, depth) if kind in RECORDS else self.of(kind, depth) for kind in takes]
+        return f"{name}({', '.join(['table', *passed])})"
+
+    def record(self, name: str, depth: int) -> str:
+        """A record of a class, built of its fields in their order or by name."""
+        one, other = (self.any(kind, depth) for kind in RECORDS[name])
+        return self.draw.choice((f"{name}({one}, {other})", f"{name}({one}, other={other})", f"{name}(other={other}, one={one})"))
 
     def _float(self, kind: str, depth: int) -> str:
         pick, a = self.draw.random(), self.of(kind, depth)
@@ -217,7 +226,7 @@ class Source:
         self.scope, self.own = saved
 
     def statement(self, levels: int) -> None:
-        options = [self.assign, self.assign, self.assign, self.either]
+        options = [self.assign, self.assign, self.assign, self.either, self.records]
         if levels > 0:
             options += [self.condition, self.condition, self.loop]
         if self.loops and self.depth > 2:
@@ -258,6 +267,20 @@ class Source:
         self.put(f"    {name} = {self.of(kind, 1)}")
         self.scope[kind].append(name)
         self.own[kind].append(name)
+
+    def records(self) -> None:
+        """A variable that is a record: it may be replaced, in part or by another one, in a branch."""
+        kind, name = self.draw.choice(list(RECORDS)), self.new("record")
+        one, other = RECORDS[kind]
+        self.put(f"{name} = {self.record(kind, 1)}")
+        if self.chance(0.5):
+            self.put(f"if {self.of('BOOL', 1)}:")
+            changed = f"{name}._replace(other={self.any(other, 1)})"
+            self.put(f"    {name} = {self.draw.choice((changed, self.record(kind, 1)))}")
+        if self.chance(0.3):
+            self.put(f"{name} = {self.record(kind, 1)} if {self.of('BOOL', 1)} else {name}")
+        self.scope[one] += [f"{name}.one", f"{name}[0]"]
+        self.scope[other].append(f"{name}.other")
 
     def several(self) -> None:
         fitting = [each for each in self.helpers if len(each[2]) > 1]
@@ -361,12 +384,22 @@ def helper(
     gives = [draw.choice(KINDS) for _ in range(draw.choice((1, 1, 2)))]
     source = Source(draw, name, daring, arrays=False)
     source.helpers = known
+    if draw.random() < 0.3:
+        takes.append(draw.choice(list(RECORDS)))
     parameters = [source.new("p") for _ in takes]
     for parameter, kind in zip(parameters, takes, strict=True):
-        source.scope[kind].append(parameter)
+        if kind in RECORDS:
+            one, other = RECORDS[kind]
+            source.scope[one].append(f"{parameter}.one")
+            source.scope[other].append(f"{parameter}.other")
+        else:
+            source.scope[kind].append(parameter)
+    is_record = len(gives) == 2 and draw.random() < 0.5
     source.variables(3)
 
     def returned() -> str:
+        if is_record:
+            return f"return {source.record('and'.join(gives), 1)}"
         return f"return {', '.join(source.of(kind, 1) for kind in gives)}"
 
     for _ in range(draw.randint(0, 2)):
@@ -436,4 +469,4 @@ def kernel_of(draw: Random, name: str, daring: bool) -> list[str]:
 def module_of(draw: Random, count: int, daring: bool) -> str:
     """The source of a module with so many kernels."""
     parts = [part for k in range(count) for part in kernel_of(draw, f"k{k}", daring)]
-    return "\n\n\n".join([IMPORTS, *parts]) + "\n"
+    return "\n\n\n".join([IMPORTS, *CLASSES, *parts]) + "\n"

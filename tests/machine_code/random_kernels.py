@@ -114,6 +114,7 @@ def load(source: str, folder: Path) -> list[Kernel]:
     spec = importlib.util.spec_from_file_location("drawn_kernels", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules["drawn_kernels"] = module  # where the fields of its records are looked up
     spec.loader.exec_module(module)
     import linecache
 

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(not machine.available(), reason="no llvmlite")
 @kernel
 def read(
     real: F64, single: F32, whole: I64, unsigned: U64, truth: BOOL, pair: tuple[Array1[F32], tuple[F64, I64]]
-) -> tuple[float, float, int, int, bool, float, float, int]:
+) -> tuple[F64, F32, I64, U64, BOOL, F32, F64, I64]:
     first, (second, third) = pair
     return real, single, whole, unsigned, truth, first[0], second, third
 

@@ -23,6 +23,7 @@ from antdsl.machine_code.kernels import (
     Array1,
     KernelFault,
     NotInSubset,
+    called,
     independent,
     kernel,
     scratch,
@@ -97,6 +98,41 @@ def signed_and_unsigned(x: I64, y: U64) -> U64:
     return y if x > 0 else x
 
 
+@called
+def halved(x: F64) -> F64:
+    return x * 0.5
+
+
+@kernel
+def argument_of_another_type(x: F32) -> F64:
+    return halved(x)
+
+
+@kernel
+def array_of_another_type(x: Array1[F32]) -> F64:
+    return first_element(x)
+
+
+@called
+def first_element(x: Array1[F64]) -> F64:
+    return x[0]
+
+
+@kernel
+def result_of_another_type(x: F64) -> I64:
+    return x
+
+
+@kernel
+def longer_result(x: F64) -> tuple[F64, F64]:
+    return x, x, x  # type: ignore[return-value]
+
+
+@kernel
+def result_of_a_function_without_any(x: F64) -> None:
+    return x  # type: ignore[return-value]
+
+
 @pytest.mark.parametrize(
     ("rejected", "line", "why"),
     [
@@ -110,6 +146,11 @@ def signed_and_unsigned(x: I64, y: U64) -> U64:
         (shifted_too_far, 2, "0 to 63"),
         (outside_of_room, 3, "no index"),
         (signed_and_unsigned, 2, "a signed and an unsigned"),
+        (argument_of_another_type, 2, "`x` is double, and is given float"),
+        (array_of_another_type, 2, "`x` is given a value of another type"),
+        (result_of_another_type, 2, "`return` is i64, and is given double"),
+        (longer_result, 2, "`return` is given a value of another type"),
+        (result_of_a_function_without_any, 2, "`return` is given a value of another type"),
     ],
     ids=lambda value: value.__name__ if isinstance(value, Kernel) else None,
 )

@@ -132,6 +132,21 @@ def test_numbers_are_these() -> None:
     assert row_hash.row_hash(None, [np.array([0.0, 1.0])]).hex() == "0609ad30bccd182a2c957d93e52e48cf"
 
 
+@pytest.mark.parametrize("count", [7, 1_024, 1_031, 3_000, 10_003])
+def test_blocks_and_chunks_of_rows_add_up(count: int) -> None:
+    ids, columns = table(count)
+    parts = [part for column in columns.values() for part in column.reshape(-1, count)]
+    expected = by_definition(ids, parts) if count < 2_000 else row_hash.row_hash(ids, parts)
+    halves = [row_hash.Table([ids[rows], *(part[rows] for part in parts)], row_hash.keys, ids=True).sums(len(ids[rows]))
+              for rows in (slice(0, count // 3), slice(count // 3, count))]  # fmt: skip
+    added = b"".join(((one + other) % 2**64).to_bytes(8, "little") for one, other in zip(*halves, strict=True))
+    assert row_hash.row_hash(ids, parts) == expected == added
+    table_hash, numbered = row_hash.RowHash(), row_hash.RowHash()
+    for threads in (1, 2, 3, 1, 2):
+        assert table_hash.of(ids, parts, threads) == expected
+        assert numbered.of(None, parts[:3], threads) == row_hash.row_hash(None, parts[:3])
+
+
 def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows() -> None:
     """Arrays of other places, lengths, types and steps, some the same as before with other values in them."""
     known, numbered = row_hash.RowHash(), row_hash.RowHash()

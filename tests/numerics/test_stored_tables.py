@@ -16,11 +16,14 @@ from antdsl.casting.rays import RayScene
 from antdsl.casting.triangle_grid import TriangleGrid
 from antdsl.fields.cells import SurfaceCells
 from antdsl.ground.mesh.creases import RiseMap
+from antdsl.ground.mesh.surface_clearance import Clearances
 from antdsl.ground.mesh.topology import Topology, build
 from antdsl.ground.moving import MovingGround
 from antdsl.machine_code import signing
 from antdsl.numerics import stored_tables
 from antdsl.numerics.stored_tables import KIND, LEAST, stored
+from antdsl.scene.geometry.closed import border_edges
+from antdsl.scene.setting import MeshData
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 pytestmark = pytest.mark.skipif(signing.signer(create=True) is None, reason="this user can have no private key")
@@ -56,9 +59,14 @@ def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
     table, corners = topology(mesh), mesh[0][mesh[1]]
     grid = TriangleGrid.of(Faces(corners), np.zeros(3))
     assert grid is not None
-    cells = SurfaceCells([mesh], 8.0)
+    cells = SurfaceCells([mesh], 3.0)
     plain = [getattr(table, each.name) for each in fields(table) if each.name != "cuts"]
-    other = [table.cuts.first, table.cuts.other, RiseMap(corners, table, [])._clear, DistanceGrid(corners)._least]
+    rises, parts = (
+        RiseMap(corners, table, []),
+        Clearances(corners, table.piece, table.cuts.cut, mesh[0].min(axis=0), 0.0).within(9.0),
+    )
+    other = [table.cuts.first, table.cuts.other, rises._clear, rises._creases._within(4), DistanceGrid(corners)._least]
+    other += [parts.first, parts.count, parts.least, cells.nearest(7), np.array(border_edges(MeshData(*mesh)))]
     return [np.asarray(each) for each in [*plain, *other, *grid.tables, cells._keys, cells.position, cells.normal]]
 
 
@@ -75,13 +83,13 @@ def test_stored_tables_have_the_bits_of_computed_ones(folder: Path, monkeypatch:
     monkeypatch.setenv(KIND.variable, "")
     stored_tables.forget()
     computed = arrays(mesh)
-    assert stored_tables.computed() == begin + 5 and not folder.exists()
+    assert stored_tables.computed() == begin + 9 and not folder.exists()
     monkeypatch.setenv(KIND.variable, str(folder))
     stored_tables.forget()
-    assert same(arrays(mesh), computed) and stored_tables.computed() == begin + 10
+    assert same(arrays(mesh), computed) and stored_tables.computed() == begin + 18
     stored_tables.forget()
-    assert same(arrays(mesh), computed) and stored_tables.computed() == begin + 10
-    assert len(list(folder.iterdir())) == 5
+    assert same(arrays(mesh), computed) and stored_tables.computed() == begin + 18
+    assert len(list(folder.iterdir())) == 9
 
 
 def test_stored_arrays_belong_to_the_caller(folder: Path) -> None:

@@ -28,7 +28,7 @@ THREADS = (1, 2, 3, 7)
 
 
 @kernel
-def squared(x: Array1[F64], out: Array1[F64], times: Array1[I64], begin: I64, end: I64) -> tuple[int, float, int]:
+def squared(x: Array1[F64], out: Array1[F64], times: Array1[I64], begin: I64, end: I64) -> tuple[I64, F64, I64]:
     total = 0.0
     for n in independent(begin, end):
         out[n] = x[n] * x[n]

@@ -14,10 +14,13 @@ from plans import bare, block, crowd
 from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS
 from antdsl.outputs.cache.agent_arrays import write_colours, write_numbers, write_placed
 from antdsl.outputs.cache.clip_arrays import _REGISTERS, clips_playing
+from antdsl.outputs.cache.foot_arrays import placed_feet
 from antdsl.outputs.cache.frames import _not_zero
 from antdsl.outputs.cache.shown_arrays import _put_on
 from antdsl.outputs.surface_error import _worst, surface_error
 from antdsl.runtime import Options, Population, World, bind
+from antdsl.runtime.feet.state import Feet
+from antdsl.runtime.feet.trunk import quaternions
 
 EXTREMES = np.array([0.0, -0.0, 1.0, -1.0, 1e-13, -1e-13, 1e-30, 1e30, np.inf, -np.inf, np.nan, 0.6, -0.8], np.float32)
 
@@ -180,3 +183,31 @@ def test_colours_of_states() -> None:
         states[17] = wrong
         with pytest.raises(IndexError):
             write_colours(population, colours, found)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("count", "threads"), [(0, 1), (3, 1), (700, 1), (5_000, 2)])
+def test_feet_of_a_frame(count: int, threads: int) -> None:
+    rng, scale = np.random.default_rng(count), 0.1
+    feet = Feet.none(6).matched(np.arange(count))[0]
+    for array in (feet.shown, feet.slope, feet.rise, feet.phase):
+        array[:] = rng.choice(EXTREMES, array.shape)
+        array[..., count // 2 :] = rng.normal(size=array[..., count // 2 :].shape) * 1000
+    feet.swing[:] = rng.choice(np.array([-1.0, 0.0, 0.5], np.float32), feet.swing.shape)
+    world = SimpleNamespace(feet={"ant": feet}, options=SimpleNamespace(threads=threads))
+    arrays = placed_feet(world, "ant", scale)  # type: ignore[arg-type]
+    with np.errstate(all="ignore"):
+        expected = {
+            "P": ((feet.shown.transpose(1, 2, 0) + 0.0) * scale).astype(np.float32),
+            "down": feet.down.astype(np.uint8),
+            "phase": feet.phase,
+            "rise": feet.rise * np.float32(scale),
+            "tilt": quaternions(feet.slope),
+        }
+    assert list(arrays) == [f"feet.ant.{name}" for name in expected]
+    for name, array in expected.items():
+        made = arrays[f"feet.ant.{name}"]
+        assert made.dtype == array.dtype and made.shape == array.shape and made.flags.c_contiguous
+        kind = f"u{array.itemsize}"
+        number = np.isnan(array) if array.dtype.kind == "f" else np.zeros(array.shape, np.bool_)
+        assert (np.ascontiguousarray(array).view(kind)[~number] == made.view(kind)[~number]).all()
+        assert array.dtype.kind != "f" or (np.isnan(made) == number).all()

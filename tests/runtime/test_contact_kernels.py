@@ -362,7 +362,8 @@ def test_a_crowd_stands_and_came_as_its_registers_say() -> None:
     speed[rows[:3]], weight[rows[:3]] = [-1, 7, 9], [0, 3, -2]
     start, walked, normal = np.full((3, 3, 9), -7.0)
     reach, mass = np.full((2, 9), -7.0)
-    corrections.stands(rows, 4, began, place, feet, speed, weight, 0.25, start, walked, normal, reach, mass)
+    species = corrections.Feet(began, place, feet, speed, weight)
+    corrections.stands(rows, 4, species, 0.25, start, walked, normal, reach, mass)
     to = slice(4, 8)
     assert np.array_equal(start[:, to], began[rows].T) and np.array_equal(walked[:, to], (place - began)[rows].T)
     assert np.array_equal(normal[:, to], feet[rows].T) and np.array_equal(reach[to], np.maximum(speed[rows], 0) * 0.25)
@@ -440,8 +441,9 @@ def test_who_is_stopped_faces_as_before_with_its_trunk() -> None:
 
 def test_rows_are_gathered() -> None:
     built, rows = bodies(4), np.array([3, 4, 50])
-    to = (*np.empty((3, 3, 3)), *np.empty((2, 3)))
+    to = capsule_distances.Bodies(*np.empty((3, 3, 3)), *np.empty((2, 3)))
     single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (built.ahead, built.up)]
-    capsule_distances.gathered(rows, built.middle, *single, built.half, built.radius, to)
+    crowd = capsule_distances.Crowded(built.middle, *single, built.half, built.radius)
+    capsule_distances.gathered(rows, crowd, to)
     for result, expected in zip(to, (built.middle, *map(np.stack, single), built.half, built.radius), strict=True):
         assert np.array_equal(result, expected[..., rows])

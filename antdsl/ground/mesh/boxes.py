@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.face_table import CORNER, EDGE1, EDGE2, WIDTH
-from antdsl.machine_code.kernels import F64, I64, Array1, Array2, called, fetch_ahead, inlined, scratch
-from antdsl.numerics.kernel_vectors import at, cross, dot, minus
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, fetch_ahead, inlined, scratch
+from antdsl.numerics.kernel_vectors import Vec3, Weights, at, cross, dot, minus
 from antdsl.numerics.sorting import interleaved
 
 Floats = NDArray[np.float64]
@@ -22,7 +23,28 @@ LEVEL = 1e-12  # sine between a way and a plane, below which it lies along it an
 _FINE = 1 << 21  # places along an axis that the order tells apart
 _DEEP = 128  # boxes that wait to be opened: more than trees of 2**40 triangles ever need
 
-Tree = tuple[Array1[I64], Array1[I64], Array2[F64]]  # order, first and bounds of `Boxes`
+
+class Tree(NamedTuple):
+    """The arrays of `Boxes`, as kernels read them."""
+
+    order: Array1[I64]
+    first: Array1[I64]
+    bounds: Array2[F64]
+
+
+class FaceList(NamedTuple):
+    """Room for numbers of faces, from one place of an array on."""
+
+    places: Array1[I64]
+    begin: I64
+
+
+class BoxHit(NamedTuple):
+    """The first face on a path (-1 for none), after what part of it, and weights of the point."""
+
+    face: I64
+    part: F64
+    weights: Weights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +81,10 @@ class Boxes:
             here = slice(self.first[k] + since, self.first[k + 1])
             self.bounds[here, :3], self.bounds[here, 3:] = ends[:, :, :3].min(axis=1), ends[:, :, 3:].max(axis=1)
 
+    def tree(self) -> Tree:
+        """Its arrays."""
+        return Tree(self.order, self.first, self.bounds)
+
     def near(self, low: Floats, high: Floats) -> tuple[Index, Index]:
         """Pairs of a box (3, k) asked about and a triangle whose box overlaps it."""
         asked, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)
@@ -78,7 +104,7 @@ class Boxes:
 
 
 @called
-def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[no-untyped-def]
+def gather(pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, found: FaceList) -> I64:
     """Writes into `found`, an array and where in it to begin, the places in the order of all triangles, but `face` and those of
     `piece`, whose boxes overlap a box: that around the points `one` and `two`, `size` mm larger. Returns how many. `boxes` are
     the arrays of `Boxes`."""
@@ -109,7 +135,7 @@ def gather(pieces, boxes, one, two, size, face, piece, found):  # type: ignore[n
 
 
 @called
-def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no-untyped-def]
+def first_of(table: Array1[F64], boxes: Tree, found: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
     """The first triangle met of the first `count` in `found` (-1 for none), after what part of a way that goes on by `fine` mm,
     and its weights there. `table` is `packed`.
 
@@ -119,7 +145,7 @@ def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no
     places, behind = found
     face, part, b1, b2 = -1, np.inf, 0.0, 0.0
     if count == 0:
-        return face, part, b1, b2
+        return BoxHit(face, part, (b1, b2))
     square = dot(step, step)
     long = 1.0 + min(fine / max(np.sqrt(square), 1e-300), FARTHEST)
     end_x, end_y, end_z = origin[0] + step[0] * long, origin[1] + step[1] * long, origin[2] + step[2] * long
@@ -141,11 +167,11 @@ def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no
         hit = u >= -EDGE and v >= -EDGE and u + v <= 1.0 + EDGE and t >= 0 and t <= long
         if hit and (t < part or (t == part and f < face)):
             face, part, b1, b2 = f, t, u, v
-    return face, part, b1, b2
+    return BoxHit(face, part, (b1, b2))
 
 
 @inlined
-def _apart(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):  # type: ignore[no-untyped-def]
+def _apart(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
     """Whether a box does not overlap another one: asked along all axes at once, as one of the answers is as likely as another."""
     x = (bounds[b, 0] > high_x) | (bounds[b, 3] < low_x)
     y = (bounds[b, 1] > high_y) | (bounds[b, 4] < low_y)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial, reduce
+from functools import cached_property, partial, reduce
 from operator import or_
 
 import numpy as np
@@ -62,18 +62,26 @@ class Creases:
         self._shape = np.floor(size / self._width).astype(np.int64) + 1
         self._first = int(np.frexp(self._width)[1])
         self.reaches = (self._width, float(self._shape.max()) * self._width)  # least and greatest (mm) that are told apart
+        self._of = (corners, table, minded)
+
+    @cached_property
+    def _grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
+        """The cells that something sharp is in, and of more pieces than one the least and the greatest in each cell."""
+        corners, table, minded = self._of
+        live = np.flatnonzero(table.live & minded)
         half = inner_creases(table, corners)
         half = half[minded[half // 3]]
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
-        self._sharp = self._marked(np.stack([one, two, two], axis=1))
-        self._sharp |= self._marked(corners[np.flatnonzero(table.cuts.cut & minded)])
-        self._least, self._most = None, None
-        if len(np.unique(table.piece[live])) > 1:
-            self._least, self._most = np.full(self._shape, _NONE, np.int32), np.full(self._shape, -1, np.int32)
-            for cell, which in triangle_cells((corners[live] - self._low) / self._width, exact=False):
-                at = tuple(np.clip(cell, 0, self._shape - 1).T)
-                np.minimum.at(self._least, at, table.piece[live[which]])
-                np.maximum.at(self._most, at, table.piece[live[which]])
+        sharp = self._marked(np.stack([one, two, two], axis=1))
+        sharp |= self._marked(corners[np.flatnonzero(table.cuts.cut & minded)])
+        if len(np.unique(table.piece[live])) < 2:
+            return (sharp,)
+        least, most = np.full(self._shape, _NONE, np.int32), np.full(self._shape, -1, np.int32)
+        for cell, which in triangle_cells((corners[live] - self._low) / self._width, exact=False):
+            at = tuple(np.clip(cell, 0, self._shape - 1).T)
+            np.minimum.at(least, at, table.piece[live[which]])
+            np.maximum.at(most, at, table.piece[live[which]])
+        return sharp, least, most
 
     def _marked(self, corners: Floats) -> NDArray[np.bool_]:
         found = np.zeros(self._shape, np.bool_)
@@ -96,15 +104,20 @@ class Creases:
     def _within(self, rung: int) -> NDArray[np.bool_]:
         """Cells within 2**rung mm of something of the kind."""
         if rung not in self._around:
-            self._around[rung] = self._spread(int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max())))
+            rings = int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max()))
+            corners, table, minded = self._of
+            inputs = (corners, table.live, table.link, table.piece, table.cuts.cut, minded, float(rings))
+            found = stored_tables.stored("cells near creases", len(corners), inputs, partial(self._spread, rings))
+            self._around[rung] = found["near"]
         return self._around[rung]
 
-    def _spread(self, rings: int) -> NDArray[np.bool_]:
-        found: NDArray[np.bool_] = greatest_around(self._sharp, rings) if self._sharp.any() else self._sharp
-        if self._least is not None and self._most is not None:
-            least, most = least_around(self._least, rings), greatest_around(self._most, rings)
+    def _spread(self, rings: int) -> stored_tables.Tables:
+        sharp, *pieces = self._grids
+        found: NDArray[np.bool_] = greatest_around(sharp, rings) if sharp.any() else sharp
+        if pieces:
+            least, most = least_around(pieces[0], rings), greatest_around(pieces[1], rings)
             found = found | ((least != most) & (most >= 0))
-        return found
+        return {"near": found}
 
 
 def _stored_clearance(corners: Floats, table: Topology) -> Floats:
@@ -224,7 +237,7 @@ class RiseMap:
 
 
 @inlined
-def _rung(reach, width, whole):  # type: ignore[no-untyped-def]
+def _rung(reach: F64, width: F64, whole: F64) -> I64:
     """As the exponent of np.frexp."""
     return ((as_bits(min(max(reach, width), whole)) >> 52) & 0x7FF) - _EXPONENT
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, NORMAL, RATE1, RATE2, SHEAR, WIDTH
+from antdsl.ground.mesh.surroundings import standing
 from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.machine_code.kernels import called, inlined
-from antdsl.numerics.kernel_vectors import at, dot, inside, minus, more, plus, times
+from antdsl.ground.mesh.walkers import Cuts, Landing, Surface, Surroundings, Walker
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined
+from antdsl.numerics.kernel_vectors import Vec3, Weights, at, dot, inside, minus, more, plus, times
 
 OFF = 16.0  # touches that feet are put off the face they left: beyond all that is taken for its border
 STEEP = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it
@@ -15,17 +17,17 @@ LEANING = 1e3  # way along a face for each mm up, above which it is as good as l
 
 
 @called
-def crossed(table, link, sides, cuts, touch, f, place, up, way, side, length):  # type: ignore[no-untyped-def]
+def crossed(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, length: F64) -> Landing:
     """The first face of the own piece that cuts the own face across a way: from there the way goes on upon it. It ends before the
-    other side of an open sheet, and where there is no room. The face met (-1 for none), weights, side to walk on, way gone, and
-    whether it ends there. `link` is that of the topology, `sides` its `piece` and `way`, `cuts` are `first` and `other` of its
-    cuts.
+    other side of an open sheet, and where there is no room.
 
     No eye looks for it, for at a cut every height above the feet is in another room somewhere. Feet keep off what cuts their face
     by more than a `touch` (mm) on the side they are on, which is a thousand times what float64 rounds: so they are always on one
     side of it.
     """
-    first, others = cuts
+    table, link, f, side = surface.table, surface.link, walker.face, walker.side
+    (first, others), touch = cuts, around.lengths.touch
+    place, up, way = standing(table, walker)
     face, best, gone, soonest = -1, np.inf, length, np.inf
     for k in range(first[f], first[f + 1]):
         other = others[k]
@@ -51,46 +53,45 @@ def crossed(table, link, sides, cuts, touch, f, place, up, way, side, length):  
         if late < best or (late == best and other < face):
             face, best, gone = other, late, before
     if face < 0:
-        return -1, 0.0, 0.0, 1.0, length, False
+        return Landing(-1, (0.0, 0.0), 1.0, length, 0.0, False)
     row = WIDTH * face
     normal = at(table, row + NORMAL)
     there, towards = plus(place, times(way, gone)), dot(normal, way)
     steep = minus(up, times(normal, dot(up, normal)))
     off = times(steep, OFF * touch / max(dot(steep, steep), STEEP))
-    pieces, ways = sides
+    pieces, ways = around.sides
     back = pieces[f] == pieces[face] and ways[1 if side < 0 else 0, f] != ways[1 if towards > 0 else 0, face]
     if back or _tight(table, cuts, face, f, there, off, touch):
         # Up to where feet keep off what they come to, or, in a corner, not at all.
         near = 0.0
         if back:
             near = max(soonest - OFF * touch / max(abs(towards), 1 / LEANING), 0.0)
-        b1, b2 = _landing(table, WIDTH * f, plus(place, times(way, near)))
-        return f, b1, b2, (-1.0 if -dot(at(table, WIDTH * f + NORMAL), up) > 0 else 1.0), near, True
-    b1, b2 = _landing(table, row, plus(there, off))
-    return face, b1, b2, (-1.0 if towards > 0 else 1.0), gone, False
+        weights = _landing(table, WIDTH * f, plus(place, times(way, near)))
+        return Landing(f, weights, (-1.0 if -dot(at(table, WIDTH * f + NORMAL), up) > 0 else 1.0), near, 0.0, True)
+    return Landing(face, _landing(table, row, plus(there, off)), (-1.0 if towards > 0 else 1.0), gone, 0.0, False)
 
 
 @inlined
-def _in_frame(table, row, place):  # type: ignore[no-untyped-def]
+def _in_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
     off = minus(place, at(table, row + CORNER))
     return dot(at(table, row + AXIS1), off), dot(at(table, row + AXIS2), off)
 
 
 @inlined
-def _weights(table, row, place):  # type: ignore[no-untyped-def]
+def _weights(table: Array1[F64], row: I64, place: Vec3) -> Weights:
     """Weights of the point of a face below a place near it, in the triangle."""
     c, s = _in_frame(table, row, place)
     return inside(c * table[row + RATE1] - s * table[row + SHEAR] + 0.0, s * table[row + RATE2] + 0.0)
 
 
 @inlined
-def _landing(table, row, place):  # type: ignore[no-untyped-def]
+def _landing(table: Array1[F64], row: I64, place: Vec3) -> Weights:
     b1, b2 = _weights(table, row, place)
     return inside(b1 + 0.0, b2 + 0.0)  # again: it may move them by another rounding
 
 
 @inlined
-def _within(table, row, place, touch):  # type: ignore[no-untyped-def]
+def _within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
     """Whether a place in the plane of a face is in it, or no more than about `touch` mm beside it."""
     c, s = _in_frame(table, row, place)
     rate1, rate2, shear = table[row + RATE1], table[row + RATE2], table[row + SHEAR]
@@ -100,7 +101,7 @@ def _within(table, row, place, touch):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _lowest(table, face, other, sign):  # type: ignore[no-untyped-def]
+def _lowest(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
     """Height of the lowest corner of a face over the plane of another, whose upper side is that of its normal by `sign`."""
     row, there = WIDTH * face, WIDTH * other
     up = times(at(table, there + NORMAL), sign)
@@ -109,7 +110,9 @@ def _lowest(table, face, other, sign):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _leads_through(table, link, f, side, other, begins, there, touch):  # type: ignore[no-untyped-def]
+def _leads_through(
+    table: Array1[F64], link: Array2[I32], f: I64, side: F64, other: I64, begins: F64, there: Vec3, touch: F64
+) -> BOOL:
     """Whether a way that comes to the plane of another face from a height `begins`, at `there`, goes on behind it, or ends. Where
     the own face only touches the other one, it may be folded back there into a wedge that has no room."""
     sign = -1.0 if begins < 0 else 1.0
@@ -128,7 +131,7 @@ def _leads_through(table, link, f, side, other, begins, there, touch):  # type: 
 
 
 @inlined
-def _tight(table, cuts, face, own, place, off, touch):  # type: ignore[no-untyped-def]
+def _tight(table: Array1[F64], cuts: Cuts, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64) -> BOOL:
     """Where three sheets meet: whether feet put upon a face at a place, and `off` from their own face, would be through a third
     one or touch it. They stay where they are, then."""
     first, others = cuts

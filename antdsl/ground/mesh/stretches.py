@@ -6,8 +6,9 @@ import numpy as np
 
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
 from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.machine_code.kernels import consecutive, fetch_ahead, inlined, whole
-from antdsl.numerics.kernel_vectors import inside, plus, times
+from antdsl.ground.mesh.walkers import Clearances, Direction, Progress, Stop, Surface, Walker
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, consecutive, fetch_ahead, inlined, whole
+from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, inside, plus, times
 
 CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
 STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
@@ -18,14 +19,14 @@ AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the bord
 
 
 @inlined
-def frame(table, row):  # type: ignore[no-untyped-def]
+def frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
     """Both axes of a face, and its normal."""
     ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = consecutive(table, row + AXIS1, 12)
     return (ax, ay, az), (bx, by, bz), (nx, ny, nz)
 
 
 @inlined
-def laid_down(axis1, axis2, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
+def laid_down(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
     """A vector laid into a face: unit (c, s) in its frame, (c0, s0) where nothing finite is left, and its length (mm)."""
     c = axis1[0] * x + axis1[1] * y + axis1[2] * z
     s = axis2[0] * x + axis2[1] * y + axis2[2] * z
@@ -37,23 +38,25 @@ def laid_down(axis1, axis2, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-untyped-def]
+def free(near: Clearances, f: I64, weights: Weights) -> F64:
     """A distance (mm) within which a place has no other piece, see `Parts`; `reach` being enough."""
-    n = sub_count[f]
+    n = near.counts[f]
     if n == 0:
-        return reach
-    return clear[sub_first[f] + max(min(whole(np.floor(b1 * n)), n - 1), 0) * n + max(min(whole(np.floor(b2 * n)), n - 1), 0)]
+        return near.reach
+    column, row = whole(np.floor(weights[0] * n)), whole(np.floor(weights[1] * n))
+    return near.least[near.first[f] + max(min(column, n - 1), 0) * n + max(min(row, n - 1), 0)]
 
 
 @inlined
-def go(  # type: ignore[no-untyped-def]
-    table, link, forked, sub_first, sub_count, clear, reach, high, looked, along_open,
-    f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn,
-):  # fmt: skip
-    """Across faces until the way is used up, or until an event: what the agent is then, the event, and the edge and length of
-    its stretch. On stretches within whose length and `high` there may be another piece it stops, but not on the first if
-    `looked`. Where no stretch may meet another piece and it goes `along_open` borders, it follows those beyond which there is
-    nothing: how often, is what comes last."""
+def go(
+    surface: Surface, near: Clearances, high: F64, looked: BOOL, along_open: BOOL, walker: Walker, progress: Progress
+) -> tuple[Walker, Progress, Stop]:
+    """Across faces until the way is used up, or until an event. On stretches within whose length and `high` there may be another
+    piece it stops, but not on the first if `looked`. Where no stretch may meet another piece and it goes `along_open` borders, it
+    follows those beyond which there is nothing."""
+    table, link, forked, _ = surface
+    f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
+    left, gone, turn = progress
     event, edge, length, hops = 0, 0, 0.0, 0
     while turn < CROSSINGS and left > 0:
         if turn >= STUCK:  # noqa: SIM102  # asked first: hardly anybody comes to it, and the rest of a division is dear
@@ -78,7 +81,7 @@ def go(  # type: ignore[no-untyped-def]
             if way < until:
                 until, edge = way, 2
         length = min(until, left)
-        if high > 0 and not looked and free(sub_first, sub_count, clear, reach, f, b1, b2) <= length + high:
+        if high > 0 and not looked and free(near, f, (b1, b2)) <= length + high:
             event = AHEAD
             break
         looked = False
@@ -93,31 +96,36 @@ def go(  # type: ignore[no-untyped-def]
             if beyond == NO_LINK or not along_open or high > 0:
                 event = BORDER
                 break
-            c, s, left = along_border(cosine, sine, c, s, left)
+            (c, s), left = along_border((cosine, sine), (c, s), left)
             hops += 1
             if hops >= HOPS:
                 left = 0.0
         else:
-            f, b1, b2, side, c, s, heading_c, heading_s = _cross(
-                table, beyond, edge, cosine, sine, b1, b2, side, c, s, heading_c, heading_s
+            f, (b1, b2), side, (c, s), (heading_c, heading_s) = _cross(
+                table, beyond, edge, (cosine, sine), (b1, b2), side, (c, s), (heading_c, heading_s)
             )
             for line in (0, 24, 32):  # which `finish` reads: all others are read at once
                 fetch_ahead(table, WIDTH * f + line)
         turn += 1
-    return f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length, hops
+    walker = Walker(f, (b1, b2), side, (c, s), (heading_c, heading_s))
+    return walker, Progress(left, gone, turn), Stop(event, edge, length, hops)
 
 
 @inlined
-def along_border(edge_c, edge_s, c, s, left):  # type: ignore[no-untyped-def]
+def along_border(edge: Direction, direction: Direction, left: F64) -> tuple[Direction, F64]:
     """Along an open border, and the way that is left there."""
+    (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0
-    return turn * edge_c - INWARD * edge_s, turn * edge_s + INWARD * edge_c, left * abs(along)
+    return (turn * edge_c - INWARD * edge_s, turn * edge_s + INWARD * edge_c), left * abs(along)
 
 
 @inlined
-def _cross(table, beyond, edge, c1, s1, b1, b2, side, c, s, heading_c, heading_s):  # type: ignore[no-untyped-def]
-    """Into the face beyond an edge."""
+def _cross(
+    table: Array1[F64], beyond: I64, edge: I64, along: Direction, weights: Weights, side: F64, way: Direction, heading: Direction
+) -> Walker:
+    """Into the face beyond an edge, which lies `along` a direction."""
+    (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = along, weights, way, heading
     f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
     b0 = 1.0 - b1 - b2
     first = b1 if edge == 0 else (b2 if edge == 1 else b0)
@@ -126,20 +134,20 @@ def _cross(table, beyond, edge, c1, s1, b1, b2, side, c, s, heading_c, heading_s
         first, second = second, first
     c2, s2, _, _ = consecutive(table, WIDTH * f + EDGES + 4 * k2, 4)
     turn = 1.0 if flip else -1.0
-    along, out = turn * (c * c1 + s * s1), c * s1 - s * c1
-    c, s = along * c2 - out * s2, along * s2 + out * c2
-    along, out = turn * (heading_c * c1 + heading_s * s1), heading_c * s1 - heading_s * c1
-    heading_c, heading_s = along * c2 - out * s2, along * s2 + out * c2
+    ahead, out = turn * (c * c1 + s * s1), c * s1 - s * c1
+    c, s = ahead * c2 - out * s2, ahead * s2 + out * c2
+    ahead, out = turn * (heading_c * c1 + heading_s * s1), heading_c * s1 - heading_s * c1
+    heading_c, heading_s = ahead * c2 - out * s2, ahead * s2 + out * c2
     b1 = max(first if k2 == 0 else (0.0 if k2 == 1 else second), 0.0)
     b2 = max(second if k2 == 0 else (first if k2 == 1 else 0.0), 0.0)
-    return f, b1, b2, -side if flip else side, c, s, heading_c, heading_s
+    return Walker(f, (b1, b2), -side if flip else side, (c, s), (heading_c, heading_s))
 
 
 @inlined
-def finish(  # type: ignore[no-untyped-def]
-    table, row, b1, b2, side, c, s, heading_c, heading_s, over
-):
+def finish(table: Array1[F64], walker: Walker, over: F64) -> Pose:
     """Place, smooth normal, transported heading and direction of travel in space."""
+    f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
+    row = WIDTH * f
     b0 = 1.0 - b1 - b2
     numbers = consecutive(table, row, WIDTH)
     axis1, axis2, (nx, ny, nz) = numbers[AXIS1:AXIS2], numbers[AXIS2:NORMAL], numbers[NORMAL:RATE1]
@@ -162,11 +170,11 @@ def finish(  # type: ignore[no-untyped-def]
         corner[2] + b1 * edge1[2] + b2 * edge2[2] + over * nz,
     )
     direction = plus(times(axis1, c), times(axis2, s))
-    return place, (sx, sy, sz), (hx / size, hy / size, hz / size), direction
+    return Pose(place, (sx, sy, sz), (hx / size, hy / size, hz / size), direction)
 
 
 @inlined
-def _turned(vx, vy, vz, bx, by, bz, ax, ay, az):  # type: ignore[no-untyped-def]
+def _turned(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
     """A vector turned as the unit normal b turns into a; half a turn goes over the vector itself."""
     cosine = bx * ax + by * ay + bz * az
     if cosine < -1 + 1e-9:

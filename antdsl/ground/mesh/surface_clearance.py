@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from antdsl.casting.distance_grid import cell_width, triangle_width
 from antdsl.casting.grid_filters import greatest_around, least_around
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import RayScene
+from antdsl.numerics import stored_tables
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -44,22 +46,9 @@ class Clearances:
         self._cut = cut
         piece = np.where(cut, piece.max(initial=-1) + 1, piece).astype(np.int32)
         self._piece = piece
-        self._corners = corners
+        self._corners, self._low = corners, low
         self._parts: Parts | None = None
         self._several = len(np.unique(piece[piece >= 0])) > 1
-        if not self._several:
-            return
-        size = corners.max(axis=(0, 1)) - low
-        self._width = triangle_width(corners, cell_width(size, _GRID_CELLS))
-        self._scaled = (corners - low) / self._width
-        self._size = np.floor(size / self._width).astype(np.int64) + 1
-        self._least = np.full(int(self._size.prod()), np.iinfo(np.int32).max, np.int32)
-        self._most = np.full(int(self._size.prod()), -1, np.int32)
-        live = np.flatnonzero(piece >= 0)
-        for cell, which in triangle_cells(self._scaled[live], exact=False):
-            flat = self._flat(np.minimum(cell, self._size - 1))
-            np.minimum.at(self._least, flat, piece[live[which]])
-            np.maximum.at(self._most, flat, piece[live[which]])
 
     def within(self, reach: float) -> Parts:
         """Clearances that tell distances up to `reach` mm apart; kept, and measured anew when the reach has grown."""
@@ -69,11 +58,17 @@ class Clearances:
         return self._parts
 
     def _measured(self, reach: float) -> Parts:
+        inputs = (self._corners, self._piece, self._cut, self._low, self.noise, reach)
+        size = len(self._piece) if self._several else 0
+        found = stored_tables.stored("distances of pieces", size, inputs, partial(self._measure, reach))
+        return Parts(reach, found["first"], found["count"], found["least"])
+
+    def _measure(self, reach: float) -> stored_tables.Tables:
         m = len(self._piece)
         near = np.flatnonzero(self._near(reach) | self._cut) if self._several else np.empty(0, np.int64)
         count, first = np.zeros(m, np.int32), np.zeros(m, np.int64)
         if not near.size:
-            return Parts(reach, first, count, np.empty(0))
+            return {"first": first, "count": count, "least": np.empty(0)}
         measurable = len(np.unique(self._piece[near])) <= _MOST_PIECES
         n = min(max(int((_PARTS / near.size) ** 0.5), 1), _FINEST) if measurable else 1
         count[near] = n
@@ -85,7 +80,7 @@ class Clearances:
                     own = self._piece[near] == piece
                     least[own] = self._apart(near[own], near[~own & (self._piece[near] >= 0)], n, reach)
         least[self._cut[near]] = 0.0
-        return Parts(reach, first, count, least.ravel())
+        return {"first": first, "count": count, "least": least.ravel()}
 
     def _apart(self, own: Index, others: Index, n: int, reach: float) -> Floats:
         """Clearances of the n*n parts of faces from other faces, (k, n*n)."""
@@ -106,21 +101,53 @@ class Clearances:
         clear: Floats = np.clip(apart, 0.0, reach)
         return clear
 
-    def _flat(self, cell: Index) -> Index:
-        flat: Index = (cell[..., 0] * self._size[1] + cell[..., 1]) * self._size[2] + cell[..., 2]
-        return flat
-
     def _near(self, reach: float) -> NDArray[np.bool_]:
         """Faces that may have another piece within `reach` mm: those that lie in some cell that has two pieces around."""
-        mixed = self._spread(int(min(np.ceil(reach / self._width), self._size.max())))
-        found = np.zeros(len(self._scaled), bool)
-        for cell, which in triangle_cells(self._scaled, exact=False):
-            found[which[mixed[self._flat(np.clip(cell, 0, self._size - 1))]]] = True
+        grid = self._pieces
+        mixed = grid.mixed(int(min(np.ceil(reach / grid.width), grid.size.max())))
+        found = np.zeros(len(grid.scaled), bool)
+        for cell, which in triangle_cells(grid.scaled, exact=False):
+            found[which[mixed[grid.flat(np.clip(cell, 0, grid.size - 1))]]] = True
         return found
 
-    def _spread(self, rings: int) -> NDArray[np.bool_]:
-        shape = tuple(self._size)
-        least = least_around(self._least.reshape(shape), rings)
-        most = greatest_around(self._most.reshape(shape), rings)
+    @cached_property
+    def _pieces(self) -> _PieceGrid:
+        corners, piece = self._corners, self._piece
+        size = corners.max(axis=(0, 1)) - self._low
+        width = triangle_width(corners, cell_width(size, _GRID_CELLS))
+        cells = np.floor(size / width).astype(np.int64) + 1
+        none, count = np.iinfo(np.int32).max, int(cells.prod())
+        grid = _PieceGrid(
+            width, (corners - self._low) / width, cells, np.full(count, none, np.int32), np.full(count, -1, np.int32)
+        )
+        live = np.flatnonzero(piece >= 0)
+        for cell, which in triangle_cells(grid.scaled[live], exact=False):
+            flat = grid.flat(np.minimum(cell, cells - 1))
+            np.minimum.at(grid.least, flat, piece[live[which]])
+            np.maximum.at(grid.most, flat, piece[live[which]])
+        return grid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PieceGrid:
+    """The `least` and the greatest piece in each cell of a grid of `size` cells so wide (mm), and the corners of faces, `scaled`
+    to cells."""
+
+    width: float
+    scaled: Floats
+    size: Index
+    least: NDArray[np.int32]
+    most: NDArray[np.int32]
+
+    def flat(self, cell: Index) -> Index:
+        """The numbers of cells in one row."""
+        flat: Index = (cell[..., 0] * self.size[1] + cell[..., 1]) * self.size[2] + cell[..., 2]
+        return flat
+
+    def mixed(self, rings: int) -> NDArray[np.bool_]:
+        """Cells that have two pieces within so many `rings`."""
+        shape = tuple(self.size)
+        least = least_around(self.least.reshape(shape), rings)
+        most = greatest_around(self.most.reshape(shape), rings)
         mixed: NDArray[np.bool_] = ((least != most) & (most >= 0)).ravel()
         return mixed

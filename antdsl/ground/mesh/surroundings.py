@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from antdsl.ground.mesh.boxes import first_of, gather
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, EDGES, NORMAL, WIDTH
-from antdsl.machine_code.kernels import called, inlined
-from antdsl.numerics.kernel_vectors import at, dot, inside, less, level, minus, more, nearest, plus, times, turned
+from antdsl.ground.mesh.walkers import Direction, Landing, Lengths, Sides, Surroundings, Walker
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, called, inlined
+from antdsl.numerics.kernel_vectors import Vec3, Weights, at, dot, inside, less, level, minus, more, nearest, plus, times, turned
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
 STEEPEST = 8.0  # of that height is the way left at least: who climbs comes up by it besides
@@ -37,113 +39,142 @@ class Scale:
     def of(extent: float) -> Scale:
         return Scale(NOISE * extent, LEAST * extent, FINE * extent, TOUCH * extent, 10 * FINE * extent)
 
+    def lengths(self) -> Lengths:
+        """Those that kernels read."""
+        return Lengths(self.least, self.fine, self.under, self.touch)
+
+
+class Stance(NamedTuple):
+    """Where an agent is, which direction is up there, and its direction of travel."""
+
+    place: Vec3
+    up: Vec3
+    way: Vec3
+
+
+class Sight(NamedTuple):
+    """A face that is seen (-1 for none), weights, how far off on the eye's level, the look's direction, the eye's height."""
+
+    face: I64
+    weights: Weights
+    distance: F64
+    towards: Vec3
+    eye: F64
+
+
+class Border(NamedTuple):
+    """The face and side that an agent leaves over a border, and which direction is up there."""
+
+    face: I64
+    side: F64
+    up: Vec3
+
 
 @called
-def other_ahead(table, sides, boxes, scale, found, body, f, b1, b2, side, c, s, left, length):  # type: ignore[no-untyped-def]
+def other_ahead(table: Array1[F64], around: Surroundings, body: F64, walker: Walker, left: F64, length: F64) -> Landing:
     """Another piece of surface within the way, seen from just above the ground; where the own piece lies before it, from a grain
-    above, as feet go under that: the face met (-1 for none), weights, side to walk on, way gone. `found` has room for all
-    faces."""
-    pieces, _ = sides
-    least, fine, _ = scale
-    row = WIDTH * f
-    place, up, way = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side), _in_space(table, row, c, s)
+    above, as feet go under that."""
+    pieces, boxes, found, f = around.sides.piece, around.boxes, around.found, walker.face
+    least, fine = around.lengths.least, around.lengths.fine
+    ground = standing(table, walker)
+    place, _, way = ground
     high = more(less(LIFT * body, left / STEEPEST), least)
     n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
     if n == 0:
-        return -1, 0.0, 0.0, 1.0, length
-    ground = (place, up, way)
-    face, one, two, gone, towards, eye = _seen(table, boxes, scale, found, n, ground, length, high)
+        return Landing(-1, (0.0, 0.0), 1.0, length, 0.0, False)
+    face, weights, gone, towards, eye = _seen(table, around, n, ground, length, high)
     if face < 0:
-        return face, 0.0, 0.0, 1.0, length
-    if _hidden(table, pieces, boxes, scale, found, f, ground, length, eye, towards):
+        return Landing(face, (0.0, 0.0), 1.0, length, 0.0, False)
+    if _hidden(table, around, f, ground, length, eye, towards):
         n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
-        face, one, two, gone, towards, eye = _seen(table, boxes, scale, found, n, ground, length, least)
+        face, weights, gone, towards, eye = _seen(table, around, n, ground, length, least)
         if face < 0:
-            return face, 0.0, 0.0, 1.0, length
-    one, two = inside(one + 0.0, two + 0.0)
-    return face, one, two, _side(table, face, towards), min(np.sqrt(gone * gone + eye * eye), left)
+            return Landing(face, (0.0, 0.0), 1.0, length, 0.0, False)
+    weights = inside(weights[0] + 0.0, weights[1] + 0.0)
+    return Landing(face, weights, _side(table, face, towards), min(np.sqrt(gone * gone + eye * eye), left), 0.0, False)
 
 
 @called
-def _seen(table, boxes, scale, found, n, ground, length, high):  # type: ignore[no-untyped-def]
+def _seen(table: Array1[F64], around: Surroundings, n: I64, ground: Stance, length: F64, high: F64) -> Sight:
     """Another piece within the way, seen from so high, below a low ceiling from half its height; or at the way's end between that
-    eye and the ground. The face met, weights, way gone on the eye's level, the way that came to it, the eye's height."""
-    _, fine, under = scale
+    eye and the ground."""
+    boxes, found, fine, under = around.boxes, around.found, around.lengths.fine, around.lengths.under
     place, up, way = ground
-    roof, part, _, _ = first_of(table, boxes, found, n, place, times(up, high), fine)
+    roof, part, _ = first_of(table, boxes, found, n, place, times(up, high), fine)
     # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
     if roof >= 0 and (dot(at(table, WIDTH * roof + NORMAL), up) < 0 or high * part > under):
         high = high * part / 2
     eye, step = plus(place, times(up, high)), times(way, length)
-    face, part, one, two = first_of(table, boxes, found, n, eye, step, fine)
+    face, part, weights = first_of(table, boxes, found, n, eye, step, fine)
     if face >= 0:
-        return face, one, two, min(part, 1.0) * length, way, high
+        return Sight(face, weights, min(part, 1.0) * length, way, high)
     # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
     down = times(up, -high)
-    face, _, one, two = first_of(table, boxes, found, n, plus(eye, step), down, 0.0)
-    return face, one, two, length, down, high
+    face, _, weights = first_of(table, boxes, found, n, plus(eye, step), down, 0.0)
+    return Sight(face, weights, length, down, high)
 
 
 @called
-def _hidden(table, pieces, boxes, scale, found, f, ground, length, high, towards):  # type: ignore[no-untyped-def]
+def _hidden(table: Array1[F64], around: Surroundings, f: I64, ground: Stance, length: F64, high: F64, towards: Vec3) -> BOOL:
     """Whether what is met from an eye so high is behind the own piece."""
-    _, fine, _ = scale
+    pieces, boxes, found, fine = around.sides.piece, around.boxes, around.found, around.lengths.fine
     place, up, way = ground
     step, piece = times(way, length), pieces[f]
     eye = plus(place, times(up, high))
     n = gather(pieces, boxes, place, plus(place, step), high + 2 * fine, f, -1, found)
-    first = first_of(table, boxes, found, n, plus(place, times(up, fine)), times(up, high - fine), 0.0)[0]
+    first = first_of(table, boxes, found, n, plus(place, times(up, fine)), times(up, high - fine), 0.0).face
     if first >= 0 and pieces[first] == piece:
         return True
-    first = first_of(table, boxes, found, n, eye, step, fine)[0]
+    first = first_of(table, boxes, found, n, eye, step, fine).face
     if first >= 0 and pieces[first] == piece:
         return True
     if towards[0] == way[0] and towards[1] == way[1] and towards[2] == way[2]:
         return False
-    first = first_of(table, boxes, found, n, plus(eye, step), towards, 0.0)[0]
+    first = first_of(table, boxes, found, n, plus(eye, step), towards, 0.0).face
     return first >= 0 and pieces[first] == piece
 
 
 @called
-def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # type: ignore[no-untyped-def]
+def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walker: Walker) -> Landing:
     """Past an open border where an agent stands: what is met first on a way that leads up off the own face, out over the border
-    and down beyond it, and then back towards it from below, a little and deeper. The face stepped over to (-1 for none),
-    weights, side, way gone on its level, and how high that is.
+    and down beyond it, and then back towards it from below, a little and deeper. Gives the face stepped over to, the way gone on
+    its level, and how high that is.
 
     Each part of that way begins where the one before it ended and goes no further than the first surface in it: so nothing
     behind a sheet is stepped onto. It is as wide as the gap that is stepped over, on both sides of the border.
     """
-    pieces, _ = sides
-    least, fine, _ = scale
+    sides, boxes, found, f = around.sides, around.boxes, around.found, walker.face
+    pieces, least, fine = sides.piece, around.lengths.least, around.lengths.fine
     row = WIDTH * f
-    place, up = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side)
+    place, up = stand(table, row, walker.weights, walker.side), times(at(table, row + NORMAL), walker.side)
+    border = Border(f, walker.side, up)
     along = row + EDGES + 4 * edge
-    out = _in_space(table, row, table[along + EDGE_S], -table[along + EDGE_C])
+    out = _in_space(table, row, (table[along + EDGE_S], -table[along + EDGE_C]))
     body = more(body, least / LIFT)
     gap, high = GAP * body, HIGH * body
     most, across = high, times(out, gap)
     lift = times(up, high)
     n = gather(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, found)
     if n == 0:
-        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+        return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     hair = times(out, 2 * fine)  # besides a border that ends or begins exactly over or below the own one
-    roof, part, _, _ = first_of(table, boxes, found, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
+    roof, part, _ = first_of(table, boxes, found, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
-    if first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)[0] >= 0:
+    if first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0).face >= 0:
         high = min(high, LIFT * body)
-        face, part, one, two = first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)
+        face, part, weights = first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)
         if face >= 0:
             gone = gap * min(part, 1.0)
             if abs(high) <= gap:
-                return _leading(table, sides, f, side, up, face, one, two, out, np.sqrt(gone * gone + high * high), 0.0)
-            return _leading(table, sides, f, side, up, face, one, two, out, gone, high)
+                return _leading(table, sides, border, face, weights, out, np.sqrt(gone * gone + high * high), 0.0)
+            return _leading(table, sides, border, face, weights, out, gone, high)
     over, towards = plus(place, across), times(up, -(high + most))
-    face, part, one, two = first_of(table, boxes, found, n, plus(over, times(up, high)), towards, 0.0)
+    face, part, weights = first_of(table, boxes, found, n, plus(over, times(up, high)), towards, 0.0)
     rise, gone = -most, gap
     if face >= 0:
         rise = high - part * (high + most)
-        if _leads(table, sides, f, side, up, face, towards):
+        if _leads(table, sides, border, face, towards):
             # Onto the point of the face that is nearest to a place over the border no lower than its plane there.
             there = WIDTH * face
             normal, corner = at(table, there + NORMAL), at(table, there + CORNER)
@@ -154,88 +185,89 @@ def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # t
             above, edge1, edge2 = plus(place, times(up, height)), at(table, there + EDGE1), at(table, there + EDGE2)
             b1, b2, away = nearest(edge1, edge2, minus(above, corner))
             onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
-            rise, gone = height, away
-            first, part, before1, before2 = first_of(table, boxes, found, n, above, onto, 0.0)
+            rise, gone, weights = height, away, (b1, b2)
+            first, part, nearer = first_of(table, boxes, found, n, above, onto, 0.0)
             if part * away < away - fine:
-                face, b1, b2, gone, towards = first, before1, before2, part * away, onto
-            one, two = b1, b2
+                face, weights, gone, towards = first, nearer, part * away, onto
         else:
             face = -1
     if face < 0:
         lowest, towards = rise, times(out, -2 * gap)
         for deep in (GAP * body, DEEP * body):
             if lowest < -deep:
-                face, part, one, two = first_of(table, boxes, found, n, minus(over, times(up, deep)), towards, 0.0)
+                face, part, weights = first_of(table, boxes, found, n, minus(over, times(up, deep)), towards, 0.0)
                 if face >= 0:
                     rise, gone = -deep, abs(gap - part * (2 * gap))
                     break
-    if face < 0 or not _leads(table, sides, f, side, up, face, towards):
-        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+    if face < 0 or not _leads(table, sides, border, face, towards):
+        return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     # Down at the border itself, where what was met may be met sooner; straight across to what is near.
     if rise < -gap:
         fall = times(up, rise + fine)
-        sooner, part, b1, b2 = first_of(table, boxes, found, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
+        sooner, part, nearer = first_of(table, boxes, found, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
         if sooner >= 0:
-            face, one, two, towards = sooner, b1, b2, fall
+            face, weights, towards = sooner, nearer, fall
             rise, gone = part * (rise + fine) - fine, 0.0
     if abs(rise) <= gap:
-        return _leading(table, sides, f, side, up, face, one, two, towards, np.sqrt(gone * gone + rise * rise), 0.0)
-    return _leading(table, sides, f, side, up, face, one, two, towards, gone, rise)
+        return _leading(table, sides, border, face, weights, towards, np.sqrt(gone * gone + rise * rise), 0.0)
+    return _leading(table, sides, border, face, weights, towards, gone, rise)
 
 
 @inlined
-def landed(table, f, side, c, s, heading_c, heading_s, to, to_side):  # type: ignore[no-untyped-def]
+def landed(table: Array1[F64], walker: Walker, to: I64, to_side: F64) -> tuple[Direction, Direction]:
     """Direction and heading in the frame of the face `to`, turned as the normal turns."""
-    row, there = WIDTH * f, WIDTH * to
-    before, after = times(at(table, row + NORMAL), side), times(at(table, there + NORMAL), to_side)
-    direction = _in_space(table, row, c, s)
+    row, there = WIDTH * walker.face, WIDTH * to
+    before, after = times(at(table, row + NORMAL), walker.side), times(at(table, there + NORMAL), to_side)
+    direction = _in_space(table, row, walker.direction)
     way = turned(direction, before, after, direction)
-    heading = turned(_in_space(table, row, heading_c, heading_s), before, after, direction)
+    heading = turned(_in_space(table, row, walker.heading), before, after, direction)
     axis1, axis2 = at(table, there + AXIS1), at(table, there + AXIS2)
-    c, s = level(dot(axis1, way), dot(axis2, way))
-    heading_c, heading_s = level(dot(axis1, heading), dot(axis2, heading))
-    return c, s, heading_c, heading_s
+    return level(dot(axis1, way), dot(axis2, way)), level(dot(axis1, heading), dot(axis2, heading))
 
 
 @inlined
-def standing(table, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
-    """Place on a face, the way up there, and the direction of travel."""
-    row = WIDTH * f
-    return stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side), _in_space(table, row, c, s)
+def standing(table: Array1[F64], walker: Walker) -> Stance:
+    """Where a walker is."""
+    row, side = WIDTH * walker.face, walker.side
+    place = stand(table, row, walker.weights, side)
+    return Stance(place, times(at(table, row + NORMAL), side), _in_space(table, row, walker.direction))
 
 
 @inlined
-def stand(table, row, b1, b2, side):  # type: ignore[no-untyped-def]
+def stand(table: Array1[F64], row: I64, weights: Weights, side: F64) -> Vec3:
     """Place on a face."""
-    return plus(plus(at(table, row + CORNER), times(at(table, row + EDGE1), b1)), times(at(table, row + EDGE2), b2))
+    return plus(
+        plus(at(table, row + CORNER), times(at(table, row + EDGE1), weights[0])), times(at(table, row + EDGE2), weights[1])
+    )
 
 
 @inlined
-def _in_space(table, row, c, s):  # type: ignore[no-untyped-def]
-    return plus(times(at(table, row + AXIS1), c), times(at(table, row + AXIS2), s))
+def _in_space(table: Array1[F64], row: I64, direction: Direction) -> Vec3:
+    return plus(times(at(table, row + AXIS1), direction[0]), times(at(table, row + AXIS2), direction[1]))
 
 
 @inlined
-def _side(table, face, towards):  # type: ignore[no-untyped-def]
+def _side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
     """The side of a face that a way came from is the side to walk on."""
     return -1.0 if dot(at(table, WIDTH * face + NORMAL), towards) > 0 else 1.0
 
 
 @called
-def _leads(table, sides, f, side, up, face, towards):  # type: ignore[no-untyped-def]
+def _leads(table: Array1[F64], sides: Sides, border: Border, face: I64, towards: Vec3) -> BOOL:
     """Whether one may step over a border to a face: not to the other side of what is walked on, nor to what turns back below it
     as that side does."""
     pieces, ways = sides
     there = _side(table, face, towards)
-    here, other = 1 if side < 0 else 0, 1 if there < 0 else 0
-    alike = pieces[f] != pieces[face] or ways[here, f] == ways[other, face]
-    return alike and dot(times(at(table, WIDTH * face + NORMAL), there), up) > TURNED
+    here, other = 1 if border.side < 0 else 0, 1 if there < 0 else 0
+    alike = pieces[border.face] != pieces[face] or ways[here, border.face] == ways[other, face]
+    return alike and dot(times(at(table, WIDTH * face + NORMAL), there), border.up) > TURNED
 
 
 @called
-def _leading(table, sides, f, side, up, face, b1, b2, towards, gone, rise):  # type: ignore[no-untyped-def]
+def _leading(
+    table: Array1[F64], sides: Sides, border: Border, face: I64, weights: Weights, towards: Vec3, gone: F64, rise: F64
+) -> Landing:
     """What `beyond` gives, if one may step there."""
-    if not _leads(table, sides, f, side, up, face, towards):
-        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
-    b1, b2 = inside(b1 + 0.0, b2 + 0.0)
-    return face, b1, b2, _side(table, face, towards), gone, rise
+    if not _leads(table, sides, border, face, towards):
+        return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
+    return Landing(face, inside(weights[0] + 0.0, weights[1] + 0.0), _side(table, face, towards), gone, rise, False)

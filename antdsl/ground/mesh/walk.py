@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import Tree
+from antdsl.ground.mesh.boxes import FaceList
 from antdsl.ground.mesh.crossings import crossed
 from antdsl.ground.mesh.face_table import (
     EDGE_C,
@@ -17,8 +17,21 @@ from antdsl.ground.mesh.face_table import (
     WIDTH,
 )
 from antdsl.ground.mesh.stretches import AHEAD, BORDER, HANG, HOPS, along_border, finish, frame, free, go, laid_down
-from antdsl.ground.mesh.surroundings import LIFT, beyond, landed, other_ahead, standing
+from antdsl.ground.mesh.surroundings import LIFT, beyond, landed, other_ahead
 from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.mesh.walkers import (
+    Clearances,
+    Landing,
+    Moved,
+    Pieces,
+    Placed,
+    Progress,
+    Stop,
+    Surface,
+    Surroundings,
+    Walk,
+    Walker,
+)  # fmt: skip
 from antdsl.machine_code.kernels import (
     BOOL,
     F64,
@@ -34,18 +47,10 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
+from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, of, put
 from antdsl.numerics.kernel_vectors import inside as _inside
-from antdsl.numerics.kernel_vectors import of, put
 from antdsl.numerics.parallel import own
 
-# `packed` faces, `link` and `forked` of the topology, the first face of each mesh.
-Surface = tuple[Array1[F64], Array2[I32], BOOL, Array1[I64]]
-# `first`, `count`, `least` and `reach` of `Parts`; an agent stays away from what is nearer than its way, LIFT of its body and a
-# noise, which comes last.
-Clearances = tuple[Array1[I64], Array1[I32], Array1[F64], F64, F64]
-Placed = tuple[Array1[I32], Array1[I32], Array1[F64], Array1[F64], Array1[F64]]  # mesh, face, two weights, height over it
-# Place, up, heading and direction (3, n), and the way gone.
-Moved = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array1[F64]]
 # What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, BODY, REALS = range(13)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, EVENT, EDGE, WHOLES = range(9)
@@ -55,9 +60,9 @@ FETCHED = 64  # agents whose rows are brought near at once: as many as a process
 
 
 @inlined
-def bring_near(surface, mesh, face, begin, end):  # type: ignore[no-untyped-def]
+def bring_near(surface: Surface, mesh: Array1[I32], face: Array1[I32], begin: I64, end: I64) -> None:
     """Have the rows of the faces brought near that agents from `begin` to before `end` stand on."""
-    table, _, _, first = surface
+    table, first = surface.table, surface.first
     for i in independent(begin, end):
         if mesh[i] >= 0:
             row = WIDTH * (first[mesh[i]] + face[i])
@@ -69,36 +74,42 @@ def bring_near(surface, mesh, face, begin, end):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def walked(surface, near, along_open, f, b1, b2, over, size, wish, heading, up):  # type: ignore[no-untyped-def]
+def walked(
+    surface: Surface,
+    near: Clearances,
+    along_open: BOOL,
+    f: I64,
+    weights: Weights,
+    over: F64,
+    size: F64,
+    wish: Vec3,
+    heading: Vec3,
+    up: Vec3,
+) -> Walk:
     """An agent's way over face `f` and those beyond its edges, from weights and so far `over` it, with its `size`, wish, heading
-    and up: where `go` leads to, `along_open` borders or not, and before that how near it looks out for other surfaces, and how
-    far over its face it is, both on its side."""
-    table, link, forked, _ = surface
-    sub_first, sub_count, clear, reach, noise = near
-    axis1, axis2, normal = frame(table, WIDTH * f)
+    and up: where `go` leads to, `along_open` borders or not."""
+    axis1, axis2, normal = frame(surface.table, WIDTH * f)
     along_up = up[0] * normal[0] + up[1] * normal[1] + up[2] * normal[2]
     side = -1.0 if along_up < 0 else 1.0
     over = over * side
-    b1, b2 = _inside(b1 + 0.0, b2 + 0.0)
+    weights = _inside(weights[0] + 0.0, weights[1] + 0.0)
     c, s, left = laid_down(axis1, axis2, wish[0], wish[1], wish[2], 1.0, 0.0)
     heading_c, heading_s, _ = laid_down(axis1, axis2, heading[0], heading[1], heading[2], c, s)
-    high = _margin(noise, size)
-    if not free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
+    high = _margin(near.noise, size)
+    if not free(near, f, weights) <= left + high:
         high = -np.inf  # has nothing to look out for on the whole way
+    walker, progress = Walker(f, weights, side, (c, s), (heading_c, heading_s)), Progress(left, 0.0, 0)
     if over != 0 and left > 0:
-        way, turn, event, edge, length, hops = 0.0, 0, HANG, 0, 0.0, 0
+        stop = Stop(HANG, 0, 0.0, 0)
     else:
-        f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length, hops = go(
-            table, link, forked, sub_first, sub_count, clear, reach, high, False, along_open,
-            f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
-        )  # fmt: skip
-        if hops > 0:
+        walker, progress, stop = go(surface, near, high, False, along_open, walker, progress)
+        if stop.hops > 0:
             over = 0.0
-    return high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length, hops
+    return Walk(high, over, walker, progress, stop)
 
 
 @inlined
-def counted(how, reals, wholes, begin, end):  # type: ignore[no-untyped-def]
+def counted(how: Array1[U8], reals: Array2[F64], wholes: Array2[I64], begin: I64, end: I64) -> tuple[I64, I64]:
     """How many of the agents from `begin` to before `end` wait, whose columns of `reals` and `wholes` are brought together from
     `begin` on, and how many are left."""
     waiting, left = 0, 0
@@ -136,10 +147,8 @@ def walk_all(
     counts as none. Who is nowhere, or has weights that are not finite, is nowhere afterwards.
     """
     mesh, face, b1s, b2s, overs = at
-    first = surface[3]
+    first = surface.first
     wish, heading, up = vectors
-    to_mesh, to_face, to_b1, to_b2, to_over = placed
-    place, above, ahead, direction, gone = moved
     for some in range(begin, end, FETCHED):
         last = min(some + FETCHED, end)
         bring_near(surface, mesh, face, some, last)
@@ -147,22 +156,20 @@ def walk_all(
             how[i] = DONE
             step, look, above_it = of(wish, i), of(heading, i), of(up, i)
             if mesh[i] < 0 or face[i] < 0 or not np.isfinite(b1s[i] + b2s[i] + overs[i]):
-                to_mesh[i], to_face[i], to_b1[i], to_b2[i], to_over[i], gone[i] = -1, -1, 0.0, 0.0, 0.0, 0.0
-                _put(i, ((0.0, 0.0, 0.0), above_it, look, look), place, above, ahead, direction)
+                placed.mesh[i], placed.face[i], moved.travelled[i] = -1, -1, 0.0
+                placed.b1[i], placed.b2[i], placed.over[i] = 0.0, 0.0, 0.0
+                _put(moved, i, Pose((0.0, 0.0, 0.0), above_it, look, look))
                 continue
-            high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length, _ = walked(
-                surface, near, False, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], body[i], step, look, above_it
-            )
-            if event:
+            f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
+            walk = walked(surface, near, False, f, weights, overs[i], body[i], step, look, above_it)
+            if walk.stop.event:
                 how[i] = WAITS
-                keep(
-                    reals, wholes, i, i, high > 0, body[i], f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn,
-                    event, edge, length, 0,
-                )  # fmt: skip
+                keep(reals, wholes, i, body[i], walk)
                 continue
-            to_mesh[i], to_face[i] = mesh[i], f - first[mesh[i]]  # no edge leads to another mesh
-            to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
-            _put(i, finish(surface[0], WIDTH * f, b1, b2, side, c, s, heading_c, heading_s, over), place, above, ahead, direction)
+            # No edge leads to another mesh.
+            put_down(placed, i, mesh[i], walk.walker.face - first[mesh[i]], walk.over, walk.walker)
+            moved.travelled[i] = walk.progress.travelled
+            _put(moved, i, finish(surface.table, walk.walker, walk.over))
     waiting, left = counted(how, reals, wholes, begin, end)
     return begin, waiting, left
 
@@ -171,13 +178,8 @@ def walk_all(
 def walk_on(
     surface: Surface,
     near: Clearances,
-    sides: tuple[Array1[I32], Array2[I32]],
-    cuts: tuple[Array1[I64], Array1[I64]],
-    boxes: Tree,
-    scale: tuple[F64, F64, F64],
-    touch: F64,
+    known: Pieces,
     straight: BOOL,
-    rooms: tuple[Array1[I64], I64, I64],
     reals: Strided2[F64],
     wholes: Strided2[I64],
     how: Array1[U8],
@@ -187,64 +189,34 @@ def walk_on(
     begin: I64,
     end: I64,
 ) -> None:
-    """The same for agents that wait, from `begin` to before `end`.
-
-    `sides` are `piece` and `way` of the topology and `cuts` the arrays of its cuts, `boxes` those of `Boxes`, `scale` least, fine
-    and under of `Scale`, and its `touch`; ways end at open borders if they are to be `straight`; `rooms` has
-    room for all faces in each of so many, and says how many agents wait.
-    """
-    table, link, forked, first = surface
-    sub_first, sub_count, clear, reach, noise = near
-    first_cut, _ = cuts
-    to_mesh, to_face, to_b1, to_b2, to_over = placed
-    place, above, ahead, direction, gone = moved
-    places, count, several = rooms
-    found = places, own(begin, several, count) * boxes[0].size
+    """The same for agents that wait, from `begin` to before `end`. Ways end at open borders if they are to be `straight`."""
+    table, first, boxes = surface.table, surface.first, known.boxes
+    found = FaceList(known.room, own(begin, known.rooms, known.count) * boxes.order.size)
+    around = Surroundings(known.sides, boxes, known.lengths, found)
     for k in range(begin, end):
-        event = wholes[EVENT, k]
         i = wholes[AGENT, k]
         size = reals[BODY, k]
-        high = _margin(noise, size) if wholes[NEAR, k] != 0 else -np.inf
-        f, b1, b2, side, c, s, heading_c, heading_s = (
-            wholes[FACE, k],
-            reals[B1, k],
-            reals[B2, k],
-            reals[SIDE, k],
-            reals[C, k],
-            reals[S, k],
-            reals[HEADING_C, k],
-            reals[HEADING_S, k],
-        )
-        left, way, over, turn, looked, edge, length = (
-            reals[LEFT, k],
-            reals[GONE, k],
-            reals[OVER, k],
-            wholes[TURN, k],
-            False,
-            wholes[EDGE, k],
-            reals[LENGTH, k],
-        )
+        high = _margin(near.noise, size) if wholes[NEAR, k] != 0 else -np.inf
+        f, b1, b2, side, over = wholes[FACE, k], reals[B1, k], reals[B2, k], reals[SIDE, k], reals[OVER, k]
+        walker = Walker(f, (b1, b2), side, (reals[C, k], reals[S, k]), (reals[HEADING_C, k], reals[HEADING_S, k]))
+        left, way, turn, looked = reals[LEFT, k], reals[GONE, k], wholes[TURN, k], False
+        event, edge, length = wholes[EVENT, k], wholes[EDGE, k], reals[LENGTH, k]
         while event:
-            to, one, two, side2, level, gap, shut = -1, 0.0, 0.0, side, 0.0, 0.0, False
+            to = Landing(-1, (0.0, 0.0), walker.side, 0.0, 0.0, False)
             if event == AHEAD:
                 looked = True
                 if length > 0:
-                    gap = length
-                    if first_cut[f + 1] > first_cut[f]:
-                        at_place, up, way_on = standing(table, f, b1, b2, side, c, s)
-                        to, one, two, side2, gap, shut = crossed(
-                            table, link, sides, cuts, touch, f, at_place, up, way_on, side, length
-                        )  # fmt: skip
-                    nearer, nearer1, nearer2, nearer_side, nearer_gap = other_ahead(
-                        table, sides, boxes, scale, found, size, f, b1, b2, side, c, s, left, gap
-                    )  # fmt: skip
-                    if nearer >= 0:
-                        to, one, two, side2, gap, shut = nearer, nearer1, nearer2, nearer_side, nearer_gap, False
-                if to >= 0:
+                    to = to._replace(distance=length)
+                    if known.cuts.first[walker.face + 1] > known.cuts.first[walker.face]:
+                        to = crossed(surface, around, known.cuts, walker, length)
+                    nearer = other_ahead(table, around, size, walker, left, to.distance)
+                    if nearer.face >= 0:
+                        to = nearer
+                if to.face >= 0:
                     looked = False
                     turn += 1
             elif event == HANG:
-                edge, outward = _hung(table, link, f, b1, b2, side, c, s)
+                edge, outward = _hung(table, surface.link, walker)
                 if outward:
                     event = BORDER
                     turn -= 1  # of a step, the loop counts the stretches
@@ -254,55 +226,61 @@ def walk_on(
                         left = 0.0
             if event == BORDER:
                 turn += 1
-                to, one, two, side2, gap, level = beyond(table, sides, boxes, scale, found, size, f, edge, b1, b2, side)
-                over, left, way = _rise(over, level, left, way)
-                if to < 0 and over == level:
-                    along = WIDTH * f + EDGES + 4 * edge
-                    c, s, left = along_border(table[along + EDGE_C], table[along + EDGE_S], c, s, left)
+                to = beyond(table, around, size, edge, walker)
+                over, left, way = _rise(over, to.height, left, way)
+                if to.face < 0 and over == to.height:
+                    row = WIDTH * walker.face + EDGES + 4 * edge
+                    (c, s), left = along_border((table[row + EDGE_C], table[row + EDGE_S]), walker.direction, left)
+                    walker = walker._replace(direction=(c, s))
                     wholes[BLOCKED, k] = 1
                     wholes[SPENT, k] += 1
                     if straight or wholes[SPENT, k] >= HOPS:
                         left = 0.0
-                elif to < 0 or over != level or not left >= gap:
+                elif to.face < 0 or over != to.height or not left >= to.distance:
                     if way == 0:
                         wholes[BLOCKED, k] = 1
-                    to, left = -1, 0.0
+                    to, left = to._replace(face=-1), 0.0
                 else:
                     over = 0.0
                     wholes[NEAR, k] = 1
-                    high = _margin(noise, size)
-            if to >= 0:
-                c, s, heading_c, heading_s = landed(table, f, side, c, s, heading_c, heading_s, to, side2)
-                f, b1, b2, side = to, one, two, side2
-                left = max(left - gap, 0.0)
-                way += gap
+                    high = _margin(near.noise, size)
+            if to.face >= 0:
+                direction, heading = landed(table, walker, to.face, to.side)
+                walker = Walker(to.face, to.weights, to.side, direction, heading)
+                left = max(left - to.distance, 0.0)
+                way += to.distance
                 wholes[SPENT, k] += 1
-                if shut or wholes[SPENT, k] >= HOPS:
+                if to.stops or wholes[SPENT, k] >= HOPS:
                     left = 0.0
                     wholes[BLOCKED, k] = 1
-            f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length, _ = go(
-                table, link, forked, sub_first, sub_count, clear, reach, high, looked, False,
-                f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn,
-            )  # fmt: skip
+            walker, progress, stop = go(surface, near, high, looked, False, walker, Progress(left, way, turn))
+            left, way, turn = progress
+            event, edge, length, _ = stop
             looked = False
         how[i] = DONE
-        row = WIDTH * f
-        on = int(table[row + MESH])
-        to_mesh[i], to_face[i] = on, f - first[on]
-        to_b1[i], to_b2[i], to_over[i], gone[i], blocked[i] = b1, b2, over * side + 0.0, way, wholes[BLOCKED, k] != 0
-        _put(i, finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over), place, above, ahead, direction)
+        mesh = int(table[WIDTH * walker.face + MESH])
+        put_down(placed, i, mesh, walker.face - first[mesh], over, walker)
+        moved.travelled[i], blocked[i] = way, wholes[BLOCKED, k] != 0
+        _put(moved, i, finish(table, walker, over))
 
 
 @inlined
-def _put(i, found, place, above, ahead, direction):  # type: ignore[no-untyped-def]
-    put(place, i, found[0])
-    put(above, i, found[1])
-    put(ahead, i, found[2])
-    put(direction, i, found[3])
+def put_down(placed: Placed, i: I64, mesh: I64, face: I64, over: F64, walker: Walker) -> None:
+    """Where agent `i` stands after a walk: on a face of a mesh, so far `over` it on its side."""
+    placed.mesh[i], placed.face[i], placed.over[i] = mesh, face, over * walker.side + 0.0
+    placed.b1[i], placed.b2[i] = walker.weights
 
 
 @inlined
-def _margin(noise, body):  # type: ignore[no-untyped-def]
+def _put(moved: Moved, i: I64, pose: Pose) -> None:
+    put(moved.place, i, pose.place)
+    put(moved.up, i, pose.up)
+    put(moved.heading, i, pose.heading)
+    put(moved.direction, i, pose.direction)
+
+
+@inlined
+def _margin(noise: F64, body: F64) -> F64:
     """How near to its way (mm) a piece of surface must be to matter."""
     high = LIFT * body
     if not high > noise:
@@ -311,47 +289,20 @@ def _margin(noise, body):  # type: ignore[no-untyped-def]
 
 
 @called
-def keep(  # type: ignore[no-untyped-def]
-    reals,
-    wholes,
-    k,
-    i,
-    near,
-    body,
-    f,
-    b1,
-    b2,
-    side,
-    c,
-    s,
-    heading_c,
-    heading_s,
-    left,
-    way,
-    over,
-    turn,
-    event,
-    edge,
-    length,
-    hops,
-):
-    """Write down an agent that waits, who has followed so many borders: of its HOPS they are SPENT, and it is BLOCKED by any."""
-    wholes[AGENT, k], wholes[SPENT, k], wholes[BLOCKED, k], wholes[NEAR, k], reals[BODY, k] = i, hops, hops > 0, near, body
-    reals[B1, k], reals[B2, k], reals[SIDE, k], reals[C, k], reals[S, k], reals[HEADING_C, k], reals[HEADING_S, k] = (
-        b1,
-        b2,
-        side,
-        c,
-        s,
-        heading_c,
-        heading_s,
-    )
-    reals[LEFT, k], reals[GONE, k], reals[OVER, k], reals[LENGTH, k] = left, way, over, length
-    wholes[FACE, k], wholes[TURN, k], wholes[EVENT, k], wholes[EDGE, k] = f, turn, event, edge
+def keep(reals: Array2[F64], wholes: Array2[I64], i: I64, body: F64, walk: Walk) -> None:
+    """Write down an agent that waits, who may have followed borders: of its HOPS they are SPENT, and it is BLOCKED by any."""
+    high, over, walker, progress, stop = walk
+    wholes[AGENT, i], wholes[SPENT, i], wholes[BLOCKED, i], wholes[NEAR, i] = i, stop.hops, stop.hops > 0, high > 0
+    reals[BODY, i], reals[SIDE, i], reals[OVER, i], reals[LENGTH, i] = body, walker.side, over, stop.length
+    reals[B1, i], reals[B2, i] = walker.weights
+    reals[C, i], reals[S, i] = walker.direction
+    reals[HEADING_C, i], reals[HEADING_S, i] = walker.heading
+    reals[LEFT, i], reals[GONE, i], wholes[TURN, i] = progress
+    wholes[FACE, i], wholes[EVENT, i], wholes[EDGE, i] = walker.face, stop.event, stop.edge
 
 
 @inlined
-def _rise(over, level, left, way):  # type: ignore[no-untyped-def]
+def _rise(over: F64, level: F64, left: F64, way: F64) -> tuple[F64, F64, F64]:
     """Up or down over a border to a level (mm above the own face), as far as the way left lasts: where it leads, and the way left
     and gone."""
     most = level - over
@@ -361,8 +312,9 @@ def _rise(over, level, left, way):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _hung(table, link, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
+def _hung(table: Array1[F64], link: Array2[I32], walker: Walker) -> tuple[I64, BOOL]:
     """The open border over which an agent steps, and whether it heads out over it."""
+    f, (b1, b2), side, (c, s), _ = walker
     weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf
     for k in range(3):
         if link[1 if side < 0 else 0, 3 * f + k] == NO_LINK and weights[k] < least:

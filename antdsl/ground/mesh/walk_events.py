@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh import walk as loop
+from antdsl.ground.mesh import walkers
 from antdsl.ground.mesh.boxes import Boxes
 from antdsl.ground.mesh.face_table import OPEN, mark_open, pack, packed
 from antdsl.ground.mesh.open_borders import open_borders
@@ -82,11 +83,11 @@ class CrowdWalk:
     boxes: Boxes
     scale: Scale
 
-    def tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        """What kernels read of the faces, and of how far other surfaces are: see `walk`, `Surface` and `Clearances`."""
+    def tables(self) -> tuple[walkers.Surface, walkers.Clearances]:
+        """What kernels read of the faces, and of how far other surfaces are."""
         walk, parts = self.walk, self.parts
-        surface = (walk.packed, walk.table.link, walk.table.forked, walk.first)
-        return surface, (parts.first, parts.count, parts.least, parts.reach, self.scale.noise)
+        surface = walkers.Surface(walk.packed, walk.table.link, walk.table.forked, walk.first)
+        return surface, walkers.Clearances(parts.first, parts.count, parts.least, parts.reach, self.scale.noise)
 
     def step(
         self,
@@ -101,7 +102,7 @@ class CrowdWalk:
         borders if they are to be `straight`."""
         n = body.size
         how = np.empty(n, np.uint8)
-        placed, moved, blocked = to[:5], to[5:10], to[10]
+        placed, moved, blocked = walkers.Placed._make(to[:5]), walkers.Moved._make(to[5:10]), to[10]
         reals, wholes = np.empty((loop.REALS, n)), np.empty((loop.WHOLES, n), np.int64)
         work = partial(loop.walk_all, *self.tables(), at, body, vectors, reals, wholes, how, placed, moved)
         waiting = Waiting.of(parallel.in_parts(work, n, threads), reals, wholes)
@@ -111,25 +112,23 @@ class CrowdWalk:
         self,
         some: Waiting,
         how: NDArray[np.uint8],
-        placed: tuple[Any, ...],
-        moved: tuple[Any, ...],
+        placed: walkers.Placed,
+        moved: walkers.Moved,
         blocked: NDArray[np.bool_],
         threads: int,
         straight: bool = False,
     ) -> NDArray[np.int64]:
-        """Move those who wait to footings `placed`, to `moved` as `walk.Moved` has it, and say who is
-        `blocked`; gives their rows."""
+        """Move those who wait to footings `placed` and poses `moved`, and say who is `blocked`; gives their rows."""
         reals, wholes = some.reals, some.wholes
         rows: NDArray[np.int64] = wholes[loop.AGENT]
         if not rows.size:
             return rows
         table, boxes, scale = self.walk.table, self.boxes, self.scale
-        sides, tree = (table.piece, table.way), (boxes.order, boxes.first, boxes.bounds)
-        cuts = (table.cuts.first, table.cuts.other)
-        known = (*self.tables(), sides, cuts, tree, (scale.least, scale.fine, scale.under), scale.touch, straight)
+        sides, cuts = walkers.Sides(table.piece, table.way), walkers.Cuts(table.cuts.first, table.cuts.other)
         count = wholes.shape[1]
         parts = parallel.parts(count, threads, _WAITING)
-        rooms = (np.empty(parts * boxes.order.size, np.int64), parts, count)
-        further = partial(loop.walk_on, *known, rooms, reals, wholes, how, placed, moved, blocked)
+        room = np.empty(parts * boxes.order.size, np.int64)
+        known = walkers.Pieces(sides, cuts, boxes.tree(), scale.lengths(), room, parts, count)
+        further = partial(loop.walk_on, *self.tables(), known, straight, reals, wholes, how, placed, moved, blocked)
         parallel.in_parts(further, count, threads, _WAITING)
         return rows

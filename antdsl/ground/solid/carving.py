@@ -207,7 +207,7 @@ def write(
 
 
 @inlined
-def _filled(distance, scale):  # type: ignore[no-untyped-def]
+def _filled(distance: F32, scale: F32) -> I64:
     """As `bricks.filling`, of one node."""
     part = np.float32(0.5) - distance * scale
     part = min(max(part, np.float32(0)), np.float32(1))
@@ -215,7 +215,7 @@ def _filled(distance, scale):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _mixed(node, bits):  # type: ignore[no-untyped-def]
+def _mixed(node: I64, bits: I64) -> U64:
     """As `bricks.mixed`, of one node."""
     x = (np.uint64(node) << np.uint64(32)) ^ np.uint64(bits)
     x *= _M1

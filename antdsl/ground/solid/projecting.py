@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from antdsl.ground.solid.bricks import Bricks
 from antdsl.ground.solid.trilinear import Grid, field_at, grid_of
-from antdsl.machine_code.kernels import BOOL, F64, Array1, Array2, called, kernel
-from antdsl.numerics.kernel_vectors import dot
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, called, kernel
+from antdsl.numerics.kernel_vectors import Vec3, dot
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +58,9 @@ def settle(
 
 
 @called
-def settle_at(table, values, grid, p, hint, close):  # type: ignore[no-untyped-def]
+def settle_at(
+    table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3, hint: Vec3, close: F64
+) -> tuple[BOOL, Vec3, Vec3]:
     """Whether the surface was found, a place within `close` (mm) of it and the normal there; those given where not.
 
     Each step is as long as the distance, a voxel at most where the gradient shows the way. Where the field is flat (the middle of

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.solid.bricks import Bricks
 from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, called, inlined, kernel
+from antdsl.numerics.kernel_vectors import Vec3
 
 Floats = NDArray[np.float64]
 Grid = tuple[Array1[I32], Array1[F32], F64, F64, F64, F64, I64, I64, I64]  # table, values, origin, voxel and shape of bricks
@@ -71,7 +72,7 @@ def fields(bricks: Grid, places: Places, d: Array1[F64], gradient: Places) -> No
 
 
 @called
-def slope_at(table, values, grid, lean, p):  # type: ignore[no-untyped-def]
+def slope_at(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], lean: F64, p: Vec3) -> Vec3:
     """As `smooth`, at one place."""
     a = lean * grid[3]
     scale = 0.5 / a
@@ -84,7 +85,7 @@ def slope_at(table, values, grid, lean, p):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _rim(place, low, over, nodes):  # type: ignore[no-untyped-def]
+def _rim(place: F64, low: F64, over: F64, nodes: I64) -> tuple[I64, F64]:
     """The node below a place along one axis, and how far it is beyond."""
     at = (place - low) * over
     at = at if at >= 0.0 else 0.0
@@ -94,7 +95,9 @@ def _rim(place, low, over, nodes):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def corners_at(table, values, grid, p):  # type: ignore[no-untyped-def]
+def corners_at(
+    table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
+) -> tuple[tuple[F64, F64, F64, F64], tuple[F64, F64, F64, F64], Vec3]:
     """Values at the corners of the cell that a place lies in, four and four, and where in it, 0 .. 1. A place outside, or that is
     no number, counts as on the rim."""
     over = 1.0 / grid[3]
@@ -120,12 +123,12 @@ def corners_at(table, values, grid, p):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _node(table, values, brick, place):  # type: ignore[no-untyped-def]
+def _node(table: Array1[I32], values: Array1[F32], brick: I64, place: I64) -> F64:
     return np.float64(values[(table[brick] << 12) + place])
 
 
 @inlined
-def distance_at(table, values, grid, p):  # type: ignore[no-untyped-def]
+def distance_at(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3) -> F64:
     """The signed distance at a place (mm)."""
     a, b, f = corners_at(table, values, grid, p)
     v00, v01 = a[0] + (a[1] - a[0]) * f[2], a[2] + (a[3] - a[2]) * f[2]
@@ -135,7 +138,9 @@ def distance_at(table, values, grid, p):  # type: ignore[no-untyped-def]
 
 
 @called
-def field_at(table, values, grid, p):  # type: ignore[no-untyped-def]
+def field_at(
+    table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
+) -> tuple[F64, Vec3]:
     """The signed distance at a place (mm), and its gradient."""
     a, b, f = corners_at(table, values, grid, p)
     d00, d01, d10, d11 = a[1] - a[0], a[3] - a[2], b[1] - b[0], b[3] - b[2]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from antdsl.ground.protocol import Floats, Footing, Move
@@ -9,8 +11,8 @@ from antdsl.ground.solid.bricks import Bricks
 from antdsl.ground.solid.projecting import CLOSE, settle_at
 from antdsl.ground.solid.trilinear import LEAN, Grid, corners_at, distance_at, field_at, grid_of, slope_at
 from antdsl.ground.solid.volume import Volume
-from antdsl.machine_code.kernels import BOOL, F64, Array1, Array2, Array3, called, inlined, kernel
-from antdsl.numerics.kernel_vectors import cross, dot
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, called, inlined, kernel
+from antdsl.numerics.kernel_vectors import Vec3, cross, dot
 
 Vectors = Array2[F64]
 
@@ -102,7 +104,14 @@ def walk_all(
 
 
 @called
-def _touch(table, values, grid, points, first, last):  # type: ignore[no-untyped-def]
+def _touch(
+    table: Array1[I32],
+    values: Array1[F32],
+    grid: tuple[F64, F64, F64, F64, I64, I64, I64],
+    points: Array2[F64],
+    first: I64,
+    last: I64,
+) -> F64:
     """Read around the places of some agents, one read not waiting for the other; the sum says nothing."""
     total = 0.0
     for i in range(first, last):
@@ -111,9 +120,28 @@ def _touch(table, values, grid, points, first, last):  # type: ignore[no-untyped
     return total
 
 
+class Trip(NamedTuple):
+    """Where steps lead an agent: its place, normal and direction, how far it went, and whether it is blocked or lost."""
+
+    place: Vec3
+    normal: Vec3
+    way: Vec3
+    length: F64
+    blocked: BOOL
+    lost: BOOL
+
+
 @called
-def _walk(table, values, grid, p, n, wish, close):  # type: ignore[no-untyped-def]
-    """All steps of one agent: its place, normal and way, how far it went, and whether it is blocked or lost."""
+def _walk(
+    table: Array1[I32],
+    values: Array1[F32],
+    grid: tuple[F64, F64, F64, F64, I64, I64, I64],
+    p: Vec3,
+    n: Vec3,
+    wish: Vec3,
+    close: F64,
+) -> Trip:
+    """All steps of one agent."""
     voxel = grid[3]
     way, flat = _laid(wish, n)
     left = min(np.sqrt(dot(wish, wish)), 2 * flat)
@@ -122,9 +150,9 @@ def _walk(table, values, grid, p, n, wish, close):  # type: ignore[no-untyped-de
     if not left > 0:
         found, p, after = settle_at(table, values, grid, p, n, close)
         if not found:
-            return p, n, way, walked, False, True
+            return Trip(p, n, way, walked, False, True)
         way = _turn(way, n, after)
-        return p, after, way, walked, False, False
+        return Trip(p, after, way, walked, False, False)
     for _ in range(CROSSINGS):
         if not left > 0:
             break
@@ -146,7 +174,7 @@ def _walk(table, values, grid, p, n, wish, close):  # type: ignore[no-untyped-de
         elif not settled:
             found, p, after = settle_at(table, values, grid, p, n, close)
             if not found:
-                return p, n, way, walked, blocked, True
+                return Trip(p, n, way, walked, blocked, True)
             way = _turn(way, n, after)
             n = after
             settled = True
@@ -162,11 +190,20 @@ def _walk(table, values, grid, p, n, wish, close):  # type: ignore[no-untyped-de
                 way = _turn(way, n, after)
                 n = after
                 stride, blocked = EDGE, True
-    return p, n, way, walked, blocked, False
+    return Trip(p, n, way, walked, blocked, False)
 
 
 @called
-def _onto(table, values, grid, p, n, way, length, close):  # type: ignore[no-untyped-def]
+def _onto(
+    table: Array1[I32],
+    values: Array1[F32],
+    grid: tuple[F64, F64, F64, F64, I64, I64, I64],
+    p: Vec3,
+    n: Vec3,
+    way: Vec3,
+    length: F64,
+    close: F64,
+) -> tuple[Vec3, Vec3, F64]:
     """Onto the zero level from the end of a way of `length` from `p`, which is on it: place, gradient and distance there.
 
     By Newton; where the gradient leaps from cell to cell, as at a sharp edge, his steps may go to and fro and never arrive. But
@@ -208,13 +245,13 @@ def _onto(table, values, grid, p, n, way, length, close):  # type: ignore[no-unt
 
 
 @inlined
-def _turn(way, before, after):  # type: ignore[no-untyped-def]
+def _turn(way: Vec3, before: Vec3, after: Vec3) -> Vec3:
     way, _ = _laid(_turned(way, before, after, way), after)
     return way
 
 
 @called
-def _turned(v, before, after, way):  # type: ignore[no-untyped-def]
+def _turned(v: Vec3, before: Vec3, after: Vec3, way: Vec3) -> Vec3:
     """A vector turned by the least turn that takes one unit normal into the other; half a turn goes over `way`."""
     cosine = dot(before, after)
     if cosine < -1 + 1e-9:
@@ -232,7 +269,7 @@ def _turned(v, before, after, way):  # type: ignore[no-untyped-def]
 
 
 @called
-def _laid(v, normal):  # type: ignore[no-untyped-def]
+def _laid(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
     """The unit vector across the normal, as near to v as can be, and how long v is across it."""
     along = dot(v, normal)
     flat = (v[0] - along * normal[0], v[1] - along * normal[1], v[2] - along * normal[2])
@@ -247,7 +284,7 @@ def _laid(v, normal):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _unit(v, otherwise):  # type: ignore[no-untyped-def]
+def _unit(v: Vec3, otherwise: Vec3) -> Vec3:
     """The direction of a gradient; another one where the field is flat."""
     size = np.sqrt(dot(v, v))
     if not size > 1e-6:

@@ -16,7 +16,7 @@ from antdsl.program.names.bindings import Key
 from antdsl.program.names.declared import Declaration
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
 from antdsl.program.types.states import STATE_WORDS
-from antdsl.source import Span
+from antdsl.source import Source, Span
 
 # Kinds of names that an author gives; the others are words of the language.
 GIVEN_BY_AUTHOR = frozenset(
@@ -118,9 +118,7 @@ def _files(workspace: Workspace, key: Key) -> Iterator[Document]:
         yield document
 
 
-def _source(document: Document):  # type: ignore[no-untyped-def]
-    from antdsl.source import Source
-
+def _source(document: Document) -> Source:
     return document.parsed[0].source if document.is_program else Source(str(document.path), document.text.text)
 
 

@@ -5,10 +5,19 @@ function is parsed (`ast`) and translated to typed instructions (`statements`, `
 of its annotations. The instructions are its definition: `ir` verifies them, `interpret` runs them one turn after another, and
 `rendering` writes them in LLVM's language. The table of all operations is in `operations`.
 
-The subset: i64, u64, float64, float32 and bool; tuples; arrays of one to three axes, read and written by index; `for` over
-`range`, `independent`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; the functions of `functions`. Loops over
-`range` of up to four constants are unrolled. `independent(begin, end)` says that no turn reads what another one writes, and runs
-eight turns in the lanes of a register.
+The subset: i64, u64, float64, float32 and bool; tuples; records; arrays of one to three axes, read and written by index; `for`
+over `range`, `independent`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; the functions of `functions`. Loops
+over `range` of up to four constants are unrolled. `independent(begin, end)` says that no turn reads what another one writes, and
+runs eight turns in the lanes of a register.
+
+A record is a `typing.NamedTuple` class of a module, with fields that have types of kernels. It can be a parameter (an annotation
+names the class), a variable, an argument and a result, as a tuple can. `grid.first[cell]` reads a field, `Hit(face, distance=0)`
+builds a record from fields in their order or by name. `hit._replace(face=0)` gives another one, and `(0, *hit)` spreads fields in
+a tuple. A field has the type that the class names: a constant takes it, and `Any` allows every type. Fields have no default value
+here. The Python caller passes a record or a tuple of the same length, and gets the numbers of a returned record as a flat tuple.
+
+Annotations of functions that kernels call, and of results, are checked when a kernel is written: a number or an array has the
+type that the annotation names, a constant can take it. Helpers for several types of numbers have `Any`.
 
 Semantics, where Python or NumPy might give something else:
 

@@ -15,7 +15,7 @@ import sysconfig
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,10 +32,17 @@ class _Method(ctypes.Structure):
     _fields_ = (("name", ctypes.c_char_p), ("code", ctypes.c_void_p), ("flags", ctypes.c_int), ("text", ctypes.c_char_p))
 
 
+class _Pair(NamedTuple):
+    """A record."""
+
+    first: Any
+    second: Any
+
+
 @dataclass(frozen=True, slots=True)
 class Wanted:
     """An argument, or what is in one: `path` says where. Of an array, words of the table from `place` on have its address, its
-    lengths, and if it is `strided` its steps; a number is one word. A tuple has `count` objects."""
+    lengths, and if it is `strided` its steps; a number is one word. A tuple or record has `count` objects."""
 
     path: tuple[int, ...]
     place: int = 0
@@ -119,7 +126,12 @@ def possible() -> bool:
     for form, value in zip("ddfqQ?", numbers, strict=True):
         if struct.unpack(form, ctypes.string_at(id(value) + head, struct.calcsize(form)))[0] != value:
             return False
-    some = (array, head)
+    for type_ in (tuple, Wanted, int, _Pair):
+        if ctypes.c_uint64.from_address(id(type_) + reading.TYPE_FLAGS).value != type_.__flags__:
+            return False
+        if bool(type_.__flags__ & reading.TUPLE_FLAG) != issubclass(type_, tuple):
+            return False
+    some = _Pair(array, head)
     inside = (ctypes.c_int64 * 2).from_address(id(some) + tuple.__basicsize__)
     types = [ctypes.c_int64.from_address(id(each) + head - 8).value for each in (*some, some)]
     return tuple(inside) == tuple(map(id, some)) and types == [id(type(each)) for each in (*some, some)]

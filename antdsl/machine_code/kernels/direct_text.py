@@ -15,12 +15,13 @@ PARTS = 64  # of a job at most
 RESULTS = 8  # words at the beginning of a table for what is given back
 GIVEN = 40  # word of a pool from which on stands what each part of a job gave
 DEPTH = 4  # tuples within tuples at most
+TYPE_FLAGS, TUPLE_FLAG = 168, 1 << 26  # the place of a type's flags, and the flag of tuples and their subclasses
 REAL, WHOLE, UNSIGNED, TRUTH = range(4)  # kinds of numbers
 ARRAY, TUPLE, NUMBER = range(3)
 STEP = 8  # words that tell of an argument
 HEADER = 16  # words before these
 OBJECTS: Mapping[str, Any] = {
-    "array.type": np.ndarray, "tuple": tuple, "float": float, "f64": np.float64, "f32": np.float32, "int": int, "i64": np.int64,
+    "array.type": np.ndarray, "float": float, "f64": np.float64, "f32": np.float32, "int": int, "i64": np.int64,
     "u64": np.uint64, "bool": bool, "b8": np.bool_, "None": None, "True": True,
 }  # fmt: skip
 CALLS = (
@@ -44,6 +45,7 @@ def text(_: machine.Target) -> str:
     values = {"HEAD": head, "TYPE": head - 8, "TOLD": bytes_at(), "INSIDE": tuple.__basicsize__, "WORDS": WORDS, "DEPTH": DEPTH}
     values |= {"AXES": head + 8, "LENGTHS": head + 16, "STEPS": head + 24, "DTYPE": head + 40, "FLAGS": head + 48}
     values |= {"STEP": 8 * STEP, "FIRST": 8 * HEADER, "ARRAY": ARRAY, "TUPLE": TUPLE}
+    values |= {"TYPE.FLAGS": TYPE_FLAGS, "TUPLE.FLAG": TUPLE_FLAG}
     values |= {"GIVEN": 8 * GIVEN, "GIVEN.STEP": 8 * RESULTS}
     values |= {"REAL": REAL, "WHOLE": WHOLE, "UNSIGNED": UNSIGNED, "RESULTS": RESULTS}
     for name, value in values.items():
@@ -352,8 +354,9 @@ array:
   %array.good = call i1 @array(ptr %here, ptr %object, ptr %type, ptr %place, ptr %step)
   br i1 %array.good, label %good, label %slow
 tuple:
-  %tuple.type = call ptr @tuple(ptr %here)
-  %is.tuple = icmp eq ptr %type, %tuple.type
+  %type.flags = call i64 @word(ptr %type, i64 $TYPE.FLAGS$)
+  %tuple.flag = and i64 %type.flags, $TUPLE.FLAG$
+  %is.tuple = icmp ne i64 %tuple.flag, 0
   %size = call i64 @word(ptr %object, i64 $HEAD$)
   %as.long = icmp eq i64 %size, %kind
   %right = and i1 %is.tuple, %as.long

@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 from antdsl.machine_code.kernels.elements import Elements
 from antdsl.machine_code.kernels.functions import WRITTEN, consecutive, fetch_ahead, put_three, scratch, three
 from antdsl.machine_code.kernels.ir import MOST
-from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED, Scalar
+from antdsl.machine_code.kernels.records import field_types, is_record, rebuilt
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit
 from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves
 
@@ -26,7 +27,12 @@ class Expressions(Elements):
     world: dict[str, Any]
     unit: Unit
 
-    def read(self, name: str) -> Item:
+    def unread(self, name: str) -> Any:
+        """What a name stands for: an item, in which places of variables are not loaded yet."""
+        raise NotImplementedError
+
+    def loaded(self, item: Any) -> Item:
+        """Such an item with the numbers of its variables."""
         raise NotImplementedError
 
     def called(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
@@ -47,9 +53,9 @@ class Expressions(Elements):
             case ast.Constant(value=bool() | int() | float() as known):
                 return constant(known)
             case ast.Name(id=name):
-                return self.read(name)
+                return self.loaded(self.unread(name))
             case ast.Tuple(elts=parts):
-                return tuple(self.value(each) for each in parts)
+                return tuple(item for each in parts for item in self._items(each))
             case ast.BinOp(left=left, op=operator, right=right):
                 return self.arithmetic(node, operator, self.number(left), self.number(right))
             case ast.UnaryOp(op=operator, operand=operand):
@@ -61,12 +67,32 @@ class Expressions(Elements):
             case ast.IfExp(test=test, body=then, orelse=other):
                 return self._chosen(node, test, then, other)
             case ast.Subscript(value=of, slice=index):
-                return self._indexed(node, self.value(of), index)
+                return self.loaded(self._indexed(node, self._unread(of), index))
             case ast.Attribute(value=of, attr=attribute):
-                return self._attribute(node, of, attribute)
+                return self.loaded(self._attribute(node, of, attribute))
+            case ast.Call(func=ast.Attribute(value=of, attr="_replace")):
+                return self._replaced(node, self.value(of))
             case ast.Call(func=function, args=arguments):
                 return self._called(node, function, arguments)
         self.fail(node, f"`{ast.unparse(node)}` is not in the subset")
+
+    def _items(self, node: ast.expr) -> Any:
+        """What an expression adds to a tuple."""
+        if not isinstance(node, ast.Starred):
+            return (self.value(node),)
+        spread = self.value(node.value)
+        if not isinstance(spread, tuple):
+            self.fail(node, "only tuples and records are spread by `*`")
+        return spread
+
+    def _unread(self, node: ast.expr) -> Any:
+        """The value of an expression; of what is part of a variable the place, so that other parts of it are not loaded."""
+        match node:
+            case ast.Name(id=name):
+                return self.unread(name)
+            case ast.Attribute(value=of, attr=attribute):
+                return self._attribute(node, of, attribute)
+        return self.value(node)
 
     def _unary(self, node: ast.expr, operator: ast.unaryop, operand: ast.expr) -> Number:
         if isinstance(operator, ast.Not):
@@ -136,7 +162,7 @@ class Expressions(Elements):
         def again(item: Item) -> Item:
             if isinstance(item, Array):
                 self.fail(node, "arrays cannot be chosen between")
-            return tuple(again(each) for each in item) if isinstance(item, tuple) else next(loaded)
+            return rebuilt(item, map(again, item)) if isinstance(item, tuple) else next(loaded)
 
         return again(first)
 
@@ -188,7 +214,7 @@ class Expressions(Elements):
 
         def chosen(a: Item, b: Item) -> Item:
             if isinstance(a, tuple):
-                return tuple(chosen(x, y) for x, y in zip(a, b, strict=True))
+                return rebuilt(a, (chosen(x, y) for x, y in zip(a, b, strict=True)))
             if isinstance(a, Array):
                 self.fail(node, "arrays cannot be chosen between")
             kind = a.kind if a.kind == b.kind else self._common(a, b)
@@ -199,11 +225,15 @@ class Expressions(Elements):
     def _attribute(self, node: ast.expr, of: ast.expr, attribute: str) -> Item:
         if isinstance(of, ast.Name) and isinstance(self.world.get(of.id), ModuleType):
             return constant(getattr(self.world[of.id], attribute))
-        value = self.value(of)
+        value = self._unread(of)
+        if attribute in getattr(value, "_fields", ()):
+            return getattr(value, attribute)
         if isinstance(value, Array) and attribute == "shape":
             return value.lengths
         if isinstance(value, Array) and attribute == "size":
             return self.count(value)
+        if hasattr(value, "_fields"):
+            self._no_field(node, type(value), attribute)
         self.fail(node, f"no `{attribute}`")
 
     def at(self, node: ast.AST, array: Array, index: ast.expr) -> Number:
@@ -236,9 +266,11 @@ class Expressions(Elements):
         return known
 
     def _called(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> Item:
-        if node.keywords:
-            self.fail(node, "arguments have no names here")
         known = self.known(node, function)
+        if is_record(known):
+            return self._record(node, known)
+        if node.keywords:
+            self.fail(node, "only the fields of records are given by name")
         if known is len:
             value = self.value(arguments[0])
             return value.lengths[0] if isinstance(value, Array) else constant(len(value))
@@ -259,6 +291,59 @@ class Expressions(Elements):
                 self.fail(node, "numbers are wanted here")
             return written(self, *inputs)
         return self.called(node, known, inputs)
+
+    def _record(self, node: ast.Call, record: Any) -> Item:
+        """A record of a class, which is called with fields in their order and by name."""
+        names = record._fields
+        if len(node.args) > len(names):
+            self.fail(node, f"`{record.__name__}` has {len(names)} fields, not {len(node.args)}")
+        fields = dict(zip(names, map(self.value, node.args), strict=False))
+        self._named(node, record, fields)
+        missing = [name for name in names if name not in fields]
+        if missing:
+            self.fail(node, f"`{record.__name__}` is given no `{missing[0]}`")
+        return self._fitting(node, record, fields)
+
+    def _replaced(self, node: ast.Call, item: Item) -> Item:
+        """A record with other values in some fields."""
+        if not hasattr(item, "_fields") or node.args:
+            self.fail(node, "`_replace` belongs to records, and is given fields by name")
+        fields: dict[str, Item] = {}
+        self._named(node, type(item), fields)
+        return self._fitting(node, type(item), {**item._asdict(), **fields})
+
+    def _named(self, node: ast.Call, record: Any, fields: dict[str, Item]) -> None:
+        """Adds what a call gives by name."""
+        for each in node.keywords:
+            name = each.arg or "**"
+            if name not in record._fields:
+                self._no_field(node, record, name)
+            if name in fields:
+                self.fail(node, f"`{name}` is given twice")
+            fields[name] = self.value(each.value)
+
+    def _no_field(self, node: ast.AST, record: Any, name: str) -> NoReturn:
+        self.fail(node, f"`{record.__name__}` has no field `{name}`: its fields are {', '.join(record._fields)}")
+
+    def _fitting(self, node: ast.Call, record: Any, fields: dict[str, Item]) -> Item:
+        types = field_types(record)._asdict()
+        return record(**{name: self.fit(node, name, item, types[name]) for name, item in fields.items()})
+
+    def fit(self, node: ast.AST, name: str, item: Item, type_: Any) -> Item:
+        """An item for what has a type: a constant takes that, anything else has it."""
+        if type_ is Any:
+            return item
+        if isinstance(type_, Scalar) and isinstance(item, Number):
+            if item.known is None and item.kind != type_.kind:
+                self.fail(node, f"`{name}` is {type_.kind}, and is given {item.kind}")
+            return self.as_kind(item, type_.kind)
+        if isinstance(type_, ArrayType) and isinstance(item, Array):
+            strided = item.steps is not None
+            if (type_.axes, type_.strided) == (len(item.lengths), strided) and type_.of in (item.of, Any):
+                return item
+        elif isinstance(type_, tuple) and type(item) is type(type_) and len(item) == len(type_):
+            return rebuilt(item, (self.fit(node, name, a, b) for a, b in zip(item, type_, strict=True)))
+        self.fail(node, f"`{name}` is given a value of another type")
 
     def _elements(self, node: ast.Call, known: Any, inputs: list[Item]) -> Item:
         """Several elements of an array at once."""

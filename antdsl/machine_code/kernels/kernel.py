@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import count
 from threading import Lock
-from types import FunctionType, GenericAlias
-from typing import Any
+from types import FunctionType
+from typing import Any, TypeVar
 
 from antdsl.machine_code import codes, library, machine
 from antdsl.machine_code.entries import entry
@@ -21,6 +21,7 @@ from antdsl.machine_code.kernels.checks import CHECKED, Checks, guarded
 from antdsl.machine_code.kernels.direct_text import RESULTS
 from antdsl.machine_code.kernels.ir import Function, verify
 from antdsl.machine_code.kernels.line_tables import LineTables
+from antdsl.machine_code.kernels.records import rebuilt, resolved
 from antdsl.machine_code.kernels.rendering import rendered
 from antdsl.machine_code.kernels.side_by_side import written
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
@@ -29,6 +30,7 @@ from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
 from antdsl.machine_code.module import Module
 
 PythonFunction = Callable[..., Any]
+F = TypeVar("F", bound=PythonFunction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,9 +48,18 @@ class Part:
         assert isinstance(tree, ast.FunctionDef)
         return code.co_filename, ast.increment_lineno(tree, code.co_firstlineno - 1), self.function.__globals__
 
+    @lru_cache(maxsize=512)  # noqa: B019
+    def types(self) -> dict[str, Any]:
+        """What its annotations stand for, by parameter; `return` is what it gives. What has none is left out."""
+        function = self.function
+        return {
+            name: () if annotation in ("None", None) else resolved(annotation, function.__globals__)
+            for name, annotation in function.__annotations__.items()
+        }
 
-def _part(attribute: str) -> Callable[[PythonFunction], PythonFunction]:
-    def decorate(function: PythonFunction) -> PythonFunction:
+
+def _part(attribute: str) -> Callable[[F], F]:
+    def decorate(function: F) -> F:
         function.part = Part(function, attribute)  # type: ignore[attr-defined, arg-type]
         return function
 
@@ -117,10 +128,10 @@ class Kernel:
         return sources.key(self.part, self.types()) or self.text(target)
 
     def types(self) -> list[Any]:
-        """What its annotations name."""
+        """What its annotations name; of a record the types of its fields."""
         function = self.part.function
         named = function.__code__.co_varnames[: function.__code__.co_argcount]
-        return [_annotated(function.__annotations__.get(name), function.__globals__) for name in named]
+        return [resolved(function.__annotations__.get(name), function.__globals__) for name in named]
 
     def text(self, target: machine.Target = machine.ANY) -> str:
         """What is compiled, in LLVM's language."""
@@ -190,34 +201,6 @@ def kernel(function: PythonFunction) -> Kernel:
     return Kernel(function)  # type: ignore[arg-type]
 
 
-def _annotated(annotation: Any, world: dict[str, Any]) -> Any:
-    return _type(_parsed(annotation), world) if isinstance(annotation, str) else _spread(annotation)
-
-
-@cache
-def _parsed(text: str) -> ast.expr:
-    return ast.parse(text, mode="eval").body
-
-
-def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
-    """What an annotation names: a Scalar, an ArrayType, or a tuple of these."""
-    if isinstance(node, ast.Name):
-        return _spread(world.get(node.id, tuple))
-    if isinstance(node, ast.Subscript):
-        inner = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
-        of = [_type(each, world) for each in inner]
-        base = _type(node.value, world)
-        return tuple(of) if base is tuple else base[of[0]]
-    raise TypeError("an argument of a kernel has a type of `kernels`")
-
-
-def _spread(named: Any) -> Any:
-    """What a name stands for, where that may be `tuple[..]` of others."""
-    if isinstance(named, GenericAlias):
-        return tuple(_spread(each) for each in named.__args__)
-    return named
-
-
 def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> Item:
     """The item of an argument, read from the table in these words."""
 
@@ -234,10 +217,11 @@ def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterato
         return Number(kind, f"%n{k}")
 
     if isinstance(type, tuple):
-        return tuple(_argument(each, words, body, numbers) for each in type)
+        return rebuilt(type, (_argument(each, words, body, numbers) for each in type))
     if isinstance(type, Scalar):
         return read(type.kind)
-    assert isinstance(type, ArrayType)
+    if not isinstance(type, ArrayType):
+        raise TypeError("an argument of a kernel has a type of `kernels`")
     origin = next(numbers)
     place = read("ptr")
     lengths = tuple(read(INT) for _ in range(type.axes))

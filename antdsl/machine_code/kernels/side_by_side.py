@@ -14,6 +14,7 @@ from typing import Any
 
 from antdsl.machine_code.kernels.elements import ALL
 from antdsl.machine_code.kernels.ir import Function
+from antdsl.machine_code.kernels.records import rebuilt
 from antdsl.machine_code.kernels.statements import Writer, stored_names
 from antdsl.machine_code.kernels.types import INT, TRUTH
 from antdsl.machine_code.kernels.units import Unit, Variable, result_type
@@ -36,6 +37,7 @@ class SideBySide(Writer):
 
     def __init__(self, unit: Unit, part: Any, mask: Number | None = None) -> None:
         super().__init__(unit, *part.source())
+        self.gives = part.types().get("return", Any)
         self.turns: list[Turns] = []
         self.results: list[Variable] = []
         self.fresh: set[Number] = set()  # places that no turn has written to yet
@@ -256,7 +258,7 @@ class SideBySide(Writer):
             self._clear(turns.inside)
 
     def _wide(self, item: Item) -> Item:
-        return tuple(self._wide(each) for each in item) if isinstance(item, tuple) else self.widened(item)
+        return rebuilt(item, map(self._wide, item)) if isinstance(item, tuple) else self.widened(item)
 
     def end(self) -> None:
         """Give back, of a function for several turns, what they all give."""
@@ -298,6 +300,9 @@ class SideBySide(Writer):
         part = getattr(function, "part", None)
         if part is None:
             self.fail(node, f"`{ast.unparse(node.func)}` is no function of kernels")
+        types = part.types()
+        for each, item in zip(part.source()[1].args.args, inputs, strict=False):
+            self.fit(node, each.arg, item, types.get(each.arg, Any))
         wide = self.mask is not None and any(each.wide for item in inputs for each in leaves(item))
         name, result = written(self.unit, part, inputs, wide)
         given = [each for item in inputs for each in leaves(item)]

@@ -19,6 +19,7 @@ from antdsl import machine_code
 from antdsl.bounded import read_bounded
 from antdsl.limits import MIB
 from antdsl.machine_code.kernels.checks import CHECKED
+from antdsl.machine_code.kernels.records import field_types, is_record, resolved
 from antdsl.machine_code.kernels.types import ArrayType, Scalar
 
 _LARGEST = 4 * MIB  # of a file
@@ -43,8 +44,15 @@ def key(part: Any, types: list[Any]) -> str | None:
     return "sources " + hashed.hexdigest()
 
 
-@cache
 def _written(type: Any) -> str:
+    if isinstance(type, tuple):
+        names = getattr(type, "_fields", ())
+        return f"{type.__class__.__qualname__}{names}({','.join(map(_written, type))})"
+    return _repr(type)
+
+
+@cache
+def _repr(type: Any) -> str:
     return repr(type)
 
 
@@ -92,7 +100,7 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def _value(value: Any, names: list[str], told: list[str], known: dict[int, int]) -> None:
-    part = getattr(value, "part", None)
+    part = None if is_record(value) else getattr(value, "part", None)
     if part is not None:
         _function(part, told, known)
     elif isinstance(value, ModuleType):
@@ -103,12 +111,16 @@ def _value(value: Any, names: list[str], told: list[str], known: dict[int, int])
             if inner is not None and not isinstance(inner, ModuleType):
                 told.append(name)
                 _value(inner, [], told, known)
+    elif is_record(value):
+        told.append(f"record {value.__module__} {_written(field_types(value))}")
     elif isinstance(value, tuple):
-        told.append(f"tuple {len(value)}")
+        told.append(f"{type(value).__qualname__} {len(value)}")
         for each in value:
             _value(each, names, told, known)
-    elif value is None or isinstance(value, bool | int | float | str | np.generic | Scalar | ArrayType | GenericAlias):
+    elif value is None or isinstance(value, bool | int | float | str | np.generic | Scalar | ArrayType):
         told.append(f"{type(value).__name__} {value!r}")
+    elif isinstance(value, GenericAlias):
+        told.append(_written(resolved(value, {})))
     elif callable(value) and isinstance(getattr(value, "__qualname__", None), str):
         told.append(f"{value.__module__} {value.__qualname__}")
     else:

@@ -10,9 +10,10 @@ from typing import Any
 
 from antdsl.machine_code.kernels.expressions import Expressions
 from antdsl.machine_code.kernels.functions import independent
+from antdsl.machine_code.kernels.records import rebuilt
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
 from antdsl.machine_code.kernels.units import Loop, Unit, Variable, result_type
-from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves, types_of
+from antdsl.machine_code.kernels.values import Array, Item, Number, constant, has_arrays, leaves, types_of
 
 _WRITTEN_OUT = 4  # turns of a loop whose numbers the text names
 
@@ -27,6 +28,7 @@ class Writer(Expressions):
         self.loops: list[Loop] = []
         self.result: Item = None
         self.returns = False
+        self.gives: Any = Any  # the type of what it gives back
         self.open = True  # whether the text has come to a place that is reached
 
     def run(self, inputs: list[Item]) -> None:
@@ -48,21 +50,21 @@ class Writer(Expressions):
         if self.open:
             self.give_back(self.definition, ())
 
-    def read(self, name: str) -> Item:
+    def unread(self, name: str) -> Any:
         if name not in self.variables:
             if name in self.world:
                 return self._constants(self.world[name])
             self.fail(self.definition, f"`{name}` is not known where it is read")
-        return self._loaded(self.variables[name])
+        return self.variables[name]
 
     def _constants(self, value: Any) -> Item:
         if isinstance(value, tuple):
-            return tuple(self._constants(each) for each in value)
+            return rebuilt(value, (self._constants(each) for each in value))
         return constant(value)
 
-    def _loaded(self, item: Any) -> Item:
+    def loaded(self, item: Any) -> Item:
         if isinstance(item, tuple):
-            return tuple(self._loaded(each) for each in item)
+            return rebuilt(item, (self.loaded(each) for each in item))
         if isinstance(item, Variable):
             return self.load(item.place, item.kind, item.lanes)
         return item
@@ -77,7 +79,7 @@ class Writer(Expressions):
 
     def _room(self, item: Item) -> Any:
         if isinstance(item, tuple):
-            return tuple(self._room(each) for each in item)
+            return rebuilt(item, (self._room(each) for each in item))
         return item if isinstance(item, Array) else self.variable(item)
 
     def variable(self, item: Number) -> Variable:
@@ -85,7 +87,7 @@ class Writer(Expressions):
         return Variable(item.kind, self.slot(item.kind, item.lanes), item.lanes)
 
     def _put(self, node: ast.AST, name: str, room: Any, item: Item) -> None:
-        if isinstance(room, tuple) and isinstance(item, tuple) and len(room) == len(item):
+        if isinstance(room, tuple) and type(room) is type(item) and len(room) == len(item):
             for one, other in zip(room, item, strict=True):
                 self._put(node, name, one, other)
         elif isinstance(room, Variable) and isinstance(item, Number):
@@ -180,7 +182,9 @@ class Writer(Expressions):
             case ast.Break() | ast.Continue():
                 self.leave(isinstance(node, ast.Break))
             case ast.Return(value=value):
-                self.give_back(node, () if value is None else self.value(value))
+                item = () if value is None else self.value(value)
+                self.fit(node, "return", item, self.gives)
+                self.give_back(node, item)
             case _:
                 self.fail(node, f"`{ast.unparse(node).splitlines()[0]}` is not in the subset")
 
@@ -326,7 +330,7 @@ class Writer(Expressions):
     def give_back(self, node: ast.AST, item: Item) -> None:
         if self.returns and types_of(item) != types_of(self.result):
             item = self.alike_to(node, item, self.result)
-        if any(isinstance(each, Array) for each in (item if isinstance(item, tuple) else (item,))):
+        if has_arrays(item):
             self.fail(node, "arrays cannot be given back")
         self.result, self.returns, self.open = item if not self.returns else self.result, True, False
         self.returned(item)
@@ -344,8 +348,8 @@ class Writer(Expressions):
 
     def alike_to(self, node: ast.AST, item: Item, other: Item) -> Item:
         """An item as another one is that the function gives back."""
-        if isinstance(item, tuple) and isinstance(other, tuple) and len(item) == len(other):
-            return tuple(self.alike_to(node, a, b) for a, b in zip(item, other, strict=True))
+        if isinstance(item, tuple) and type(item) is type(other) and len(item) == len(other):
+            return rebuilt(item, (self.alike_to(node, a, b) for a, b in zip(item, other, strict=True)))
         if isinstance(item, Number) and isinstance(other, Number) and (item.known is not None or item.kind == other.kind):
             return self.as_kind(item, other.kind)
         self.fail(node, "gives back another type than before")

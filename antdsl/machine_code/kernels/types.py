@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 # Kinds of values; only the name distinguishes u64 from i64.
 DOUBLE, FLOAT, INT, UNSIGNED, TRUTH = "double", "float", "i64", "u64", "i1"
@@ -37,7 +38,6 @@ class ArrayType:
 
 
 if TYPE_CHECKING:
-    T = TypeVar("T")
     F64: TypeAlias = Any
     F32: TypeAlias = Any
     I64: TypeAlias = Any
@@ -49,28 +49,11 @@ if TYPE_CHECKING:
     U8: TypeAlias = Any
     BOOL: TypeAlias = Any
 
-    class Array1(Generic[T]):
-        """An array with one axis."""
-
-        size: int
-        shape: tuple[int, ...]
-
-        def __getitem__(self, key: Any) -> Any: ...
-
-        def __setitem__(self, key: Any, value: Any) -> None: ...
-
-        def __len__(self) -> int: ...
-
-        def __iter__(self) -> Any: ...
-
-    class Array2(Array1[T]):
-        """An array with two axes, in one piece."""
-
-    class Array3(Array1[T]):
-        """An array with three axes, in one piece."""
-
-    class Strided2(Array1[T]):
-        """An array with two axes and any steps along them."""
+    T = TypeVar("T", bound=np.generic)
+    Array1: TypeAlias = NDArray[T]
+    Array2: TypeAlias = NDArray[T]
+    Array3: TypeAlias = NDArray[T]
+    Strided2: TypeAlias = NDArray[T]
 
 else:
 

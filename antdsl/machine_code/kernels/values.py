@@ -1,4 +1,4 @@
-"""Values while a kernel is written: numbers, arrays, and tuples of these."""
+"""Values while a kernel is written: numbers, arrays, and tuples or records of these."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
+from antdsl.machine_code.kernels.records import rebuilt
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED, Scalar
 from antdsl.machine_code.kinds import F32, F64, I64, literal
 
-Item = Any  # Number, Array, or a tuple of items
+Item = Any  # Number, Array, or a tuple or record of items
 _SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
 
 
@@ -100,10 +101,16 @@ def leaves(item: Item) -> Iterator[Number]:
         yield item
 
 
+def has_arrays(item: Item) -> bool:
+    """Whether an item is an array, or has one in it."""
+    return any(map(has_arrays, item)) if isinstance(item, tuple) else isinstance(item, Array)
+
+
 def types_of(item: Item) -> str:
     """What a function of this item is known by."""
     if isinstance(item, tuple):
-        return "(" + ",".join(types_of(each) for each in item) + ")"
+        record = "" if type(item) is tuple else f"{type(item).__module__}.{type(item).__qualname__}"
+        return f"{record}({','.join(types_of(each) for each in item)})"
     if isinstance(item, Array):
         return f"[{item.of.name}{len(item.lengths)}{'s' if item.steps else ''}.{item.origin}]"
     return f"{item.kind}{item.lanes}" if item.wide else str(item.kind)
@@ -112,7 +119,7 @@ def types_of(item: Item) -> str:
 def renamed(item: Item, names: Iterator[str]) -> Item:
     """The same with other names, for instance those of arguments."""
     if isinstance(item, tuple):
-        return tuple(renamed(each, names) for each in item)
+        return rebuilt(item, (renamed(each, names) for each in item))
     if isinstance(item, Array):
         address = Number("ptr", next(names))
         lengths = tuple(Number(INT, next(names)) for _ in item.lengths)

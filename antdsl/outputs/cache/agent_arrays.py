@@ -5,12 +5,14 @@ rank by id."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import parallel
 from antdsl.outputs.cache import frame_loops
 from antdsl.runtime.world import AXES, Population, World
 
@@ -55,57 +57,64 @@ class AgentArrays:
 
     def _write(self, world: World, attribute: str, number: int, population: Population, out: NDArray[Any]) -> None:
         """Write an attribute of a species, the one of a number, into its rows of an array."""
+        threads = world.options.threads
         if attribute in ("P", "v", "orient"):
-            write_placed(population, attribute, self.scale, out)
+            write_placed(population, attribute, self.scale, out, threads)
         elif attribute == "Cd":
-            write_colours(population, self.colours[population.name], out)
+            write_colours(population, self.colours[population.name], out, threads)
         elif attribute == "state":
-            _write_states(population, out)
+            _write_states(population, out, threads)
         elif attribute == "species":
             out[:] = number
         elif attribute == "age":
             out[:] = (world.frame - population.born[population.in_id_order()]) * world.dt
         elif attribute == "pscale":
-            write_numbers(population, "size", self.scale, out)
+            write_numbers(population, "size", self.scale, out, threads)
         elif attribute not in population.plan.registers or attribute in self.pairs[population.name]:
             out[:] = np.nan
         else:
-            write_numbers(population, attribute, self.factors.get((population.name, attribute), 1.0), out)
+            write_numbers(population, attribute, self.factors.get((population.name, attribute), 1.0), out, threads)
 
 
-def write_placed(population: Population, attribute: str, scale: float, out: NDArray[np.float32]) -> None:
+def write_placed(population: Population, attribute: str, scale: float, out: NDArray[np.float32], threads: int = 1) -> None:
     """Write `P`, `v` or `orient` of agents by id, [n, 3 or 4]."""
     ranks = population.ranks()
     if attribute == "P":
-        frame_loops.places(population.position, ranks, scale, out)
+        work: Callable[[int, int], Any] = partial(frame_loops.places, population.position, ranks, scale, out)
     elif attribute == "v":
-        frame_loops.vectors(_columns(population, "velocity"), ranks, scale, out)
+        work = partial(frame_loops.vectors, _columns(population, "velocity"), ranks, scale, out)
     else:
-        frame_loops.orientations(_columns(population, "heading"), _columns(population, "up"), ranks, out)
+        work = partial(frame_loops.orientations, _columns(population, "heading"), _columns(population, "up"), ranks, out)
+    parallel.in_parts(work, len(ranks), threads)
 
 
-def write_colours(population: Population, colours: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+def write_colours(population: Population, colours: NDArray[np.float32], out: NDArray[np.float32], threads: int = 1) -> None:
     """Write the colours of agents' states, [n, 3]. IndexError for a state that is none."""
     machines = population.plan.machines
     if not machines:
         out[:] = colours[0]
-    elif not frame_loops.coloured(colours, population.now[f"{machines[0].name}.state"], population.ranks(), out):
+        return
+    ranks = population.ranks()
+    work = partial(frame_loops.coloured, colours, population.now[f"{machines[0].name}.state"], ranks, out)
+    if not all(parallel.in_parts(work, len(ranks), threads, parallel.LIGHT)):
         raise IndexError("a state that a species does not have has no colour")
 
 
-def _write_states(population: Population, out: NDArray[np.int16]) -> None:
+def _write_states(population: Population, out: NDArray[np.int16], threads: int) -> None:
     machines = population.plan.machines
     if machines:
-        frame_loops.wholes(population.now[f"{machines[0].name}.state"], population.ranks(), out)
+        work = partial(frame_loops.wholes, population.now[f"{machines[0].name}.state"], population.ranks(), out)
+        parallel.in_parts(work, len(population), threads, parallel.LIGHT)
     else:
         out[:] = 0
 
 
-def write_numbers(population: Population, name: str, factor: float, out: NDArray[np.float32]) -> None:
+def write_numbers(population: Population, name: str, factor: float, out: NDArray[np.float32], threads: int = 1) -> None:
     """Write a register of agents times a factor, [n]."""
     of = population.now[name]
     if of.dtype == np.float32:
-        frame_loops.numbers(of, population.ranks(), np.float32(factor), out)
+        work = partial(frame_loops.numbers, of, population.ranks(), np.float32(factor), out)
+        parallel.in_parts(work, len(of), threads, parallel.LIGHT)
     else:
         out[:] = of.take(population.in_id_order()).astype(np.float32, copy=False) * np.float32(factor)
 

@@ -251,7 +251,7 @@ class CacheWriter:
         times = [time.perf_counter()]
         self._worst = None if self._worst is None else max(self._worst, surface_error(world))
         times.append(time.perf_counter())
-        state, feet = state_hash(world), feet_hash(world.feet)
+        state, feet = state_hash(world), feet_hash(world.feet, world.options.threads)
         times.append(time.perf_counter())
         file = npz_file(self._maker.frame(world))
         line = line_of(world.frame, state, file, feet)

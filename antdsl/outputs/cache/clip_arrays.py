@@ -6,12 +6,14 @@ the like float32. What concerns `earlier` is in a frame only where anybody has s
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS, MachineClips
+from antdsl.numerics import parallel
 from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.runtime.world import Population
@@ -34,7 +36,7 @@ def playing(population: Population) -> Iterator[str]:
     return (machine.name for machine in population.plan.machines if f"{machine.name}.clip" in population.plan.registers)
 
 
-def clips_playing(population: Population, rows: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
+def clips_playing(population: Population, rows: NDArray[np.intp] | None = None, threads: int = 1) -> dict[str, NDArray[Any]]:
     """The arrays of a species: of its agents at some rows, of all by id where none are given."""
     found: dict[str, NDArray[Any]] = {}
     for machine in playing(population):
@@ -42,17 +44,20 @@ def clips_playing(population: Population, rows: NDArray[np.intp] | None = None) 
         early = now["earlier_fade"] > 0
         fields = FIELDS if early.any() and (early & (now["fade"] > 0)).any() else _USUAL
         named = f"clips.{population.name}.{machine}."
-        found |= {named + field: array for field, array in _told(population, rows, now, fields).items()}
+        found |= {named + field: array for field, array in _told(population, rows, now, fields, threads).items()}
     return found
 
 
-def _told(population: Population, rows: NDArray[np.intp] | None, now: Arrays, fields: Sequence[str]) -> dict[str, NDArray[Any]]:
+def _told(
+    population: Population, rows: NDArray[np.intp] | None, now: Arrays, fields: Sequence[str], threads: int
+) -> dict[str, NDArray[Any]]:
     """The first of the fields, the usual ones or more."""
     found: dict[str, NDArray[Any]] = {}
     if rows is None:
         found = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
         of = [tuple([arrays[field] for field in some]) for arrays in (now, found) for some in (_CLIPS, _SHARES)]
-        frame_loops.playing(of[0], of[1], population.ranks(), of[2], of[3])
+        work = partial(frame_loops.playing, of[0], of[1], population.ranks(), of[2], of[3])
+        parallel.in_parts(work, len(population), threads)
     rows = population.in_id_order() if rows is None else rows
     for field in fields[len(found) :]:
         found[field] = now[field].take(rows).astype(_REGISTERS[field][1], copy=False)

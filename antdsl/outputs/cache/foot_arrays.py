@@ -7,14 +7,15 @@ it rests and turned from `orient` the trunk is."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.leg_ik import PlacedFeet
-from antdsl.outputs.cache.places import scene_places
-from antdsl.runtime.feet.trunk import quaternions
+from antdsl.numerics import parallel
+from antdsl.outputs.cache import frame_loops
 from antdsl.runtime.world import World
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -25,13 +26,13 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
     feet = world.feet.get(species)
     if feet is None:
         return {}
-    values: dict[str, NDArray[Any]] = {
-        "P": scene_places(feet.shown.transpose(1, 2, 0), scale),
-        "down": feet.down.astype(np.uint8),
-        "phase": feet.phase.copy(),
-        "rise": feet.rise * np.float32(scale),
-        "tilt": quaternions(feet.slope),
-    }
+    n, legs = len(feet), feet.legs
+    place, down = np.empty((n, legs, 3), np.float32), np.empty((n, legs), np.uint8)
+    rise, tilt = np.empty(n, np.float32), np.empty((n, 4), np.float32)
+    of = parallel.plain(feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope)  # leg by leg, as they mostly lie
+    work = partial(frame_loops.feet, *of, scale, place.reshape(n, 3 * legs), down, rise, tilt)
+    parallel.in_parts(work, n, world.options.threads)
+    values: dict[str, NDArray[Any]] = {"P": place, "down": down, "phase": feet.phase.copy(), "rise": rise, "tilt": tilt}
     return {f"feet.{species}.{name}": array for name, array in values.items()}
 
 

@@ -1,5 +1,5 @@
-"""Loops of `frames`, `agent_arrays`, `clip_arrays`, `shown_arrays` and `surface_error`: one pass over the agents for an array, or
-for all that a machine plays.
+"""Loops of `frames`, `agent_arrays`, `clip_arrays`, `foot_arrays`, `shown_arrays` and `surface_error`: one pass over the agents
+for an array, or for all that a machine plays. Those whose last arguments are `begin` and `end` run in parallel chunks.
 
 What takes several numbers of an agent goes by rows, as they lie in memory, and writes to the place of the agent's rank by id: one
 such write costs less than several reads here and there."""
@@ -15,8 +15,10 @@ from antdsl.machine_code.kernels import (
     I16,
     I32,
     I64,
+    U8,
     Array1,
     Array2,
+    Array3,
     Strided2,
     as_bits,
     independent,
@@ -32,9 +34,9 @@ Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 
 @kernel
-def places(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32]) -> None:
+def places(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32], begin: I64, end: I64) -> None:
     """Positions of agents in scene units, each to the place of its rank. A zero has no sign."""
-    for i in range(ranks.size):
+    for i in range(begin, end):
         k = ranks[i]
         out[k, 0] = np.float32((position[i, 0] + 0.0) * scale)
         out[k, 1] = np.float32((position[i, 1] + 0.0) * scale)
@@ -42,10 +44,10 @@ def places(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[
 
 
 @kernel
-def vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32]) -> None:
+def vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32], begin: I64, end: I64) -> None:
     """Vectors of agents times a factor, each to the place of its rank."""
     x, y, z = of
-    for i in range(ranks.size):
+    for i in range(begin, end):
         k = ranks[i]
         out[k, 0] = x[i] * scale
         out[k, 1] = y[i] * scale
@@ -53,23 +55,23 @@ def vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32]) -> None
 
 
 @kernel
-def numbers(of: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32]) -> None:
+def numbers(of: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32], begin: I64, end: I64) -> None:
     """Numbers of agents times a factor, each to the place of its rank."""
-    for i in range(ranks.size):
+    for i in range(begin, end):
         out[ranks[i]] = of[i] * scale
 
 
 @kernel
-def wholes(of: Array1[I32], ranks: Array1[I32], out: Array1[I16]) -> None:
+def wholes(of: Array1[I32], ranks: Array1[I32], out: Array1[I16], begin: I64, end: I64) -> None:
     """Whole numbers of agents, each to the place of its rank."""
-    for i in range(ranks.size):
+    for i in range(begin, end):
         out[ranks[i]] = of[i]
 
 
 @kernel
-def coloured(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32]) -> BOOL:
+def coloured(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> BOOL:
     """Colours of the states of agents, each to the place of its rank; whether all states have one."""
-    for i in range(ranks.size):
+    for i in range(begin, end):
         number, k = state[i], ranks[i]
         if number < 0 or number >= colours.shape[0]:
             return False
@@ -78,13 +80,15 @@ def coloured(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: 
 
 
 @kernel
-def playing(clips: Clips, shares: Shares, ranks: Array1[I32], clips_out: ClipsOut, shares_out: Shares) -> None:
+def playing(
+    clips: Clips, shares: Shares, ranks: Array1[I32], clips_out: ClipsOut, shares_out: Shares, begin: I64, end: I64
+) -> None:
     """What a machine of agents plays, each to the place of its rank: clips, and turns, weights and the fade."""
     clip, before = clips
     clip_out, before_out = clips_out
     turns, weight, before_turns, before_weight, fade = shares
     turns_out, weight_out, before_turns_out, before_weight_out, fade_out = shares_out
-    for i in range(ranks.size):
+    for i in range(begin, end):
         k = ranks[i]
         clip_out[k], before_out[k] = clip[i], before[i]
         turns_out[k], weight_out[k], fade_out[k] = turns[i], weight[i], fade[i]
@@ -111,20 +115,20 @@ def not_zero(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
 
 
 @inlined
-def _signed(size, sign):  # type: ignore[no-untyped-def]
+def _signed(size: F64, sign: F64) -> F64:
     """As np.copysign, of a size that has no sign; the sign of what is no number does not count."""
     return -size if as_bits(sign) < 0 and sign == sign else size
 
 
 @kernel
-def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]) -> None:
+def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> None:
     """Quaternions x, y, z, w that turn +x to the heading and +y to the part of `up` across it, each to the place of its rank.
 
     A turn of +x to the heading by the shortest way, then one about the heading. A heading of nothing counts as +x, an `up` along
     the heading as some direction across it."""
     px, py, pz = heading
     qx, qy, qz = up
-    for i in independent(0, px.size):
+    for i in independent(begin, end):
         hx, hy, hz = np.float64(px[i]), np.float64(py[i]), np.float64(pz[i])
         ux, uy, uz = np.float64(qx[i]), np.float64(qy[i]), np.float64(qz[i])
         length = np.sqrt(hx * hx + hy * hy + hz * hz)
@@ -150,11 +154,50 @@ def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]
         out[k, 2], out[k, 3] = np.float32(az * bw - ay * bx), np.float32(aw * bw)
 
 
+_BLOCK = 256  # agents: their rows stay in the cache of a core from leg to leg
+
+
 @kernel
-def farthest(position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F32], size: Array1[F32]) -> F64:
+def feet(
+    shown: Array3[F64],
+    swing: Array2[F32],
+    rise: Array1[F32],
+    slope: Array2[F32],
+    scale: F64,
+    places: Array2[F32],
+    down: Array2[U8],
+    rise_out: Array1[F32],
+    tilt: Array2[F32],
+    begin: I64,
+    end: I64,
+) -> None:
+    """Feet of agents from `begin` to before `end`, from arrays (.., legs, n) and (.., n): places x, y, z of each leg in scene
+    units, which feet stand (`swing` is -1), rises in scene units, and tilts as unit quaternions x, y, z, w."""
+    for low in range(begin, end, 256):
+        high = min(low + _BLOCK, end)
+        for leg in range(swing.shape[0]):
+            for i in range(low, high):
+                places[i, 3 * leg] = np.float32((shown[0, leg, i] + 0.0) * scale)
+                places[i, 3 * leg + 1] = np.float32((shown[1, leg, i] + 0.0) * scale)
+                places[i, 3 * leg + 2] = np.float32((shown[2, leg, i] + 0.0) * scale)
+                down[i, leg] = 1 if swing[leg, i] == np.float32(-1.0) else 0
+        for i in independent(low, high):
+            rise_out[i] = rise[i] * np.float32(scale)
+            a, b = -np.float64(slope[0, i]), -np.float64(slope[1, i])
+            size = 1.0 / np.sqrt((a * a + 1.0) + b * b)
+            x, z, w = b * size, -a * size, 1.0 + size
+            length = np.sqrt((x * x + z * z) + w * w)
+            tilt[i, 0], tilt[i, 1] = np.float32(x / length), np.float32(0.0 / length)
+            tilt[i, 2], tilt[i, 3] = np.float32(z / length), np.float32(w / length)
+
+
+@kernel
+def farthest(
+    position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F32], size: Array1[F32], begin: I64, end: I64
+) -> F64:
     """The greatest distance of positions, as they are written, from their ground less the clearance, in sizes; NaN if one is."""
     worst, unknown = 0.0, False
-    for i in range(size.size):
+    for i in range(begin, end):
         x = np.float64(np.float32(position[i, 0])) - ground[i, 0]
         y = np.float64(np.float32(position[i, 1])) - ground[i, 1]
         z = np.float64(np.float32(position[i, 2])) - ground[i, 2]

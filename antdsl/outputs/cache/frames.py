@@ -81,7 +81,7 @@ class FrameMaker:
         rows = {name: world.populations[name].in_id_order() for name in sorted(world.populations)}
         arrays |= self.agents.arrays(world, self.attributes)
         for name in rows:
-            arrays |= clips_playing(world.populations[name])
+            arrays |= clips_playing(world.populations[name], threads=world.options.threads)
             arrays |= shown(world.populations[name], world.setting)
             arrays |= self._pairs(world.populations[name], rows[name])
             arrays |= placed_feet(world, name, self.scale)

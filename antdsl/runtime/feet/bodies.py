@@ -6,7 +6,7 @@ Points of a body count in its lengths: ahead, above, aside."""
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.kernel_vectors import cross, direction, dot, flat, minus
+from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, cross, direction, dot, flat, minus
 from antdsl.runtime.world import Population
 
 PLACE = 0  # the first row of three
 _ROWS = 13
 _LEAST = 1e-12
 _F = np.float32
-
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 
 
 def place_bodies(population: Population, room: str, threads: int) -> NDArray[np.float64]:
@@ -39,8 +37,8 @@ def place_bodies(population: Population, room: str, threads: int) -> NDArray[np.
 @kernel
 def _place_bodies(
     position: Strided2[F64],
-    heading: Three,
-    up: Three,
+    heading: VectorColumns,
+    up: VectorColumns,
     size: Array1[F32],
     rows: Array1[I64],
     bodies: Array2[F64],
@@ -61,25 +59,35 @@ def _place_bodies(
 
 
 @inlined
-def orthonormal_axes(heading: Any, up: Any) -> Any:
+def orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """The unit vectors ahead, up and aside of a body: the heading as it is, and up made perpendicular to it."""
     ahead = direction(heading, up)
     straight = direction(flat(up, ahead), ahead)
     return ahead, straight, cross(ahead, straight)
 
 
+class Body(NamedTuple):
+    """A body in the world, with unit vectors."""
+
+    place: Vec3
+    ahead: Vec3
+    up: Vec3
+    aside: Vec3
+    size: F64
+
+
 @inlined
-def body_at(bodies: Any, i: Any) -> Any:
-    """Place, ahead, up, aside and size of a body."""
+def body_at(bodies: Array2[F64], i: I64) -> Body:
+    """One of a table."""
     place = bodies[0, i], bodies[1, i], bodies[2, i]
     ahead = bodies[3, i], bodies[4, i], bodies[5, i]
     up = bodies[6, i], bodies[7, i], bodies[8, i]
     aside = bodies[9, i], bodies[10, i], bodies[11, i]
-    return place, ahead, up, aside, bodies[12, i]
+    return Body(place, ahead, up, aside, bodies[12, i])
 
 
 @inlined
-def to_world(body: Any, x: Any, y: Any, z: Any) -> Any:
+def to_world(body: Body, x: F32, y: F32, z: F32) -> Vec3:
     """The place (mm) in the world of a point of a body, float32 lengths."""
     place, ahead, up, aside, size = body
     a, b, c = np.float64(x) * size, np.float64(y) * size, np.float64(z) * size
@@ -91,7 +99,7 @@ def to_world(body: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 @inlined
-def to_body(body: Any, at: Any) -> Any:
+def to_body(body: Body, at: Vec3) -> Vec3F32:
     """Where a place (mm) of the world is from a body, float32 lengths."""
     place, ahead, up, aside, size = body
     by = _F(1.0 / max(size, _LEAST))
@@ -100,5 +108,5 @@ def to_body(body: Any, at: Any) -> Any:
 
 
 @inlined
-def _single(v: Any) -> Any:
+def _single(v: Vec3) -> Vec3F32:
     return _F(v[0]), _F(v[1]), _F(v[2])

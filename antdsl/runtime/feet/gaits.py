@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import inlined
+from antdsl.machine_code.kernels import F32, I64, inlined
 from antdsl.scene.setting import LegsData
 
 Floats = NDArray[np.float32]
@@ -57,10 +57,19 @@ class Gaits:
         return self.speeds, self.values, self.phases
 
 
+class Gait(NamedTuple):
+    """The number of a gait, and its stride, duty and lift."""
+
+    number: I64
+    stride: F32
+    duty: F32
+    lift: F32
+
+
 @inlined
-def gait_at(gaits: Any, speed: Any, went: Any, reach: Any) -> Any:
-    """The number of the gait, and stride, duty and lift, at a speed (lengths a second) of an agent that covers `went` lengths in
-    a frame. `reach`: that of its shortest leg."""
+def gait_at(gaits: Any, speed: F32, went: F32, reach: F32) -> Gait:
+    """The gait at a speed (lengths a second) of an agent that covers `went` lengths in a frame. `reach`: that of its shortest
+    leg."""
     speeds, values = gaits[0], gaits[1]
     last, k = speeds.size - 1, 0
     for each in range(1, speeds.size):
@@ -77,7 +86,7 @@ def gait_at(gaits: Any, speed: Any, went: Any, reach: Any) -> Any:
         stride = stride * speed / fastest
     stride = max(stride, went * _PER_STRIDE)
     # A foot stands no longer than its leg can follow: an agent that covers more ground in a cycle flies in between.
-    return k, stride, min(duty, _TWO * reach / stride), lift
+    return Gait(k, stride, min(duty, _TWO * reach / stride), lift)
 
 
 def resting(legs: LegsData) -> tuple[Floats, Floats]:

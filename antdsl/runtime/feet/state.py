@@ -132,7 +132,7 @@ _AXIS = {name: 1 for name in ("place", "shown", "start", "weight", "slope", "pos
 _BY_LEG = frozenset(("place", "shown", "start", "swing", "on", "face", "weight", "found"))
 
 
-def feet_hash(feet: Mapping[str, Feet]) -> str:
+def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
     """One number for the feet of all species, as `state_hash` is one for all else; empty where there are none."""
     if not feet:
         return ""
@@ -141,8 +141,8 @@ def feet_hash(feet: Mapping[str, Feet]) -> str:
         digest.update(f"\0{name}\0{len(feet[name])}".encode())
         arrays = feet[name].arrays()
         ids = arrays.pop("ids")
-        columns = [part for key, array in arrays.items() for part in (array if key in _AXIS else (array,))]
-        digest.update(named(tuple(arrays), arrays.values()) + feet[name].rows.of(ids, columns))
+        columns = feet[name].rows.parts(list(arrays.values()), [key in _AXIS for key in arrays])
+        digest.update(named(tuple(arrays), arrays.values()) + feet[name].rows.of(ids, columns, threads))
     return digest.hexdigest()[:32]
 
 

@@ -134,7 +134,7 @@ def plan_steps(
     stride, lift, slow = pace
     for i in independent(begin, end):
         body = body_at(bodies, i)
-        lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body[4])
+        lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body.size)
         went = _ZERO
         for leg in range(count):
             went = went + np.sqrt(covered[0, leg, i] * covered[0, leg, i] + covered[1, leg, i] * covered[1, leg, i])
@@ -245,7 +245,7 @@ def take_steps(
     stride, lift, slow = pace
     for i in independent(begin, end):
         body = body_at(bodies, i)
-        size = _F(body[4])
+        size = _F(body.size)
         lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
         for leg in range(count):
             lands = what[leg, i] >= LANDS

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import partial
 from math import inf, nan
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.walk_events import CrowdWalk, Waiting
+from antdsl.ground.mesh.walkers import Moved, Placed
 from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Footing, Ground, Move
 from antdsl.numerics import parallel
@@ -35,9 +35,21 @@ from antdsl.runtime.moving.least_speed import LEAST, no_slower
 from antdsl.runtime.moving.obstacles import slide, slowed
 from antdsl.runtime.moving.orienting import orient
 from antdsl.runtime.moving.rises import find_walls
-from antdsl.runtime.moving.strides import glide, set_out, stride
-from antdsl.runtime.moving.tilting import follow, pace
-from antdsl.runtime.moving.velocities import arrive
+from antdsl.runtime.moving.strides import Held, Outset, glide, set_out, stride
+from antdsl.runtime.moving.tilting import Posture, TurnLimits, follow, pace
+from antdsl.runtime.moving.velocities import (
+    Abilities,
+    Arrival,
+    Bodies,
+    Drive,
+    Facing,
+    Limits,
+    PushTimes,
+    Registers,
+    Times,
+    Walked,
+    arrive,
+)
 from antdsl.runtime.moving.walks import led, walks_of
 from antdsl.runtime.world import Population, World
 
@@ -65,10 +77,10 @@ def move(world: World, population: Population, substep: int) -> None:
     crowd.walk(world.ground)
     if before is not None:
         orient(world, population, *before)
-    ways = (*crowd.kept, came_from, population.position)
+    previous, limits = Posture(*crowd.kept, came_from), TurnLimits(crowd.most, population.now["max_turn"], dt)
     (rows,) = population.room("following", 1, (n,), np.int64)
-    turns = (crowd.most, population.now["max_turn"], dt)
-    parallel.in_parts(partial(follow, crowd.state, *ways, *turns, tuple(walls), half, RAISED, up, heading, rows), n, threads)
+    work = partial(follow, crowd.state, previous, population.position, limits, tuple(walls), half, RAISED, up, heading, rows)
+    parallel.in_parts(work, n, threads)
 
 
 @dataclass(slots=True)
@@ -112,14 +124,13 @@ class _Crowd:
     def set_out(self, substep: int) -> None:
         """What all are about to do, whatever is in their way."""
         p, now, whole = self.population, self.population.now, self.whole
-        _, *given = self.registers
-        limits = (now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
+        drive = Drive(vec.named(now, "push"), *self.registers[1:], p.normal)
+        abilities = Abilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
         keeps = LEAST in now
         least = now[LEAST] if keeps else now["max_speed"]
-        times = (whole * AT_ONCE, whole if substep == 0 else _F(0), self.dt)
-        to = (self.velocity, self.step, self.looking, (self.long, self.most, self.reach), self.state)
-        does = (vec.named(now, "push"), *given, p.normal, limits, keeps, least, now["size"], p.quarantined, times)
-        work = partial(set_out, *does, *to)
+        times = PushTimes(whole * AT_ONCE, whole if substep == 0 else _F(0), self.dt)
+        outset = Outset(self.velocity, self.step, self.looking, self.long, self.most, self.reach, self.state)
+        work = partial(set_out, drive, abilities, keeps, least, now["size"], p.quarantined, times, outset)
         found = parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
         self.longest, self.widest = found[0] if len(found) == 1 else map(max, zip(*found, strict=True))
         if self.widest == -inf:
@@ -147,24 +158,25 @@ class _Crowd:
     def walk(self, ground: Ground) -> None:
         """Walk over a ground to new places, and arrive there."""
         now = self.population.now
-        limits = (now["max_speed"], now["max_turn"], now["response"])
-        times = (self.whole * AT_ONCE, self.dt, share(self.dt))
-        facing = (FACE in now, vec.named(now, "~face") if FACE in now else self.registers[1], self.everyone)
-        there = (limits, (self.most, self.state, *self.kept), times, facing, self.registers)
+        limits = Limits(now["max_speed"], now["max_turn"], now["response"])
+        times = Times(self.whole * AT_ONCE, self.dt, share(self.dt))
+        facing = Facing(FACE in now, vec.named(now, "~face") if FACE in now else self.registers[1], self.everyone)
+        bodies, registers = Bodies(self.most, self.state, *self.kept), Registers._make(self.registers)
+        normals, old = np.empty((len(self.population), 3), np.float32), self.population.position
+        arrival = Arrival(old, self.step, self.velocity, limits, bodies, times, facing, registers, normals)
         if isinstance(ground, Plane):
-            self._over_plane(ground, there)
-        elif not isinstance(ground, MeshGround) or not self._over_meshes(ground, there):
-            self._over_any(ground, there)
+            self._over_plane(ground, arrival)
+        elif not isinstance(ground, MeshGround) or not self._over_meshes(ground, arrival):
+            self._over_any(ground, arrival)
 
-    def _over_plane(self, plane: Plane, there: tuple[Any, ...]) -> None:
+    def _over_plane(self, plane: Plane, arrival: Arrival) -> None:
         p, n = self.population, len(self.population)
-        place, normals = np.empty((n, 3)), np.empty((n, 3), np.float32)
-        going = (self.velocity, self.step, self.looking)
-        work = partial(glide, plane.up, p.footing.point, *going, *there, place, normals)
+        place = np.empty((n, 3))
+        work = partial(glide, plane.up, self.looking, arrival._replace(old=p.footing.point), place)
         parallel.in_parts(work, n, self.threads)
-        p.footing, p.position, p.normal = Footing.on_plane(place), place, normals
+        p.footing, p.position, p.normal = Footing.on_plane(place), place, arrival.normals
 
-    def _over_meshes(self, ground: MeshGround, there: tuple[Any, ...]) -> bool:
+    def _over_meshes(self, ground: MeshGround, arrival: Arrival) -> bool:
         """False where triangles are not what is walked over."""
         p, n = self.population, len(self.population)
         walk = ground.crowd_walk(self.longest, self.widest)
@@ -172,27 +184,26 @@ class _Crowd:
             return False
         tables = walk.tables()
         to = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
-        at, placed = _ON_FACES(p.footing.columns), _ON_FACES(to.columns)
-        place, normals = np.empty((3, n)), np.empty((n, 3), np.float32)
+        at, placed = Placed._make(_ON_FACES(p.footing.columns)), Placed._make(_ON_FACES(to.columns))
+        place = np.empty((3, n))
         (how,) = p.room("how", 1, (n,), np.uint8)
         (reals,), (wholes,) = p.room("reals", 1, (loop.REALS, n), np.float64), p.room("wholes", 1, (loop.WHOLES, n), np.int64)
-        given = (at, p.now["size"], p.normal, self.velocity, self.step, self.looking, *there)
-        work = partial(stride, *tables, *given, reals, wholes, how, placed, place, p.position, normals)
+        given, held = (at, p.now["size"], p.normal, self.looking), Held(reals, wholes, how)
+        work = partial(stride, *tables, *given, arrival, held, placed, place)
         parts = parallel.in_parts(work, n, self.threads)
         if any([waiting or left for _, waiting, left in parts]):
-            self._later(ground, there, walk, Waiting.of(parts, reals, wholes), to, place, normals, how)
-        p.footing, p.position, p.normal = to, place.T, normals
+            self._later(ground, arrival, walk, Waiting.of(parts, reals, wholes), to, place, how)
+        p.footing, p.position, p.normal = to, place.T, arrival.normals
         return True
 
     def _later(
         self,
         ground: MeshGround,
-        there: tuple[Any, ...],
+        arrival: Arrival,
         walk: CrowdWalk,
         waiting: Waiting,
         to: Footing,
         place: NDArray[np.float64],
-        normals: NDArray[np.float32],
         how: NDArray[np.uint8],
     ) -> None:
         """Move those who have come to something else than the next face of their surface, and those who are nowhere or whose
@@ -200,7 +211,7 @@ class _Crowd:
         p, n = self.population, len(self.population)
         above, ahead, direction = p.room("walked", 3, (3, n), np.float64)
         (gone,), (blocked,) = p.room("gone", 1, (n,), np.float64), p.room("blocked", 1, (n,), np.bool_)
-        placed, moved = _ON_FACES(to.columns), (place, above, ahead, direction, gone)
+        placed, moved = Placed._make(_ON_FACES(to.columns)), Moved(place, above, ahead, direction, gone)
         rows = walk.on(waiting, how, placed, moved, blocked, self.threads)
         if waiting.left:
             others = np.flatnonzero(how != loop.DONE)
@@ -208,17 +219,16 @@ class _Crowd:
             result.put(others, self._moved(ground, others))
             rows = np.union1d(rows, others)
         if len(rows):
-            self._arrive(rows, (*moved[:4], blocked), there, normals)
+            self._arrive(rows, Walked(place, above, ahead, direction, blocked), arrival)
 
-    def _over_any(self, ground: Ground, there: tuple[Any, ...]) -> None:
+    def _over_any(self, ground: Ground, arrival: Arrival) -> None:
         p, rows = self.population, np.arange(len(self.population))
         moved = self._moved(ground, slice(None))
         if self.world.solids:
             moved = in_the_air(self.world, p, moved, self.dt)
-        normals = np.empty((len(rows), 3), np.float32)
-        walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
-        self._arrive(rows, walked, there, normals)
-        p.footing, p.position, p.normal = moved.footing, moved.position, normals
+        walked = Walked(moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
+        self._arrive(rows, walked, arrival)
+        p.footing, p.position, p.normal = moved.footing, moved.position, arrival.normals
 
     def _moved(self, ground: Ground, rows: NDArray[np.intp] | slice) -> Move:
         """Where a ground moves some agents."""
@@ -229,8 +239,6 @@ class _Crowd:
         size = p.now["size"][rows].astype(np.float64)
         return ground.move(p.footing.take(rows), *vectors, size, self.threads)
 
-    def _arrive(
-        self, rows: NDArray[np.intp], walked: tuple[Any, ...], there: tuple[Any, ...], normals: NDArray[np.float32]
-    ) -> None:
-        work = partial(arrive, rows, self.velocity, self.step, self.population.position, walked, *there, normals)
+    def _arrive(self, rows: NDArray[np.intp], walked: Walked, arrival: Arrival) -> None:
+        work = partial(arrive, rows, walked, arrival)
         parallel.in_parts(work, len(rows), self.threads, _ARRIVING)

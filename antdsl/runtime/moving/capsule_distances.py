@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +21,7 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
-from antdsl.numerics.kernel_vectors import dot, minus, of, plus, times
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, times
 from antdsl.numerics.sorting import listed
 
 _SEEN = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
@@ -33,12 +35,64 @@ _FETCHED = 32  # pairs whose rows are brought near before these are measured
 _KEPT, _LOST = 1, 2  # what is known of a pair: that it may meet, and that it has no way of its own
 _BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
 
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
-Capsules = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
+
+class Bodies(NamedTuple):
+    """Capsules of some rows: middle, ahead and up (3, k), half their length, and radius."""
+
+    middle: Strided2[F64]
+    ahead: Strided2[F64]
+    up: Strided2[F64]
+    half: Array1[F64]
+    radius: Array1[F64]
+
+
+class Crowded(NamedTuple):
+    """Capsules of all agents, with vectors as registers have them."""
+
+    middle: Array2[F64]
+    ahead: VectorColumns
+    up: VectorColumns
+    half: Array1[F64]
+    radius: Array1[F64]
+
+
+class Shape(NamedTuple):
+    """A species' capsule, in body lengths: length, width and height of its axis, and how far ahead of the feet its middle is."""
+
+    length: F64
+    width: F64
+    height: F64
+    ahead: F64
+
+
+class Trunks(NamedTuple):
+    """Capsules of all agents, as `capsules.Crowd`; `shift` is how far ahead of the feet their middles are (mm)."""
+
+    half: Array1[F64]
+    radius: Array1[F64]
+    shift: Array1[F64]
+    reach: Array1[F64]
+    middle: Array2[F64]
+
+
+class Bounds(NamedTuple):
+    """The least x, y and z of middles and reach, and the greatest; NaN where one is not finite."""
+
+    least: tuple[F64, F64, F64, F64]
+    greatest: tuple[F64, F64, F64, F64]
+
+
+class Meetings(NamedTuple):
+    """How many pairs may meet, how many rows they have and how many no direction of their own, and the widest radius."""
+
+    pairs: I64
+    rows: I64
+    lost: I64
+    widest: F64
 
 
 @inlined
-def _single(vectors, i):  # type: ignore[no-untyped-def]
+def _single(vectors: VectorColumns, i: I64) -> Vec3:
     """One of vectors that are three arrays of float32."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
@@ -51,36 +105,30 @@ def nothing_seen() -> NDArray[np.float64]:
 @kernel
 def trunks(
     place: Array2[F64],
-    heading: Three,
-    up: Three,
+    heading: VectorColumns,
+    up: VectorColumns,
     size: Array1[F32],
-    length: F64,
-    width: F64,
-    height: F64,
-    ahead: F64,
+    shape: Shape,
     first: I64,
-    half: Array1[F64],
-    radius: Array1[F64],
-    shift: Array1[F64],
-    reach: Array1[F64],
-    middle: Array2[F64],
+    to: Trunks,
     seen: Array2[F64],
-) -> tuple[F64, F64, F64, F64, F64, F64, F64, F64]:
-    """The capsules of a species whose places are (3, n), from `first` on among all: as `capsules.Crowd`; `shift` is how far ahead
-    of the feet their middles lie (mm). Gives the least x, y and z of middles and reach and then the greatest, of these and the
-    species before, NaN where one is not finite: what is `seen` (9, 64) of every 64th agent, as `nothing_seen` at first."""
+) -> Bounds:
+    """The capsules of a species whose places are (3, n), from `first` on among all. Gives the bounds of these and the species
+    before: what is `seen` (9, 64) of every 64th agent, as `nothing_seen` at first."""
+    length, width, height, ahead = shape
+    half, radius, shift, reach, middle = to
     for begin in range(0, size.size, _TOGETHER):
         for i in independent(begin, min(begin + _TOGETHER, size.size)):
-            to, column = first + i, i - begin
+            row, column = first + i, i - begin
             wide = np.float64(_ZERO if size[i] <= 0 else size[i])
-            radius[to] = wide * width * 0.5
-            half[to] = max(wide * length * 0.5 - radius[to], 0.0)
-            reach[to] = half[to] + radius[to] * _SEEN
-            high, shift[to] = wide * height, wide * ahead
+            radius[row] = wide * width * 0.5
+            half[row] = max(wide * length * 0.5 - radius[row], 0.0)
+            reach[row] = half[row] + radius[row] * _SEEN
+            high, shift[row] = wide * height, wide * ahead
             above, forward = _single(up, i), _single(heading, i)
             for k in range(3):
-                middle[k, to] = (place[k, i] + above[k] * high) + forward[k] * shift[to]
-            numbers = (middle[0, to], middle[1, to], middle[2, to], reach[to])
+                middle[k, row] = (place[k, i] + above[k] * high) + forward[k] * shift[row]
+            numbers = (middle[0, row], middle[1, row], middle[2, row], reach[row])
             for k in range(4):
                 seen[k, column] = min(seen[k, column], numbers[k])
                 seen[4 + k, column] = max(seen[4 + k, column], numbers[k])
@@ -91,11 +139,11 @@ def trunks(
         x, y, z, far = min(x, seen[0, k]), min(y, seen[1, k]), min(z, seen[2, k]), min(far, seen[3, k])
         u, v, w, wide = max(u, seen[4, k]), max(v, seen[5, k]), max(w, seen[6, k]), max(wide, seen[7, k])
         unknown += seen[8, k]
-    return x + unknown, y + unknown, z + unknown, far + unknown, u, v, w, wide
+    return Bounds((x + unknown, y + unknown, z + unknown, far + unknown), (u, v, w, wide))
 
 
 @called
-def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untyped-def]
+def _gap(away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, wide: F64) -> tuple[F64, Vec3, BOOL]:
     """Gap and way to part of one pair, and whether both stand in one place, and so have none. The nearest points of two segments
     by C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. Where axes cross, the way is from middle to middle."""
     between = plus(one, other)
@@ -125,8 +173,19 @@ def _gap(away, a, b, one, other, reach, length, wide):  # type: ignore[no-untype
 
 
 @called
-def measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, count, lost):  # type: ignore[no-untyped-def]
+def measured_some(
+    bodies: Bodies,
+    gone: Any,
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    way: Array2[F64],
+    some: Array1[I64],
+    count: I64,
+    lost: Array1[I64],
+) -> I64:
     """As `measured`, of those pairs that are the first of `some`."""
+    middle, ahead, up, half, radius = bodies
     for n in independent(0, count):
         pair = some[n]
         p, q = i[pair], j[pair]
@@ -143,12 +202,8 @@ def measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, c
 
 @kernel
 def measured(
-    middle: Strided2[F64],
+    bodies: Bodies,
     gone: Strided2[F64],
-    ahead: Strided2[F64],
-    up: Strided2[F64],
-    half: Array1[F64],
-    radius: Array1[F64],
     i: Array1[I64],
     j: Array1[I64],
     changed: Array1[BOOL],
@@ -161,17 +216,13 @@ def measured(
     `lost`. `some` is room for work."""
     for pair in independent(0, i.size):
         some[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
-    return measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, some, listed(some, i.size), lost)
+    return measured_some(bodies, gone, i, j, gap, way, some, listed(some, i.size), lost)
 
 
 @kernel
 def before(
-    middle: Strided2[F64],
+    bodies: Bodies,
     walked: Strided2[F64],
-    ahead: Strided2[F64],
-    up: Strided2[F64],
-    half: Array1[F64],
-    radius: Array1[F64],
     i: Array1[I64],
     j: Array1[I64],
     gap: Array1[F64],
@@ -181,6 +232,7 @@ def before(
 ) -> I64:
     """As `capsules.Near.before`, into `gap`, `way` and `deep`; gives how many pairs have no way of their own, which are the first
     of `lost`."""
+    middle, ahead, up, half, radius = bodies
     for some in range(0, i.size, _FETCHED):
         for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
             for side in range(2):
@@ -207,11 +259,7 @@ def before(
 
 @kernel
 def met(
-    middle: Array2[F64],
-    ahead: Three,
-    up: Three,
-    half: Array1[F64],
-    radius: Array1[F64],
+    crowd: Crowded,
     key: Array1[I64],
     i: Array1[I64],
     j: Array1[I64],
@@ -222,10 +270,11 @@ def met(
     number: Array1[I64],
     every: BOOL,
     dead: F64,
-) -> tuple[I64, I64, I64, F64]:
-    """Which of pairs `i` and `j` may meet, as `capsules.find`: how many these are, how many `rows` they have and how many no way
-    of their own, and the widest radius. They come first in `i`, `j`, `gap` and `way`, these in `known`; `number` is room for
-    work. `every`: also those of whom nobody is deeper in another than the share `dead` of the room of two."""
+) -> Meetings:
+    """Which of pairs `i` and `j` may meet, as `capsules.find`. They come first in `i`, `j`, `gap` and `way`, these in `known`;
+    `number` is room for work. `every`: also those of whom nobody is deeper in another than the share `dead` of the room of
+    two."""
+    middle, ahead, up, half, radius = crowd
     for some in range(0, i.size, _FETCHED):
         for pair in range(min(some + _FETCHED, i.size), min(some + 2 * _FETCHED, i.size)):
             for side in range(2):
@@ -282,16 +331,15 @@ def met(
         nowhere = known[pair] == _LOST
         known[lost] = pair
         lost += 1 if nowhere else 0
-    return pairs, count, lost, widest
+    return Meetings(pairs, count, lost, widest)
 
 
 @kernel
-def gathered(
-    rows: Array1[I64], middle: Array2[F64], ahead: Three, up: Three, half: Array1[F64], radius: Array1[F64], to: Capsules
-) -> None:
+def gathered(rows: Array1[I64], crowd: Crowded, to: Bodies) -> None:
     """The capsules of some rows."""
+    middle, ahead, up, half, radius = crowd
     for k in independent(0, rows.size):
         row = rows[k]
-        to[3][k], to[4][k] = half[row], radius[row]
+        to.half[k], to.radius[k] = half[row], radius[row]
         for axis in range(3):
-            to[0][axis, k], to[1][axis, k], to[2][axis, k] = middle[axis, row], ahead[axis][row], up[axis][row]
+            to.middle[axis, k], to.ahead[axis, k], to.up[axis, k] = middle[axis, row], ahead[axis][row], up[axis][row]

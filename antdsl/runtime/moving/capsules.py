@@ -16,7 +16,18 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary, parallel, randomness
 from antdsl.numerics import vectors as vec
-from antdsl.runtime.moving.capsule_distances import before, gathered, measured, met, nothing_seen, trunks
+from antdsl.runtime.moving.capsule_distances import (
+    Bodies,
+    Crowded,
+    Shape,
+    Trunks,
+    before,
+    gathered,
+    measured,
+    met,
+    nothing_seen,
+    trunks,
+)
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.library_bodies import CAPSULES, Capsule, body_of
 from antdsl.senses.touching import Bounds, within_reach
@@ -63,9 +74,9 @@ class Crowd:
             own = self._registers(population)
             place = np.ascontiguousarray(population.position.T)
             stands = (place, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
-            shares = (float(share) for share in (room.length, room.width, room.height, room.ahead))
-            capsules = (self.half, self.radius, self.ahead, self.reach, self.middle)
-            bounds = trunks(*stands, *shares, first, *capsules, seen)
+            shape = Shape(*map(float, (room.length, room.width, room.height, room.ahead)))
+            capsules = Trunks(self.half, self.radius, self.ahead, self.reach, self.middle)
+            bounds = trunks(*stands, shape, first, capsules, seen)
         return list(zip(bounds[:4], bounds[4:], strict=True))
 
     def __len__(self) -> int:
@@ -85,9 +96,10 @@ class Crowd:
         for population, begin, end, first in zip(self.species, bounds, bounds[1:], firsts, strict=False):
             yield population, rows[begin:end] - first if first else rows[begin:end]
 
-    def vector(self, name: str) -> tuple[NDArray[np.float32], ...]:
+    def vector(self, name: str) -> vec.Vector:
         """The three registers of a vector."""
-        return tuple(self.of(lambda p, axis=axis: self._registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+        x, y, z = (self.of(lambda p, axis=axis: self._registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+        return x, y, z
 
     def _registers(self, population: Population) -> dict[str, NDArray[Any]]:
         return population.start if self._start else population.now
@@ -114,21 +126,24 @@ class Near:
     gap: Floats
     way: Floats
 
+    @property
+    def bodies(self) -> Bodies:
+        """Its capsules, as kernels read them."""
+        return Bodies(self.middle, self.ahead, self.up, self.half, self.radius)
+
     def before(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
         """Gaps and ways of all pairs before rows `walked` (3, k) mm, as these face now, and how deep (k) mm each was in the worst
         of the others."""
         pairs, rows = len(self.i), len(self.rows)
         gap, way, deep, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
-        capsules = (self.ahead, self.up, self.half, self.radius)
-        count = before(self.middle, walked, *capsules, self.i, self.j, gap, way, deep, lost)
+        count = before(self.bodies, walked, self.i, self.j, gap, way, deep, lost)
         self.draw(way, lost[:count])
         return gap, way, deep
 
     def measure(self, gone: Floats, changed: Flags) -> None:
         """Measure anew the pairs of which a row has `changed` (k), once rows have gone by (3, k) mm."""
         some, lost = np.empty((2, len(self.i)), np.intp)
-        capsules = (self.ahead, self.up, self.half, self.radius)
-        count = measured(self.middle, gone, *capsules, self.i, self.j, changed, self.gap, self.way, some, lost)
+        count = measured(self.bodies, gone, self.i, self.j, changed, self.gap, self.way, some, lost)
         self.draw(self.way, lost[:count])
 
     def draw(self, way: Floats, which: Rows) -> None:
@@ -159,12 +174,12 @@ def find(crowd: Crowd, dead: float | None = None) -> Near:
     i, j, m = *parallel.plain(pairs.i, pairs.j), len(pairs.i)
     gap, way, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
     rows, number = np.empty((2, len(crowd)), np.intp)
-    stand = (crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
+    stand = Crowded(crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
     every = (True, 0.0) if dead is None else (False, dead)
-    m, count, lost, widest = met(*stand, crowd.key, i, j, gap, way, known, rows, number, *every)
+    m, count, lost, widest = met(stand, crowd.key, i, j, gap, way, known, rows, number, *every)
     rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
-    own = (middle, ahead, up, half, radius)
-    gathered(rows, *stand, own)
+    own = Bodies(middle, ahead, up, half, radius)
+    gathered(rows, stand, own)
     near = Near(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(way[:, :m]))
     near.draw(near.way, known[:lost])
     return near

@@ -24,7 +24,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot
 from antdsl.runtime.moving import cutting, rounds
 from antdsl.runtime.moving.capsules import Crowd, Near, find
-from antdsl.runtime.moving.corrections import Corrections, came, stands
+from antdsl.runtime.moving.corrections import Corrections, Feet, came, stands
 from antdsl.runtime.moving.separation import DEAD, FINE, arrays, faced, parted
 from antdsl.runtime.world import PUSHED, World
 
@@ -156,8 +156,8 @@ class _Agents:
         rows = near.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
         for p, own in crowd.parts(rows):
-            feet = (began.places[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
-            stands(own, first, *feet, dt, *vectors, reach, mass)
+            feet = Feet(began.places[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
+            stands(own, first, feet, dt, *vectors, reach, mass)
             first += len(own)
         start, walked, normal = vectors
         yields = np.ones(len(rows))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.ground.protocol import Move
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.kernel_vectors import dot, minus, plus, put, times
+from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, dot, minus, plus, put, times
 from antdsl.numerics.vectors import Columns, Vector
 from antdsl.runtime.moving.capsules import Crowd
 from antdsl.runtime.moving.falling import floating, pushed_in_the_air
@@ -20,7 +21,6 @@ from antdsl.runtime.world import Population
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 _LONGER = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
 _BACK = 3  # times that one is led back which got farther than it may
 _ZERO, _ONE, _TINY, _LIGHTEST = np.float32(0), np.float32(1), np.float32(1e-12), 1e-30
@@ -106,25 +106,32 @@ class Corrections:
 
 
 @inlined
-def _row(table, i):  # type: ignore[no-untyped-def]
+def _row(table: Strided2[F64], i: I64) -> Vec3:
     """One of vectors (n, 3)."""
     return table[i, 0], table[i, 1], table[i, 2]
 
 
 @inlined
-def _single(v):  # type: ignore[no-untyped-def]
+def _single(v: Vec3) -> Vec3F32:
     return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
+
+
+class Feet(NamedTuple):
+    """Where feet of a species `began` and are (n, 3), with the normal of the ground (n, 3); how fast agents are and their
+    mass."""
+
+    began: Strided2[F64]
+    place: Strided2[F64]
+    normal: Strided2[F32]
+    max_speed: Array1[F32]
+    mass: Array1[F32]
 
 
 @kernel
 def stands(
     rows: Array1[I64],
     first: I64,
-    began: Strided2[F64],
-    place: Strided2[F64],
-    feet: Strided2[F32],
-    max_speed: Array1[F32],
-    weight: Array1[F32],
+    species: Feet,
     dt: F64,
     start: Array2[F64],
     walked: Array2[F64],
@@ -134,6 +141,7 @@ def stands(
 ) -> None:
     """How some rows of a species stand after a substep of `dt` s, from the number `first` on among all rows: as
     `contacts.Agents`, and by how much they have `walked` (3, k) mm."""
+    began, place, feet, max_speed, weight = species
     for n in independent(0, rows.size):
         row, k = rows[n], first + n
         before = _row(began, row)
@@ -145,7 +153,7 @@ def stands(
 
 
 @kernel
-def came(rows: Array1[I64], first: I64, velocity: Three, dt: F32, way: Array2[F64]) -> None:
+def came(rows: Array1[I64], first: I64, velocity: VectorColumns, dt: F32, way: Array2[F64]) -> None:
     """How far (mm) agents came in a time as long before, of some rows of a species, from the number `first` on among all rows."""
     for n in independent(0, rows.size):
         for axis in range(3):
@@ -157,7 +165,7 @@ def _asked(
     rows: Array1[I64],
     gone: Strided2[F64],
     feet: Strided2[F32],
-    facing: Three,
+    facing: VectorColumns,
     long: Array1[F32],
     way: Array2[F32],
     normal: Array2[F32],
@@ -206,8 +214,8 @@ def _arrived(
     to: Strided2[F64],
     above: Strided2[F64],
     dt: F32,
-    at: Three,
-    velocity: Three,
+    at: VectorColumns,
+    velocity: VectorColumns,
     place: Strided2[F64],
     feet: Strided2[F32],
     got: Array2[F64],

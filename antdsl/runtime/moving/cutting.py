@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, independent, inlined, kernel
-from antdsl.numerics.kernel_vectors import dot, minus, of, put, times
+from antdsl.numerics.kernel_vectors import Vec3, dot, minus, of, put, times
 from antdsl.numerics.sorting import listed
 from antdsl.runtime.moving.capsules import Near
 
@@ -33,21 +35,32 @@ def cut(near: Near, came: Floats, mass: Floats, walked: Floats, gap: Floats, way
     rows, pairs = len(near.rows), len(gap)
     (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
     met, some, stopped = np.empty((3, rows), np.intp)
-    room = (np.empty((2, pairs)), sums, part, met, some, np.empty(pairs, np.intp))
-    count = _bent(near.i, near.j, gap, way, came, mass, walked, magic, *room, short, stopped, changed)
+    room = Room(np.empty((2, pairs)), sums, part, met, some, np.empty(pairs, np.intp))
+    count = _bent(near.i, near.j, gap, way, came, mass, walked, magic, room, short, stopped, changed)
     return short, stopped[:count], changed
 
 
 @inlined
-def add(sums, i, v, magic):  # type: ignore[no-untyped-def]
+def add(sums: Array2[F64], i: I64, v: Vec3, magic: F64) -> None:
     """Add to a sum of terms that are rounded to the quantum of `magic`."""
     for axis in range(3):
         sums[axis, i] += (v[axis] + magic) - magic
 
 
 @inlined
-def negative(v):  # type: ignore[no-untyped-def]
+def negative(v: Vec3) -> Vec3:
     return -v[0], -v[1], -v[2]
+
+
+class Room(NamedTuple):
+    """Memory for work: `free` (2, m), `sums` (3, k), `part`, `met` and `some` (k) and `pairs` (m)."""
+
+    free: Array2[F64]
+    sums: Array2[F64]
+    part: Array1[F64]
+    met: Array1[I64]
+    some: Array1[I64]
+    pairs: Array1[I64]
 
 
 @kernel
@@ -60,19 +73,15 @@ def _bent(
     mass: Array1[F64],
     walked: Array2[F64],
     magic: F64,
-    free: Array2[F64],
-    sums: Array2[F64],
-    part: Array1[F64],
-    met: Array1[I64],
-    some: Array1[I64],
-    pairs: Array1[I64],
+    room: Room,
     cut: Array2[F64],
     stopped: Array1[I64],
     changed: Array1[BOOL],
 ) -> I64:
     """Bend and cut steps as `cut` says: by what steps are `cut` (3, k), who has `changed` (k), and how many are
-    stopped, which are the first of `stopped`. `free` (2, m), `sums` (3, k), `part`, `met` and `some` (k) and `pairs` (m) are room
-    for work. Once all pairs have been looked at, only those count of which a row has been bent: no other goes elsewhere."""
+    stopped, which are the first of `stopped`. Once all pairs have been looked at, only those count of which a row has been
+    bent: no other goes elsewhere."""
+    free, sums, part, met, some, pairs = room
     for pair in independent(0, i.size):
         ways, over = of(way, pair), 0
         for side in range(2):

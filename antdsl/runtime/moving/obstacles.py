@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,11 @@ from antdsl.casting.tolerances import FURTHER
 from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.kernel_vectors import dot, minus, plus, times
+from antdsl.numerics.kernel_vectors import Vec3F32, VectorColumns, dot, minus, plus, times
 from antdsl.numerics.vectors import Columns, Vector
 from antdsl.runtime.moving.obstacle_clearance import clearance
 from antdsl.runtime.world import Population, World
 
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 _F = np.float32
 _ZERO, _HALF, _ONE, _FAR = _F(0), _F(0.5), _F(1), _F(np.inf)
 _LEAST = _F(1e-9)  # mm: a shorter step is none
@@ -198,7 +198,7 @@ def _ahead(
 
 
 @kernel
-def same(one: Three, other: Three, begin: I64, end: I64) -> BOOL:
+def same(one: VectorColumns, other: VectorColumns, begin: I64, end: I64) -> BOOL:
     """Whether vectors from `begin` to before `end` are all equal, none of them NaN."""
     found = True
     for i in range(begin, end):
@@ -207,7 +207,7 @@ def same(one: Three, other: Three, begin: I64, end: I64) -> BOOL:
 
 
 @inlined
-def _asked(step, radius, clear, i):  # type: ignore[no-untyped-def]
+def _asked(step: VectorColumns, radius: Array1[F32], clear: Array1[F32], i: I64) -> tuple[F32, F32, BOOL]:
     """How long a step is, its margin, and whether it may touch an obstacle."""
     way = (step[0][i], step[1][i], step[2][i])
     size = np.sqrt(dot(way, way))
@@ -216,7 +216,7 @@ def _asked(step, radius, clear, i):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _kept(step, up, size, margin, clear, gap, out):  # type: ignore[no-untyped-def]
+def _kept(step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clear: F32, gap: F32, out: Vec3F32) -> tuple[Vec3F32, F32, BOOL]:
     """A step that keeps the margin from the nearest face, so far along `out`; its length, and whether it may meet a face."""
     wall = minus(out, times(up, dot(out, up)))
     long = np.sqrt(dot(wall, wall))
@@ -239,11 +239,21 @@ def _kept(step, up, size, margin, clear, gap, out):  # type: ignore[no-untyped-d
     return step, size, size > _LEAST and clear <= (size + margin) * _WIDER + _SLACK
 
 
+class Touching(NamedTuple):
+    """`begin`; how many agents may touch an obstacle on their step; how many of these meet it on the step that keeps the margin;
+    of how many the grid cannot tell."""
+
+    begin: I64
+    agents: I64
+    hits: I64
+    unknown: I64
+
+
 @kernel
 def along(
     grid: Grid,
-    place: Three,
-    step: Three,
+    place: VectorColumns,
+    step: VectorColumns,
     up: Strided2[F32],
     radius: Array1[F32],
     clear: Array1[F32],
@@ -253,12 +263,11 @@ def along(
     hits: Array2[F32],
     begin: I64,
     end: I64,
-) -> tuple[I64, I64, I64, I64]:
-    """`begin`; how many agents from there to before `end` may touch an obstacle on their step, which is `clear` of them, without
-    those who are outside and whose nearest face is farther than they look: their steps stay; how many of these meet it on the
-    step that keeps the margin; and of how many the grid cannot tell. From number `begin` on: their `rows` with place, that step,
-    the `up` of the ground (3, n) and the margin, `found` [10, n]; who of them has `met` a face, how much of the step (mm) is
-    free, and the normal, `hits` [4, n]."""
+) -> Touching:
+    """Which agents from `begin` to before `end` may touch an obstacle on their step, which is `clear` of them, without those who
+    are outside and whose nearest face is farther than they look: their steps stay. From number `begin` on: their `rows` with
+    place, that step, the `up` of the ground (3, n) and the margin, `found` [10, n]; who of them has `met` a face, how much of
+    the step (mm) is free, and the normal, `hits` [4, n]."""
     asking = begin
     for i in range(begin, end):
         _, _, asked = _asked(step, radius, clear, i)
@@ -302,11 +311,11 @@ def along(
                     )
                     hit += 1
             count += 1
-    return begin, count, hit, left
+    return Touching(begin, count, hit, left)
 
 
 @kernel
-def put(step: Three, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> None:
+def put(step: VectorColumns, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> None:
     """Steps `to` (3, n), of some rows their `own` (3, k)."""
     for i in independent(0, step[0].size):
         to[0, i], to[1, i], to[2, i] = step[0][i], step[1][i], step[2][i]
@@ -316,8 +325,8 @@ def put(step: Three, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> 
 
 @kernel
 def touching(
-    place: Three,
-    step: Three,
+    place: VectorColumns,
+    step: VectorColumns,
     radius: Array1[F32],
     clear: Array1[F32],
     rows: Array1[I64],
@@ -341,7 +350,7 @@ def touching(
 @kernel
 def kept_off(
     near: Array2[F32],
-    above: Three,
+    above: VectorColumns,
     gaps: Array1[F32],
     out: Array2[F32],
     bent: Array2[F32],
@@ -367,7 +376,7 @@ def kept_off(
 
 
 @kernel
-def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, begin: I64, end: I64) -> None:
+def slowed(wanted: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64) -> None:
     """Changes velocities of agents from `begin` to before `end`, of those whose steps are not as `wanted`, to `rate` times their
     steps."""
     for i in independent(begin, end):
@@ -378,7 +387,13 @@ def slowed(wanted: Three, step: Three, velocity: Three, rate: F32, begin: I64, e
 
 @kernel
 def strayed(
-    rows: Array1[I64], place: Three, start: Three, wide: Array1[F32], at: Array2[F32], radius: Array1[F32], gone: Array1[F32]
+    rows: Array1[I64],
+    place: VectorColumns,
+    start: VectorColumns,
+    wide: Array1[F32],
+    at: Array2[F32],
+    radius: Array1[F32],
+    gone: Array1[F32],
 ) -> None:
     """Of some rows where they are, `at` (3, k), their radii, and how far from where the step began, with a bit more."""
     for k in independent(0, rows.size):

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.elementary_loops import atan2
-from antdsl.numerics.kernel_vectors import cross, dot, minus, of, plus, times
+from antdsl.numerics.kernel_vectors import VectorColumns, cross, dot, minus, of, plus, times
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.headings import FACE, STANDS
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 # Of looks: the agent, half a body, the step (mm), its direction and the ground's normal.
 Looks = tuple[Array1[I64], Array1[F64], Array1[F64], Strided2[F64], Strided2[F64]]
 
@@ -65,8 +64,8 @@ def find_walls(
     ahead, normal, origin, ray = population.room("ways", 4, (3, 2 * most), np.float64)
     looks = (which, halves, sizes, ahead, normal)
     face, heading = vec.named(now, "~face") if FACE in now else step, vec.named(now, "heading")
-    ways = (heading, looking, state, step, FACE in now, face)
-    count = look(rows, now["size"], population.position, population.normal, *ways, looks, origin, ray)
+    ways = Ways(heading, looking, state, step, FACE in now, face)
+    count = look(rows, now["size"], population.position, population.normal, ways, looks, origin, ray)
     hit, part, wall = meshes.faced(origin[:, :count].T, ray[:, :count].T, world.options.threads)
     if not len(hit):
         return _NO_WALLS
@@ -76,7 +75,7 @@ def find_walls(
 
 
 @inlined
-def half_of(size):  # type: ignore[no-untyped-def]
+def half_of(size: F32) -> F64:
     """Half of a body's size (mm), 0 of what is none."""
     long = np.float64(_F(0) if size <= 0 else size)
     return long / 2 if np.isfinite(long) else 0.0
@@ -89,26 +88,34 @@ def reaches(size: Array1[F32], reach: Array1[F64]) -> None:
         reach[i] = WIDEST * half_of(size[i])
 
 
+class Ways(NamedTuple):
+    """Headings of agents and those along the ground, `looking`, of those who lean, by their `state`; their steps; whether `face`
+    has directions to face."""
+
+    heading: VectorColumns
+    looking: VectorColumns
+    state: Array1[I32]
+    step: VectorColumns
+    faces: BOOL
+    face: VectorColumns
+
+
 @kernel
 def look(
     rows: Array1[I64],
     size: Array1[F32],
     position: Strided2[F64],
     normal: Array2[F32],
-    heading: Three,
-    looking: Three,
-    state: Array1[I32],
-    step: Three,
-    faces: BOOL,
-    face: Three,
+    ways: Ways,
     looks: Looks,
     origin: Array2[F64],
     ray: Array2[F64],
 ) -> I64:
     """How many look out, and their `looks` with rays (3, ..): all `rows` along their heading over the ground, and then those who
-    step aside from that along their way, but not who walks backward (`faces`: whether `face` has ways to face). There is room for
+    step aside from that along their way, but not who walks backward. There is room for
     two each. That heading is in `looking` of those who lean, by their `state`, and afterwards of all rows."""
     which, halves, sizes, aheads, normals = looks
+    heading, looking, state, step, faces, face = ways
     count = rows.size
     for k in range(rows.size):
         i, half = rows[k], half_of(size[rows[k]])

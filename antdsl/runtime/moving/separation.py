@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import (
     BOOL,
-    F32,
     F64,
     I64,
     Array1,
@@ -21,9 +20,9 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
-from antdsl.numerics.kernel_vectors import dot, minus, of, plus, put, times
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, put, times
 from antdsl.numerics.sorting import listed
-from antdsl.runtime.moving.capsule_distances import measured_some
+from antdsl.runtime.moving.capsule_distances import Bodies, measured_some
 from antdsl.runtime.moving.cutting import add, negative
 
 DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
@@ -41,8 +40,6 @@ _YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed
 _ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
 _MAGIC = 1.5 * 2.0 ** (52 - FINE)
 
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
-Bodies = tuple[Strided2[F64], Strided2[F64], Strided2[F64], Array1[F64], Array1[F64]]  # middle, ahead and up, half, radius
 Pairs = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]  # i, j, gap, way, and which count
 # Masses, yields, reaches, depths and who is held; normals of the ground, walked and cut, as `contacts` has them
 Stand = tuple[
@@ -72,7 +69,7 @@ def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
 
 
 @inlined
-def _rounded(term):  # type: ignore[no-untyped-def]
+def _rounded(term: F64) -> F64:
     return (term + _MAGIC) - _MAGIC
 
 
@@ -81,9 +78,9 @@ def faced(
     rows: Array1[I64],
     stopped: Array1[I64],
     whole: Array1[I64],
-    before: Three,
-    up: Three,
-    heading: Three,
+    before: VectorColumns,
+    up: VectorColumns,
+    heading: VectorColumns,
     shift: Array1[F64],
     ahead: Array2[F64],
     middle: Array2[F64],
@@ -107,7 +104,7 @@ def faced(
 
 
 @inlined
-def _greatest(numbers, count):  # type: ignore[no-untyped-def]
+def _greatest(numbers: Array1[F64], count: I64) -> F64:
     most = numbers[0]
     for k in range(1, count):
         most = max(most, numbers[k])
@@ -115,7 +112,7 @@ def _greatest(numbers, count):  # type: ignore[no-untyped-def]
 
 
 @called
-def _share(m, count, room, light, heap):  # type: ignore[no-untyped-def]
+def _share(m: I64, count: I64, room: Room, light: Array1[F64], heap: Array1[F64]) -> None:
     """What of their overlap the first and the second of each pair make room for, together 1: the lighter more, and the one that
     is less locked in; for the first `m` pairs of `room`, among the first `count` rows.
 
@@ -154,7 +151,7 @@ def _share(m, count, room, light, heap):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _within(gone, middle, room):  # type: ignore[no-untyped-def]
+def _within(gone: Vec3, middle: Vec3, room: F64) -> Vec3:
     """A correction cut so that it ends no farther than its `room` from a place that lies `middle` before where the walk led."""
     way = plus(middle, gone)
     size = np.sqrt(dot(way, way))
@@ -178,7 +175,7 @@ def parted(
 ) -> tuple[I64, I64]:
     """Looks at pairs, each with its sweeps, where two part by `slow` of their overlap; changes `gap`, `way`, `which` and `gone`.
     Where pairs have no way of their own it gives how many looks are left, and how many these are, the first of `lost`."""
-    middle, ahead, up, half, radius = bodies
+    radius = bodies.radius
     i, j, gap, way, which = pairs
     number, some, changed = room[3][_NUMBER], room[3][_SOME], room[4]
     chosen, touching, starts, about = room[7][_CHOSEN], room[7][_TOUCHING], room[8], room[9]
@@ -203,7 +200,7 @@ def parted(
                     if i[pair] == row or not changed[i[pair]]:
                         chosen[count] = pair
                         count += 1
-        without = measured_some(middle, gone, ahead, up, half, radius, i, j, gap, way, chosen, count, lost)
+        without = measured_some(bodies, gone, i, j, gap, way, chosen, count, lost)
         for n in range(touch):
             pair = touching[n]
             touching[kept] = pair
@@ -221,13 +218,13 @@ def parted(
 
 
 @inlined
-def _dead(radius, i, j, pair):  # type: ignore[no-untyped-def]
+def _dead(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) -> F64:
     """The gap of a pair below which it counts."""
     return -((radius[i[pair]] + radius[j[pair]]) * DEAD)
 
 
 @called
-def _group(i, j, starts, about):  # type: ignore[no-untyped-def]
+def _group(i: Array1[I64], j: Array1[I64], starts: Array1[I64], about: Array1[I64]) -> None:
     """The pairs `about` each row: those of row k from `starts[k]` to before `starts[k + 1]`."""
     starts[:] = 0
     for pair in range(i.size):
@@ -244,7 +241,7 @@ def _group(i, j, starts, about):  # type: ignore[no-untyped-def]
 
 
 @called
-def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
+def _limit(radius: Array1[F64], stand: Stand, some: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
     """How easily each of some rows is moved, how much it is in a heap, how far it may get and how far be
     pushed."""
     mass, yields, reach, deep, held, _, walked, _ = stand
@@ -260,7 +257,18 @@ def _limit(radius, stand, some, count, of_rows):  # type: ignore[no-untyped-def]
 
 
 @called
-def _look(radius, pairs, touch, stand, gone, magic, sweeps, slow, alone, room):  # type: ignore[no-untyped-def]
+def _look(
+    radius: Array1[F64],
+    pairs: Pairs,
+    touch: I64,
+    stand: Stand,
+    gone: Array2[F64],
+    magic: F64,
+    sweeps: I64,
+    slow: F64,
+    alone: BOOL,
+    room: Room,
+) -> tuple[BOOL, I64]:
     """One look and its sweeps, where so many pairs `touch`, for all about their rows or for these `alone`; says who has changed,
     and whether anybody has; and how many rows it has looked at, which are the first of `some`."""
     i, j, gap, way, which = pairs

@@ -3,23 +3,23 @@ one loop walks agents and lets them arrive."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from antdsl.ground.mesh.face_table import WIDTH
 from antdsl.ground.mesh.stretches import finish
 from antdsl.ground.mesh.walk import (
     DONE,
     LEFT_OUT,
     ROWS_AHEAD,
     WAITS,
-    Clearances,
-    Placed,
-    Surface,
     bring_near,
     counted,
     keep,
+    put_down,
     walked,
 )  # fmt: skip
+from antdsl.ground.mesh.walkers import Clearances, Placed, Surface
 from antdsl.ground.plane import straight
 from antdsl.machine_code.kernels import (
     BOOL,
@@ -30,57 +30,65 @@ from antdsl.machine_code.kernels import (
     U8,
     Array1,
     Array2,
-    Strided2,
     fetch_ahead,
     independent,
     inlined,
     kernel,
     three,
 )  # fmt: skip
-from antdsl.numerics.kernel_vectors import dot, times
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
 from antdsl.runtime.moving.headings import STANDS
 from antdsl.runtime.moving.rises import WIDEST, half_of
 from antdsl.runtime.moving.tilting import stood
-from antdsl.runtime.moving.velocities import Bodies, Facing, Limits, Three, Times, arrived, pushed
+from antdsl.runtime.moving.velocities import Abilities, Arrival, Drive, PushTimes, arrived, pushed
 
 _F = np.float32
 _ZERO = _F(0)
 
 
+class Outset(NamedTuple):
+    """What agents are about to do: velocities, the `step` (mm) that is their way in `dt`, and the heading along the ground of
+    those who lean, `looking`. How long the step is, by what angle (radians) a body tilts at most, how far before it (mm) it looks
+    out for walls, and how bodies stand, `state`."""
+
+    velocity: VectorColumns
+    step: VectorColumns
+    looking: VectorColumns
+    length: Array1[F32]
+    most: Array1[F32]
+    reach: Array1[F64]
+    state: Array1[I32]
+
+
+class Held(NamedTuple):
+    """What is stored of agents that wait, see `walk`, and how it is with each agent."""
+
+    reals: Array2[F64]
+    wholes: Array2[I64]
+    how: Array1[U8]
+
+
 @kernel
 def set_out(
-    push: Three,
-    velocity: Three,
-    heading: Three,
-    up: Three,
-    normal: Array2[F32],
-    limits: tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]],
+    drive: Drive,
+    abilities: Abilities,
     keeps: BOOL,
     min_speed: Array1[F32],
     size: Array1[F32],
     quarantined: Array1[BOOL],
-    times_of: tuple[F32, F32, F32],
-    to: Three,
-    step: Three,
-    looking: Three,
-    lengths: tuple[Array1[F32], Array1[F32], Array1[F64]],
-    state: Array1[I32],
+    times_of: PushTimes,
+    outset: Outset,
     begin: I64,
     end: I64,
 ) -> tuple[F64, F64]:
-    """What agents from `begin` to before `end` are about to do: velocities after the push `to` three arrays, the `step` (mm) that
-    is their way in `dt`, and how bodies stand: their `state`, and of those who lean the heading along the ground, `looking`.
-
-    `limits`: `max_speed`, `max_force`, `mass`, `response` and `max_turn`; `keeps`: whether `min_speed` counts. `times_of`: the
-    longest response that takes its whole time in one substep, that time, and `dt`, that of others. Into `lengths`: how long the
-    step is, by what angle (radians) a body tilts at most, and how far before it (mm) it looks
-    out for walls. Gives the longest step that is finite and the greatest size, -inf where none is a number.
-    """
-    max_speed, max_turn, dt = limits[0], limits[4], times_of[2]
-    long, most, reach = lengths
+    """What agents from `begin` to before `end` are about to do after their push. `keeps`: whether `min_speed` counts. Gives the
+    longest step that is finite and the greatest size, -inf where none is a number."""
+    heading, up, normal = drive.heading, drive.up, drive.normal
+    max_speed, max_turn, dt = abilities.max_speed, abilities.max_turn, times_of.dt
+    to, step, looking, long, most, reach, state = outset
     for i in independent(begin, end):
         u = three(normal, i)
-        v = pushed(push, velocity, u, heading, limits, keeps, min_speed, times_of, i)
+        v = pushed(drive, u, abilities, keeps, min_speed, times_of, i)
         if quarantined[i]:
             v = (_ZERO, _ZERO, _ZERO)
         way = times(v, dt)
@@ -97,7 +105,7 @@ def set_out(
 
 
 @inlined
-def _ahead(heading, looking, state, i):  # type: ignore[no-untyped-def]
+def _ahead(heading: VectorColumns, looking: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
     """The heading along the ground, in float64."""
     if state[i] == STANDS:
         return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
@@ -111,41 +119,30 @@ def stride(
     at: Placed,
     size: Array1[F32],
     normal: Array2[F32],
-    velocity: Three,
-    step: Three,
-    looking: Three,
-    limits: Limits,
-    bodies: Bodies,
-    times_of: Times,
-    facing: Facing,
-    registers: tuple[Three, Three, Three, Three],
-    reals: Array2[F64],
-    wholes: Array2[I64],
-    how: Array1[U8],
+    looking: VectorColumns,
+    arrival: Arrival,
+    held: Held,
     placed: Placed,
     place: Array2[F64],
-    old: Strided2[F64],
-    normals: Array2[F32],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
     """`walk_all` over triangles by steps and headings in float32, from footings `at` to `placed` and `place` (3, n); those
     who are there arrive as by `arrive`."""
     mesh, face, b1s, b2s, overs = at
-    first = surface[3]
-    heading, state = registers[2], bodies[1]
-    to_mesh, to_face, to_b1, to_b2, to_over = placed
+    first, step, how = surface.first, arrival.step, held.how
+    registers, heading, state = arrival.registers, arrival.registers.heading, arrival.bodies.state
     for group in range(begin - 8 * ROWS_AHEAD, end, 8):
         # Columns are brought near, too: they are more than a processor by itself sees coming.
         k = group + 8 * ROWS_AHEAD
-        for columns in (velocity, step, registers[0], registers[1], registers[2], registers[3], limits):
+        for columns in (arrival.velocity, step, *registers, arrival.limits):
             for each in columns:
                 fetch_ahead(each, k)
-        for each in (bodies[0], size, state, b1s, b2s, overs, to_mesh, to_face, to_b1, to_b2, to_over):
+        for each in (arrival.bodies.most, size, state, b1s, b2s, overs, *placed):
             fetch_ahead(each, k)
         for axis in range(3):
-            fetch_ahead(place, k + axis * to_b1.size)
-        for each in (normal, normals):
+            fetch_ahead(place, k + axis * placed.b1.size)
+        for each in (normal, arrival.normals):
             fetch_ahead(each, 3 * k)
             fetch_ahead(each, 3 * k + 16)
         for each in (mesh, face):
@@ -161,53 +158,33 @@ def stride(
             x, y, z = three(normal, i)
             up = (np.float64(x), np.float64(y), np.float64(z))
             long, look = np.float64(size[i]), _ahead(heading, looking, state, i)
-            high, over, f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length, hops = walked(
-                surface, near, True, first[mesh[i]] + face[i], b1s[i], b2s[i], overs[i], long, way, look, up
-            )
-            if event:
+            f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
+            walk = walked(surface, near, True, f, weights, overs[i], long, way, look, up)
+            if walk.stop.event:
                 how[i] = WAITS
-                keep(
-                    reals, wholes, i, i, high > 0, np.float64(size[i]), f, b1, b2, side, c, s, heading_c, heading_s, left, gone,
-                    over, turn, event, edge, length, hops,
-                )  # fmt: skip
+                keep(held.reals, held.wholes, i, np.float64(size[i]), walk)
                 continue
             how[i] = DONE
-            to_mesh[i], to_face[i] = mesh[i], f - first[mesh[i]]  # no edge leads to another mesh
-            to_b1[i], to_b2[i], to_over[i] = b1, b2, over * side + 0.0
-            found = finish(surface[0], WIDTH * f, b1, b2, side, c, s, heading_c, heading_s, over)
+            # No edge leads to another mesh.
+            put_down(placed, i, mesh[i], walk.walker.face - first[mesh[i]], walk.over, walk.walker)
+            pose = finish(surface.table, walk.walker, walk.over)
             for k in range(3):
-                place[k, i] = found[0][k]
-            arrived(i, found, hops > 0, old, step, velocity, limits, bodies, times_of, facing, registers, normals)
-    waiting, left = counted(how, reals, wholes, begin, end)
+                place[k, i] = pose.place[k]
+            arrived(i, pose, walk.stop.hops > 0, arrival)
+    waiting, left = counted(how, held.reals, held.wholes, begin, end)
     return begin, waiting, left
 
 
 @kernel
-def glide(
-    plane: Array1[F64],
-    at: Strided2[F64],
-    velocity: Three,
-    step: Three,
-    looking: Three,
-    limits: Limits,
-    bodies: Bodies,
-    times_of: Times,
-    facing: Facing,
-    registers: tuple[Three, Three, Three, Three],
-    place: Array2[F64],
-    normals: Array2[F32],
-    begin: I64,
-    end: I64,
-) -> None:
-    """Agents from `begin` to before `end` walk across the unit vector `plane` from points `at` to points `place`, (n, 3) both,
-    and arrive there as by `arrive`."""
-    heading, state = registers[2], bodies[1]
+def glide(plane: Array1[F64], looking: VectorColumns, arrival: Arrival, place: Array2[F64], begin: I64, end: I64) -> None:
+    """Agents from `begin` to before `end` walk across the unit vector `plane` to points `place` (n, 3), and arrive there as by
+    `arrive`."""
+    at, step, heading, state = arrival.old, arrival.step, arrival.registers.heading, arrival.bodies.state
     up = (plane[0], plane[1], plane[2])
     for i in independent(begin, end):
         way = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
         look = _ahead(heading, looking, state, i)
-        there, ahead, direction, _ = straight(up, (at[i, 0], at[i, 1], at[i, 2]), way, look)
+        pose, _ = straight(up, (at[i, 0], at[i, 1], at[i, 2]), way, look)
         for k in range(3):
-            place[i, k] = there[k]
-        found = (there, up, ahead, direction)
-        arrived(i, found, False, at, step, velocity, limits, bodies, times_of, facing, registers, normals)
+            place[i, k] = pose.place[k]
+        arrived(i, pose, False, arrival)

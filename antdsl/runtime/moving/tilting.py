@@ -10,22 +10,35 @@ over about its own length; where it cannot tilt as fast as it walks, the feet wa
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, Array2, Strided2, called, independent, inlined, kernel, three
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    Strided2,
+    called,
+    independent,
+    inlined,
+    kernel,
+    three,
+)
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.elementary_loops import atan2, cos_sin
-from antdsl.numerics.kernel_vectors import cross, dot, minus, plus, times
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, cross, dot, minus, plus, times
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.headings import LEANS, STANDS
 from antdsl.runtime.moving.rises import find_walls, reaches
 from antdsl.runtime.world import Population, World
 
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
 # Of walls: normal and direction ahead (3, k), angle, how far, over how much.
 WallArrays = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array1[F64]]
 
@@ -70,23 +83,23 @@ def _registers(values: dict[str, NDArray[Any]]) -> tuple[Vector, Vector]:
 
 
 @inlined
-def _over(a, s):  # type: ignore[no-untyped-def]
+def _over(a: Vec3, s: F64) -> Vec3:
     return a[0] / s, a[1] / s, a[2] / s
 
 
 @inlined
-def _unit(v):  # type: ignore[no-untyped-def]
+def _unit(v: Vec3) -> Vec3:
     return _over(v, max(np.sqrt(dot(v, v)), 1e-300))
 
 
 @inlined
-def _of(vectors, i):  # type: ignore[no-untyped-def]
+def _of(vectors: VectorColumns, i: I64) -> Vec3:
     """One of vectors (3, n), in float64."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
 @inlined
-def _across(v, up):  # type: ignore[no-untyped-def]
+def _across(v: Vec3, up: Vec3) -> Vec3:
     """A unit vector across `up`, as near to v as can be; some where v says nothing."""
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
@@ -98,31 +111,31 @@ def _across(v, up):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _row(vectors, i):  # type: ignore[no-untyped-def]
+def _row(vectors: Array2[F32], i: I64) -> Vec3:
     """One of vectors (n, 3), in float64."""
     return np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
 
 
 @inlined
-def _column(vectors, i):  # type: ignore[no-untyped-def]
+def _column(vectors: Strided2[F64], i: I64) -> Vec3:
     """One of vectors (3, n), in float64."""
     return np.float64(vectors[0, i]), np.float64(vectors[1, i]), np.float64(vectors[2, i])
 
 
 @inlined
-def _leaning(up, normal, i):  # type: ignore[no-untyped-def]
+def _leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
     x, y, z = three(normal, i)
     return up[0][i] != x or up[1][i] != y or up[2][i] != z
 
 
 @inlined
-def _maximum(a, b):  # type: ignore[no-untyped-def]
+def _maximum(a: F32, b: F32) -> F32:
     """As np.maximum of a number that may be NaN and one that is not."""
     return b if a <= b else a
 
 
 @called
-def _axis(one, other, ahead):  # type: ignore[no-untyped-def]
+def _axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
     """Axis of the least turn of one unit vector into another, and the cosine and sine of its angle. Near half a turn, whose axis
     is anywhere, it goes over `ahead`."""
     axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
@@ -133,26 +146,26 @@ def _axis(one, other, ahead):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _rotated(v, axis, c, s):  # type: ignore[no-untyped-def]
+def _rotated(v: Vec3, axis: Vec3, c: F64, s: F64) -> Vec3:
     """A vector turned about a unit axis by an angle of a cosine and a sine (O. Rodrigues, 1840)."""
     return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))
 
 
 @called
-def _laid(heading, one, other):  # type: ignore[no-untyped-def]
+def _laid(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
     """A heading across one normal, turned as that is turned into another."""
     axis, cosine, sine = _axis(one, other, heading)
     return _across(_rotated(heading, axis, cosine, sine), other)
 
 
 @inlined
-def _nearer(gone, wall, ahead):  # type: ignore[no-untyped-def]
+def _nearer(gone: Vec3, wall: Vec3, ahead: Vec3) -> F64:
     """By how much less a way leads along `ahead` to the wall from a place that is `gone` from the first."""
     return dot(gone, wall) / min(dot(ahead, wall), -1e-3)
 
 
 @called
-def _tilted(n, wall, ahead, angle, far, over, gone):  # type: ignore[no-untyped-def]
+def _tilted(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, gone: Vec3) -> Vec3:
     """How a body should stand on ground of a normal, when it has `gone` so far: as it does, or before a wall tilted towards that
     of the wall."""
     part = min(max(1.0 - (far - _nearer(gone, wall, ahead)) / over, 0.0), 1.0) * angle
@@ -169,7 +182,19 @@ def _tilted(n, wall, ahead, angle, far, over, gone):  # type: ignore[no-untyped-
 
 
 @inlined
-def stood(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state):  # type: ignore[no-untyped-def]
+def stood(
+    i: I64,
+    up: VectorColumns,
+    heading: VectorColumns,
+    normal: Array2[F32],
+    max_speed: Array1[F32],
+    size: Array1[F32],
+    max_turn: Array1[F32],
+    dt: F32,
+    most: Array1[F32],
+    looking: VectorColumns,
+    state: Array1[I32],
+) -> None:
     """Body i as a step begins: by how much (radians) it tilts at `most` in a time, its `state` without walls, and if it leans its
     heading along the ground, into `looking`."""
     walking = _maximum(max_speed[i], _ZERO) / (size[i] if size[i] > 0 else _ONE) * _RIGHT_ANGLE
@@ -192,12 +217,12 @@ def settled(
     rows: Array1[I64],
     state: Array1[I32],
     normal: Array2[F32],
-    looking: Three,
+    looking: VectorColumns,
     walls: WallArrays,
-    start_up: Three,
-    start_heading: Three,
-    now_up: Three,
-    now_heading: Three,
+    start_up: VectorColumns,
+    start_heading: VectorColumns,
+    now_up: VectorColumns,
+    now_heading: VectorColumns,
 ) -> None:
     """Let bodies of `rows` that have a wall before them by their `state` stand tilted for it."""
     wall, ahead, angle, far, over = walls
@@ -217,10 +242,10 @@ def settled(
 @kernel
 def _lay(
     normal: Array2[F32],
-    start_up: Three,
-    start_heading: Three,
-    now_up: Three,
-    now_heading: Three,
+    start_up: VectorColumns,
+    start_heading: VectorColumns,
+    now_up: VectorColumns,
+    now_heading: VectorColumns,
     rows: Array1[I64],
     up: Array2[F32],
     heading: Array2[F32],
@@ -252,10 +277,10 @@ def _stand_up(
     up: Strided2[F32],
     heading: Strided2[F32],
     along: Strided2[F32],
-    start_up: Three,
-    start_heading: Three,
-    now_up: Three,
-    now_heading: Three,
+    start_up: VectorColumns,
+    start_heading: VectorColumns,
+    now_up: VectorColumns,
+    now_heading: VectorColumns,
 ) -> None:
     """Write back up and heading of some rows; not a heading that is no longer the one `along` the ground, which they were
     shown."""
@@ -273,9 +298,9 @@ def _stand_up(
 @kernel
 def pace(
     state: Array1[I32],
-    step: Three,
-    velocity: Three,
-    up: Three,
+    step: VectorColumns,
+    velocity: VectorColumns,
+    up: VectorColumns,
     normal: Array2[F32],
     most: Array1[F32],
     walls: WallArrays,
@@ -311,28 +336,42 @@ def pace(
             velocity[k][i] = velocity[k][i] * kept
 
 
+class Posture(NamedTuple):
+    """Up and heading of bodies, and where they are (n, 3)."""
+
+    up: VectorColumns
+    heading: VectorColumns
+    place: Strided2[F64]
+
+
+class TurnLimits(NamedTuple):
+    """By what angle bodies tilt at most, and how fast they turn, in `dt` seconds."""
+
+    most: Array1[F32]
+    max_turn: Array1[F32]
+    dt: F32
+
+
 @kernel
 def follow(
     state: Array1[I32],
-    before_up: Three,
-    before_heading: Three,
-    before: Strided2[F64],
+    previous: Posture,
     place: Strided2[F64],
-    most: Array1[F32],
-    max_turn: Array1[F32],
-    dt: F32,
+    limits: TurnLimits,
     walls: WallArrays,
     half: Array1[F64],
     raised: F64,
-    now_up: Three,
-    now_heading: Three,
+    now_up: VectorColumns,
+    now_heading: VectorColumns,
     rows: Array1[I64],
     begin: I64,
     end: I64,
 ) -> None:
     """Turn bodies from `begin` to before `end` after their feet, whose up and heading are `now_up` and `now_heading`, which
-    change; by their `state` all but those that stand as their feet do. Feet have come from `before` to `place`. Who would turn
-    its head into a wall tilts first. `rows` is memory for work."""
+    change; by their `state` all but those that stand as their feet do. Feet have come from the `previous` place to `place`. Who
+    would turn its head into a wall tilts first. `rows` is memory for work."""
+    before_up, before_heading, before = previous
+    most, max_turn, dt = limits
     wall, ahead, angle, far, over = walls
     count = begin
     for row in range(begin, end):

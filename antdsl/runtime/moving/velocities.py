@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel, put_three
 from antdsl.numerics.elementary_loops import atan2, cos_sin
-from antdsl.numerics.kernel_vectors import cross, dot, flat, minus, plus, times
+from antdsl.numerics.kernel_vectors import Pose, Vec3F32, VectorColumns, cross, dot, flat, minus, plus, times
 from antdsl.runtime.moving.headings import (
     BEYOND,
     BOUNCE,
@@ -19,15 +21,6 @@ from antdsl.runtime.moving.headings import (
     TWELFTH,
 )
 
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
-# `max_speed`, `max_turn` and `response`.
-Limits = tuple[Array1[F32], Array1[F32], Array1[F32]]
-# The longest response of who faces at once where it goes, the time, and the share of a turn that is done in it.
-Times = tuple[F32, F32, F32]
-# Whether there are ways to face, these, and whether all bodies have to follow their feet.
-Facing = tuple[BOOL, Three, BOOL]
-# By what angle each may tilt, its state, and room for up and heading from before.
-Bodies = tuple[Array1[F32], Array1[I32], Three, Three]
 _F = np.float32
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 _TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
@@ -35,11 +28,109 @@ _PI = _F(np.pi)
 _SURELY = _F(1e-3)  # of a cosine: an angle that is less by as much needs no inverse tangent
 
 
+class Drive(NamedTuple):
+    """What moves agents: push, velocity, heading and up, and the normal (n, 3) of the ground."""
+
+    push: VectorColumns
+    velocity: VectorColumns
+    heading: VectorColumns
+    up: VectorColumns
+    normal: Array2[F32]
+
+
+class Abilities(NamedTuple):
+    """Of agents, by the names that programs have for them."""
+
+    max_speed: Array1[F32]
+    max_force: Array1[F32]
+    mass: Array1[F32]
+    response: Array1[F32]
+    max_turn: Array1[F32]
+
+
+class PushTimes(NamedTuple):
+    """The longest response that takes its whole time in one substep, that time, and `dt`, that of others."""
+
+    at_once: F32
+    first: F32
+    dt: F32
+
+
+class Limits(NamedTuple):
+    """Of agents that arrive."""
+
+    max_speed: Array1[F32]
+    max_turn: Array1[F32]
+    response: Array1[F32]
+
+
+class Bodies(NamedTuple):
+    """By what angle each may tilt, its state, and room for up and heading from before."""
+
+    most: Array1[F32]
+    state: Array1[I32]
+    up: VectorColumns
+    heading: VectorColumns
+
+
+class Times(NamedTuple):
+    """The longest response of who faces at once where it goes, the time, and the share of a turn that is done in it."""
+
+    at_once: F32
+    dt: F32
+    share: F32
+
+
+class Facing(NamedTuple):
+    """Whether there are directions to face, these, and whether all bodies have to follow their feet."""
+
+    is_set: BOOL
+    direction: VectorColumns
+    everyone: BOOL
+
+
+class Registers(NamedTuple):
+    """Those that a step changes."""
+
+    position: VectorColumns
+    velocity: VectorColumns
+    heading: VectorColumns
+    up: VectorColumns
+
+
+class Arrival(NamedTuple):
+    """What agents arrive with: positions (n, 3), steps and velocities from before the walk, and where results go, of the up also
+    `normals` (n, 3)."""
+
+    old: Strided2[F64]
+    step: VectorColumns
+    velocity: VectorColumns
+    limits: Limits
+    bodies: Bodies
+    times: Times
+    facing: Facing
+    registers: Registers
+    normals: Array2[F32]
+
+
+class Walked(NamedTuple):
+    """Place, up, heading and direction (3, n) of a walk, and who is blocked."""
+
+    place: Strided2[F64]
+    up: Strided2[F64]
+    heading: Strided2[F64]
+    direction: Strided2[F64]
+    blocked: Array1[BOOL]
+
+
 @inlined
-def pushed(push, velocity, up, heading, limits, keeps, min_speed, times_of, i):  # type: ignore[no-untyped-def]
+def pushed(
+    drive: Drive, up: Vec3F32, abilities: Abilities, keeps: BOOL, min_speed: Array1[F32], times_of: PushTimes, i: I64
+) -> Vec3F32:
     """The velocity of agent i after its push along the ground, whose `up` is given, within the limits of speed and turn: see
     `strides.set_out`."""
-    max_speed, max_force, mass, response, max_turn = limits
+    push, velocity, heading, _, _ = drive
+    max_speed, max_force, mass, response, max_turn = abilities
     at_once, first, dt = times_of
     wish = flat((push[0][i], push[1][i], push[2][i]), up)
     wish = times(wish, _ONE / maximum(length(wish), _ONE))
@@ -65,7 +156,7 @@ def pushed(push, velocity, up, heading, limits, keeps, min_speed, times_of, i): 
 
 
 @inlined
-def _quickened(velocity, before, heading, least):  # type: ignore[no-untyped-def]
+def _quickened(velocity: Vec3F32, before: Vec3F32, heading: Vec3F32, least: F32) -> Vec3F32:
     """Velocity of at least a speed: an agent that would be slower continues the way that it went `before`, from a stand along its
     heading, by as much as makes up for it. A sideways push turns it, and braking never turns it round."""
     square = dot(velocity, velocity)
@@ -82,7 +173,7 @@ def _quickened(velocity, before, heading, least):  # type: ignore[no-untyped-def
 
 
 @called
-def _turned(velocity, before, up, most):  # type: ignore[no-untyped-def]
+def _turned(velocity: Vec3F32, before: Vec3F32, up: Vec3F32, most: F32) -> Vec3F32:
     """The velocity turned by at most `most` (radians) from before, at its own speed; from a stand it may have any direction."""
     if not length(before) > 0:
         most = _F(4.0)
@@ -106,11 +197,10 @@ def _turned(velocity, before, up, most):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def arrived(  # type: ignore[no-untyped-def]
-    i, found, blocked, old, step, velocity, limits, bodies, times_of, facing, registers, normals
-):
-    """Gives agent i the place, up, heading and direction that its walk has `found`, in float64: see `arrive`."""
-    place, above, ahead, direction = found
+def arrived(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
+    """Gives agent i the place, up, heading and direction that its walk has led to, in float64: see `arrive`."""
+    place, above, ahead, direction = pose
+    old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
     max_speed, max_turn, response = limits
     most, state, to_up, to_heading = bodies
     at_once, dt, part = times_of
@@ -150,49 +240,42 @@ def arrived(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def arrive(
-    rows: Array1[I64],
-    velocity: Three,
-    step: Three,
-    old: Strided2[F64],
-    walked: tuple[Strided2[F64], Strided2[F64], Strided2[F64], Strided2[F64], Array1[BOOL]],
-    limits: Limits,
-    bodies: Bodies,
-    times_of: Times,
-    facing: Facing,
-    registers: tuple[Three, Three, Three, Three],
-    normals: Array2[F32],
-    begin: I64,
-    end: I64,
-) -> None:
-    """Velocity and heading of `rows` from `begin` to before `end` where the walk has led, with place and up, into `registers`:
-    position, velocity, heading, up; and the up also into `normals` (n, 3). `bodies` whose up turns by more than `most` (radians),
-    or that turn by more than `max_turn` allows and `BEYOND` that, get a `state` that says so, and of who does not stand as its
-    feet do the up and heading from before are kept there.
-
-    `velocity`, `step`: before the walk, float32; `old` the place before it, (n, 3); `walked`: place, up, heading and direction of
-    the walk, (3, n), and who is blocked.
-    """
+def arrive(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64, end: I64) -> None:
+    """Velocity and heading of `rows` from `begin` to before `end` where the walk has led, with place and up, into the registers.
+    Bodies whose up turns by more than `most` (radians), or that turn by more than `max_turn` allows and `BEYOND` that, get a
+    `state` that says so, and of who does not stand as its feet do the up and heading from before are kept there."""
     place, above, ahead, direction, blocked = walked
     for j in range(begin, end):
         i = rows[j]
-        found = (
+        pose = Pose(
             (place[0, i], place[1, i], place[2, i]),
             (above[0, i], above[1, i], above[2, i]),
             (ahead[0, i], ahead[1, i], ahead[2, i]),
             (direction[0, i], direction[1, i], direction[2, i]),
         )
-        arrived(i, found, blocked[i], old, step, velocity, limits, bodies, times_of, facing, registers, normals)
+        arrived(i, pose, blocked[i], arrival)
 
 
 @inlined
-def _squared_angle(square):  # type: ignore[no-untyped-def]
+def _squared_angle(square: F32) -> F32:
     """The square of an angle, by the first terms of its series in the squared chord of unit vectors: less beyond 1 rad."""
     return square * (_ONE + square * (TWELFTH + square * NINETIETH))
 
 
 @inlined
-def _faced(heading, velocity, up, faces, wish, max_speed, max_turn, at_once, tilt, dt, part):  # type: ignore[no-untyped-def]
+def _faced(
+    heading: Vec3F32,
+    velocity: Vec3F32,
+    up: Vec3F32,
+    faces: BOOL,
+    wish: Vec3F32,
+    max_speed: F32,
+    max_turn: F32,
+    at_once: BOOL,
+    tilt: F32,
+    dt: F32,
+    part: F32,
+) -> Vec3F32:
     """The heading turned towards the movement or the direction to face: by a `part` of the turn or at once, and with the body's
     tilt, whose squared angle is given, no faster than max_turn. Over a right angle it turns towards its side first."""
     heading, good = _unit(flat(heading, up))
@@ -233,24 +316,24 @@ def _faced(heading, velocity, up, faces, wish, max_speed, max_turn, at_once, til
 
 
 @inlined
-def maximum(a, b):  # type: ignore[no-untyped-def]
+def maximum(a: F32, b: F32) -> F32:
     """The first number's NaN is kept, as NumPy does."""
     return b if a <= b else a
 
 
 @inlined
-def _minimum(a, b):  # type: ignore[no-untyped-def]
+def _minimum(a: F32, b: F32) -> F32:
     """NaN where either is, as NumPy does."""
     return a if a < b or a != a else b
 
 
 @inlined
-def length(a):  # type: ignore[no-untyped-def]
+def length(a: Vec3F32) -> F32:
     return np.sqrt(dot(a, a))
 
 
 @inlined
-def _unit(a):  # type: ignore[no-untyped-def]
+def _unit(a: Vec3F32) -> tuple[Vec3F32, BOOL]:
     """Length 1, and whether there is a direction."""
     size = length(a)
     good = size > _TINY and np.isfinite(size)
@@ -258,7 +341,7 @@ def _unit(a):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _across(up):  # type: ignore[no-untyped-def]
+def _across(up: Vec3F32) -> Vec3F32:
     steep = abs(up[0]) > _STEEP
     side = flat((_ZERO if steep else _ONE, _ONE if steep else _ZERO, _ZERO), up)
     return times(side, _ONE / length(side))

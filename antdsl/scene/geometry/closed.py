@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import stored_tables
 from antdsl.scene.staging.cached import once_a_mesh
 
 if TYPE_CHECKING:
@@ -116,9 +118,14 @@ def check_sides(staging: Staging, name: str, mesh: MeshData) -> None:
 def border_edges(mesh: MeshData) -> int:
     """How many edges of a mesh belong to one triangle alone."""
     corners = mesh.vertices[mesh.faces]
+    found = stored_tables.stored("border edges", len(corners), (corners,), partial(_border_edges, corners))
+    return int(found["count"][0])
+
+
+def _border_edges(corners: Floats) -> stored_tables.Tables:
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     _, _, _, count = _edges(grained((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
-    return int((count == 1).sum())
+    return {"count": np.array([(count == 1).sum()], np.int64)}
 
 
 def odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:

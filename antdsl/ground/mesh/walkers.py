@@ -1,0 +1,144 @@
+"""Records of walks over triangles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from antdsl.ground.mesh.boxes import FaceList, Tree
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2
+from antdsl.numerics.kernel_vectors import Weights
+
+Direction = tuple[F64, F64]  # cosine and sine in the frame of a face
+
+
+class Surface(NamedTuple):
+    """Faces: their `packed` table, `link` and `forked` of the topology, and the first face of each mesh."""
+
+    table: Array1[F64]
+    link: Array2[I32]
+    forked: BOOL
+    first: Array1[I64]
+
+
+class Clearances(NamedTuple):
+    """Distances to other pieces, as `Parts` has them. An agent stays away from what is nearer than
+    its path, LIFT of its body and `noise`."""
+
+    first: Array1[I64]
+    counts: Array1[I32]
+    least: Array1[F64]
+    reach: F64
+    noise: F64
+
+
+class Sides(NamedTuple):
+    """`piece` and `way` of the topology: the piece of each face, and of both sides of each face how they are connected."""
+
+    piece: Array1[I32]
+    way: Array2[I32]
+
+
+class Cuts(NamedTuple):
+    """Faces of the own piece that cut each face: `others` from `first[face]` to before `first[face + 1]`."""
+
+    first: Array1[I64]
+    others: Array1[I64]
+
+
+class Lengths(NamedTuple):
+    """`least`, `fine`, `under` and `touch` of `Scale` (mm)."""
+
+    least: F64
+    fine: F64
+    under: F64
+    touch: F64
+
+
+class Surroundings(NamedTuple):
+    """What is searched for other pieces, with room for all faces."""
+
+    sides: Sides
+    boxes: Tree
+    lengths: Lengths
+    found: FaceList
+
+
+class Walker(NamedTuple):
+    """An agent on a side (1 or -1) of a face: the weights of its point, direction of travel and heading in the face's frame."""
+
+    face: I64
+    weights: Weights
+    side: F64
+    direction: Direction
+    heading: Direction
+
+
+class Progress(NamedTuple):
+    """How far an agent has to go and has gone (mm), and how many edges it has crossed."""
+
+    left: F64
+    travelled: F64
+    crossings: I64
+
+
+class Stop(NamedTuple):
+    """Why a walk pauses (0: it does not), the edge and length of the stretch, and how many borders the agent has followed."""
+
+    event: I64
+    edge: I64
+    length: F64
+    hops: I64
+
+
+class Landing(NamedTuple):
+    """The face that an agent continues on (-1 for none): weights, side, the distance to it, its height, and whether it stops
+    there."""
+
+    face: I64
+    weights: Weights
+    side: F64
+    distance: F64
+    height: F64
+    stops: BOOL
+
+
+class Pieces(NamedTuple):
+    """What is searched for other pieces, with `room` for all faces in each of so many `rooms`, for a `count` of agents."""
+
+    sides: Sides
+    cuts: Cuts
+    boxes: Tree
+    lengths: Lengths
+    room: Array1[I64]
+    rooms: I64
+    count: I64
+
+
+class Placed(NamedTuple):
+    """Where agents stand: mesh, face, two weights and the height over it (mm)."""
+
+    mesh: Array1[I32]
+    face: Array1[I32]
+    b1: Array1[F64]
+    b2: Array1[F64]
+    over: Array1[F64]
+
+
+class Moved(NamedTuple):
+    """Place, up, heading and direction (3, n), and how far agents have gone."""
+
+    place: Array2[F64]
+    up: Array2[F64]
+    heading: Array2[F64]
+    direction: Array2[F64]
+    travelled: Array1[F64]
+
+
+class Walk(NamedTuple):
+    """An agent during a walk, how near it looks out for other surfaces and how far over its face it is, both on its side (mm)."""
+
+    high: F64
+    over: F64
+    walker: Walker
+    progress: Progress
+    stop: Stop

@@ -1,0 +1,64 @@
+"""Records of kernels: NamedTuple classes with fields that have types of kernels."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterable
+from functools import cache
+from types import GenericAlias
+from typing import Any
+
+
+def is_record(named: Any) -> bool:
+    """Whether something is the class of a record."""
+    return isinstance(named, type) and issubclass(named, tuple) and hasattr(named, "_fields")
+
+
+def rebuilt(like: Any, parts: Iterable[Any]) -> Any:
+    """Parts as a tuple, or as a record of the same class."""
+    kind = type(like)
+    return tuple(parts) if kind is tuple else kind._make(parts)
+
+
+@cache
+def field_types(record: Any) -> Any:
+    """The types of a record's fields, as a record of its class. TypeError for a field without a type of kernels."""
+    world = vars(sys.modules[record.__module__])
+    return record._make(resolved(_text(record.__annotations__[name]), world) for name in record._fields)
+
+
+def _text(annotation: Any) -> Any:
+    """`NamedTuple` wraps the text of an annotation."""
+    return getattr(annotation, "__forward_arg__", annotation)
+
+
+def resolved(annotation: Any, world: dict[str, Any]) -> Any:
+    """What an annotation stands for in a module with these names: a Scalar, an ArrayType, a tuple or record of these, or Any."""
+    return _type(_parsed(annotation), world) if isinstance(annotation, str) else _spread(annotation)
+
+
+@cache
+def _parsed(text: str) -> ast.expr:
+    return ast.parse(text, mode="eval").body
+
+
+def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
+    if isinstance(node, ast.Name):
+        if node.id in ("tuple", "Any"):
+            return tuple if node.id == "tuple" else Any
+        if node.id in world:
+            return _spread(world[node.id])
+    if isinstance(node, ast.Subscript):
+        inner = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        of = [_type(each, world) for each in inner]
+        base = _type(node.value, world)
+        return tuple(of) if base is tuple else base[of[0]]
+    raise TypeError(f"`{'nothing' if node is None else ast.unparse(node)}` is no type of `kernels`")
+
+
+def _spread(named: Any) -> Any:
+    """What a name stands for, where that may be a record, or `tuple[..]` of others."""
+    if isinstance(named, GenericAlias):
+        return tuple(_spread(each) for each in named.__args__)
+    return field_types(named) if is_record(named) else named

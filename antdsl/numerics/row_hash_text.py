@@ -1,0 +1,263 @@
+"""The loops of `row_hash`, in LLVM's language.
+
+Rows go in blocks that fit into a core's own memory. The lanes of a block's rows are added up there, word by word: so each column
+is read as one stream, which processors foresee, where all columns at once would be more streams than they can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from antdsl.machine_code import machine
+from antdsl.machine_code.entries import entry
+from antdsl.machine_code.library import library_text
+from antdsl.machine_code.module import Module
+
+WHOLE, STRIDED, NUMBERS, HALVES = range(4)  # kinds of words
+WORDS = 9  # words of a table for each of the row's words: kind, two addresses each before the bytes of a step, four keys
+HEAD = 4  # words of the table of a call: both sums, how many words a row has, and where the table of these begins
+LANES = 8  # rows that are looked at together
+_BLOCK = 1_024  # rows
+_TIMES = (0xFF51AFD7ED558CCD - 2**64, 0xC4CEB9FE1A85EC53 - 2**64)
+_LONG, _HALF = f"<{LANES} x i64>", f"<{LANES} x i32>"
+_TURNS = "<" + ", ".join(f"i64 {k}" for k in range(LANES)) + ">"
+
+
+class _Text:
+    """Lines of a function, and values with names of their own."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._count = 0
+
+    def do(self, line: str) -> None:
+        self.lines.append("  " + line)
+
+    def at(self, label: str) -> None:
+        self.lines.append(f"{label}:")
+
+    def put(self, value: str) -> str:
+        self._count += 1
+        self.do(f"%v{self._count} = {value}")
+        return f"%v{self._count}"
+
+    def place(self, begin: str, of: str, number: str) -> str:
+        return self.put(f"getelementptr {of}, ptr {begin}, i64 {number}")
+
+    def all_of(self, value: str, kind: str = "i64") -> str:
+        """A number in all lanes."""
+        one = self.put(f"insertelement <{LANES} x {kind}> poison, {kind} {value}, i64 0")
+        return self.put(f"shufflevector <{LANES} x {kind}> {one}, <{LANES} x {kind}> poison, <{LANES} x i32> zeroinitializer")
+
+
+def _constant(value: int) -> str:
+    return "<" + ", ".join([f"i64 {value}"] * LANES) + ">"
+
+
+@library_text
+def text(target: machine.Target) -> str:
+    """What is compiled: a function of such a table that adds to the sums those of the rows from the first to before the last."""
+    module = Module(target)
+    module.declare("llvm.memset.p0.i64", "void", ["ptr", "i8", "i64", "i1"])
+    w = _Text()
+    w.do("%words.at = getelementptr i64, ptr %t, i64 2\n  %words = load i64, ptr %words.at")
+    w.do("%table.at = getelementptr i64, ptr %t, i64 3\n  %table = load ptr, ptr %table.at")
+    for name in ("lane0", "lane1", "values"):
+        w.do(f"%{name} = alloca [{_BLOCK} x i64], align 64")
+    w.do("call void @llvm.memset.p0.i64(ptr align 64 %values, i8 0, i64 64, i1 false)")  # of lanes without a row
+    w.do("br label %blocks")
+    w.at("blocks")
+    w.do("%first = phi i64 [ %begin, %entry ], [ %next, %mixed ]")
+    for lane in (0, 1):
+        w.do(f"%sum{lane} = phi i64 [ 0, %entry ], [ %mix.sum{lane}, %mixed ]")
+    w.do("%left = sub i64 %end, %first\n  %more = icmp sgt i64 %left, 0\n  br i1 %more, label %block, label %over")
+    # The rows left in the end, fewer than lanes, are a separate block: all words of it are gathered.
+    w.at("block")
+    w.do(f"%long = icmp slt i64 %left, {_BLOCK}\n  %most = select i1 %long, i64 %left, i64 {_BLOCK}")
+    w.do(f"%few = icmp slt i64 %most, {LANES}\n  %even = and i64 %most, {-LANES}")
+    w.do("%count = select i1 %few, i64 %most, i64 %even\n  %next = add i64 %first, %count")
+    w.do(f"%up = add i64 %count, {LANES - 1}\n  %room = and i64 %up, {-LANES}\n  %bytes = shl i64 %room, 3")
+    for lane in (0, 1):
+        w.do(f"call void @llvm.memset.p0.i64(ptr align 64 %lane{lane}, i8 0, i64 %bytes, i1 false)")
+    w.do("br label %words.loop")
+    _words(w)
+    _mixed(w)
+    w.at("over")
+    for lane in (0, 1):
+        place = w.place("%t", "i64", str(lane))
+        before = w.put(f"load i64, ptr {place}")
+        w.do(f"store i64 {w.put(f'add i64 {before}, %sum{lane}')}, ptr {place}")
+    return f"{module.text()}\n{entry(module, 'rows', chr(10).join(w.lines))}\n"
+
+
+def _words(w: _Text) -> None:
+    """Add up both lanes of a block, word by word."""
+    w.at("words.loop")
+    w.do("%w = phi i64 [ 0, %block ], [ %w.next, %added ]")
+    w.do("%w.more = icmp slt i64 %w, %words\n  br i1 %w.more, label %word, label %mix")
+    w.at("word")
+    word = w.place("%table", "i64", w.put(f"mul i64 %w, {WORDS}"))
+    places = [w.place(word, "i64", str(k)) for k in range(WORDS)]
+    kind, *steps = (w.put(f"load i64, ptr {places[k]}") for k in (0, 2, 4))
+    columns = [w.put(f"load ptr, ptr {places[k]}") for k in (1, 3)]
+    keys = [w.all_of(w.put(f"load i64, ptr {place}")) for place in places[5:]]
+    begins = [w.place(column, "i8", w.put(f"mul i64 %first, {step}")) for column, step in zip(columns, steps, strict=True)]
+    ways = [w.put(f"icmp eq i64 {kind}, {each}") for each in (WHOLE, HALVES)]
+    in_place = w.put("xor i1 %few, true")
+    pairs = ways[1]
+    for step in steps:
+        pairs = w.put(f"and i1 {pairs}, {w.put(f'icmp eq i64 {step}, 4')}")
+    w.do(f"%as.it.is = and i1 {ways[0]}, {in_place}\n  %as.pairs = and i1 {pairs}, {in_place}")
+    w.do("br i1 %as.it.is, label %add, label %other\nother:\n  br i1 %as.pairs, label %pairs, label %gather")
+    w.at("gather")
+    w.do(
+        f"switch i64 {kind}, label %halves [ i64 {WHOLE}, label %strided  i64 {STRIDED}, label %strided"
+        f"  i64 {NUMBERS}, label %numbers ]"
+    )
+    w.at("strided")
+    _gathered(w, "strided.loop", "strided", begins[0], steps[0], "i64", None)
+    w.do("br label %add")
+    w.at("numbers")
+    _numbered(w)
+    w.at("halves")
+    _half(w, "low", begins[0], steps[0])
+    w.at("low.done")
+    _half(w, "high", begins[1], steps[1])
+    w.at("high.done")
+    w.do("br label %add")
+    sources = [(begins[0], "word"), *(("%values", label) for label in ("strided.loop.end", "numbers.of.end", "high.done"))]
+    w.at("add")
+    w.do("%of = phi ptr " + ", ".join(f"[ {value}, %{label} ]" for value, label in sources))
+    _added(w, "adding", "add", ["%of"], keys)
+    w.at("pairs")
+    _added(w, "pairing", "pairs", begins, keys)
+    w.at("added")
+    w.do("%w.next = add i64 %w, 1\n  br label %words.loop")
+
+
+def _added(w: _Text, label: str, before: str, columns: Sequence[str], keys: Sequence[str]) -> None:
+    """Add the products of a word to both lanes of a block, behind the block `before`: of a column of whole words, or of two of
+    halves."""
+    _loop(w, label, before, LANES, "%room")
+    if len(columns) == 1:
+        place = w.place(columns[0], "i64", f"%{label}.i")
+        low = w.put(f"load {_LONG}, ptr {place}, align 1")
+        halves = [low, w.put(f"lshr {_LONG} {low}, {_constant(32)}")]
+    else:
+        places = [w.place(column, "i32", f"%{label}.i") for column in columns]
+        loaded = [w.put(f"load {_HALF}, ptr {place}, align 1") for place in places]
+        halves = [w.put(f"zext {_HALF} {half} to {_LONG}") for half in loaded]
+    for lane in (0, 1):
+        sums = [w.put(f"add {_LONG} {half}, {keys[2 * lane + k]}") for k, half in enumerate(halves)]
+        cut = [w.put(f"and {_LONG} {value}, {_constant(0xFFFFFFFF)}") for value in sums]
+        place = w.place(f"%lane{lane}", "i64", f"%{label}.i")
+        known = w.put(f"load {_LONG}, ptr {place}, align 64")
+        product = w.put(f"mul {_LONG} {cut[0]}, {cut[1]}")
+        w.do(f"store {_LONG} {w.put(f'add {_LONG} {known}, {product}')}, ptr {place}, align 64")
+    _end(w, label)
+    w.do("br label %added")
+
+
+def _half(w: _Text, name: str, begin: str, step: str) -> None:
+    """Write the low or the `high` halves of words, from a column of values of 4 bytes or fewer, and go on at `name`.done."""
+    shift = 32 if name == "high" else 0
+    w.do(f"br i1 %few, label %{name}.few, label %{name}.many")
+    for many in (True, False):
+        way = "many" if many else "few"
+        w.at(f"{name}.{way}")
+        sizes = (1, 2, 4) if many else (1, 2)
+        w.do(
+            f"switch i64 {step}, label %{name}.{way}.0 [ "
+            + "  ".join(f"i64 {size}, label %{name}.{way}.{size}" for size in sizes)
+            + " ]"
+        )
+        for size in (0, *sizes):
+            label, kind = f"{name}.{way}.{size}", f"i{8 * size}" if size else "i32"
+            w.at(label)
+            if size and many:
+                _read(w, f"{label}.loop", label, begin, kind, shift)
+            else:
+                _gathered(w, f"{label}.loop", label, begin, step, kind, shift)
+            w.do(f"br label %{name}.done")
+
+
+def _loop(w: _Text, label: str, before: str, step: int, count: str) -> None:
+    """Begin a loop over the rows of a block, behind the block `before`."""
+    w.do(f"br label %{label}")
+    w.at(label)
+    w.do(f"%{label}.i = phi i64 [ 0, %{before} ], [ %{label}.next, %{label}.turn ]")
+    w.do(f"%{label}.more = icmp slt i64 %{label}.i, {count}\n  br i1 %{label}.more, label %{label}.turn, label %{label}.end")
+    w.at(f"{label}.turn")
+    w.do(f"%{label}.next = add i64 %{label}.i, {step}")
+
+
+def _end(w: _Text, label: str) -> None:
+    w.do(f"br label %{label}")
+    w.at(f"{label}.end")
+
+
+def _read(w: _Text, label: str, before: str, begin: str, kind: str, shift: int) -> None:
+    """Write halves of values that lie side by side."""
+    _loop(w, label, before, LANES, "%room")
+    at = w.place(begin, kind, f"%{label}.i")
+    found = w.put(f"load <{LANES} x {kind}>, ptr {at}, align 1")
+    if kind != "i32":
+        found = w.put(f"sext <{LANES} x {kind}> {found} to {_HALF}")
+    found = w.put(f"zext {_HALF} {found} to {_LONG}")
+    place = w.place("%values", "i64", f"%{label}.i")
+    if shift:
+        low = w.put(f"load {_LONG}, ptr {place}, align 64")
+        moved = w.put(f"shl {_LONG} {found}, {_constant(shift)}")
+        found = w.put(f"or {_LONG} {low}, {moved}")
+    w.do(f"store {_LONG} {found}, ptr {place}, align 64")
+    _end(w, label)
+
+
+def _gathered(w: _Text, label: str, before: str, begin: str, step: str, kind: str, shift: int | None) -> None:
+    """Write values that are `step` bytes apart, one by one: all of a word, or a half of it."""
+    _loop(w, label, before, 1, "%count")
+    at = w.place(begin, "i8", w.put(f"mul i64 %{label}.i, {step}"))
+    found = w.put(f"load {kind}, ptr {at}, align 1")
+    place = w.place("%values", "i64", f"%{label}.i")
+    if shift is not None:
+        if kind != "i32":
+            found = w.put(f"sext {kind} {found} to i32")
+        found = w.put(f"zext i32 {found} to i64")
+        if shift:
+            low = w.put(f"load i64, ptr {place}, align 8")
+            moved = w.put(f"shl i64 {found}, {shift}")
+            found = w.put(f"or i64 {low}, {moved}")
+    w.do(f"store i64 {found}, ptr {place}, align 8")
+    _end(w, label)
+
+
+def _numbered(w: _Text) -> None:
+    """Write the numbers of the rows."""
+    _loop(w, "numbers.of", "numbers", LANES, "%room")
+    number = w.put(f"add {_LONG} {w.all_of(w.put('add i64 %first, %numbers.of.i'))}, {_TURNS}")
+    place = w.place("%values", "i64", "%numbers.of.i")
+    w.do(f"store {_LONG} {number}, ptr {place}, align 64")
+    _end(w, "numbers.of")
+    w.do("br label %add")
+
+
+def _mixed(w: _Text) -> None:
+    """Mix both lanes of each row of a block and add them to the sums, row by row: few processors multiply 64 bits in lanes."""
+    w.at("mix")
+    w.do("br label %mixing")
+    w.at("mixing")
+    w.do("%m = phi i64 [ 0, %mix ], [ %m.next, %mixing.turn ]")
+    for lane in (0, 1):
+        w.do(f"%mix.sum{lane} = phi i64 [ %sum{lane}, %mix ], [ %mix.then{lane}, %mixing.turn ]")
+    w.do("%m.more = icmp slt i64 %m, %count\n  br i1 %m.more, label %mixing.turn, label %mixed")
+    w.at("mixing.turn")
+    for lane in (0, 1):
+        place = w.place(f"%lane{lane}", "i64", "%m")
+        h = w.put(f"load i64, ptr {place}, align 8")
+        for factor in (*_TIMES, None):
+            shifted = w.put(f"lshr i64 {h}, 33")
+            h = w.put(f"xor i64 {h}, {shifted}")
+            h = h if factor is None else w.put(f"mul i64 {h}, {factor}")
+        w.do(f"%mix.then{lane} = add i64 %mix.sum{lane}, {h}")
+    w.do("%m.next = add i64 %m, 1\n  br label %mixing")
+    w.at("mixed")
+    w.do("br label %blocks")
