@@ -35,6 +35,7 @@ from antdsl.numerics.sorting import place_among, stable_order
 Floats = NDArray[np.float32]
 Places = tuple[Floats, Floats, Floats]
 Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
+AnyColumns = tuple[Array1[Any], Array1[Any], Array1[Any]]
 Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 Three = tuple[F64, F64, F64]
 Sizes = tuple[I64, I64, I64]
@@ -207,12 +208,12 @@ def _box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], end
 
 
 @inlined
-def _lower(low, place, good):  # type: ignore[no-untyped-def]
+def _lower(low: F32, place: F32, good: BOOL) -> F32:
     return place if good & (place < low) else low
 
 
 @inlined
-def _higher(high, place, good):  # type: ignore[no-untyped-def]
+def _higher(high: F32, place: F32, good: BOOL) -> F32:
     return place if good & (place > high) else high
 
 
@@ -237,13 +238,13 @@ def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, seen: Arr
 
 
 @inlined
-def _cell(place, low, inverse, size):  # type: ignore[no-untyped-def]
+def _cell(place: Any, low: F64, inverse: F64, size: I64) -> F64:
     """The number of the cell along an axis, as float64."""
     return np.floor(min(max((np.float64(place) - low) * inverse, 0.0), np.float64(size - 1)))
 
 
 @inlined
-def number_of_cell(along, row, low, inverse, size):  # type: ignore[no-untyped-def]
+def number_of_cell(along: AnyColumns, row: I64, low: Three, inverse: Three, size: Sizes) -> I64:
     """The number of the cell of an agent; that behind the last one without a finite place."""
     fast, middle, slow = along[0][row], along[1][row], along[2][row]
     line = _cell(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _cell(middle, low[1], inverse[1], size[1])
@@ -253,14 +254,17 @@ def number_of_cell(along, row, low, inverse, size):  # type: ignore[no-untyped-d
 
 
 @inlined
-def _chunk(chunk, chunks, count):  # type: ignore[no-untyped-def]
+def _chunk(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
     """Where a chunk of so many agents begins and ends."""
     length = -(-count // (8 * chunks)) * 8
     return min(chunk * length, count), min((chunk + 1) * length, count)
 
 
 @inlined
-def counted(along, low, inverse, size, shift, order, keys, counts, begin, end):  # type: ignore[no-untyped-def]
+def counted(
+    along: AnyColumns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
+    counts: Array2[I32], begin: I64, end: I64,
+) -> I64:  # fmt: skip
     """Store the cell of each agent, which is `shift` more than `number_of_cell`, and count the agents of each cell two places
     behind its own. `order`: rows of the agents, empty where these are all rows. Gives how many pairs of agents of a chunk share a
     cell, either way and each with itself."""
@@ -311,7 +315,7 @@ def add_up(counts: Array2[I32], cells: I64) -> None:
 
 
 @inlined
-def position_of(counts, chunk, k, key):  # type: ignore[no-untyped-def]
+def position_of(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
     """Where the next agent of a cell goes; without a table, agents are in order already."""
     position = k
     if counts.shape[1] > 0:
@@ -353,7 +357,7 @@ def in_order(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64,
 
 
 @inlined
-def agents_before(starts, keys, key):  # type: ignore[no-untyped-def]
+def agents_before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
     """How many sorted agents lie in cells before `key`; by bisection of their cells where there is no table."""
     if starts.size > 0:
         found = starts[key]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.limits import NEIGHBOURS
-from antdsl.machine_code.kernels import F32, I32, I64, Array1, as_bits, as_float, called, inlined, kernel
+from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, as_bits, as_float, called, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics.sorting import stable_order
 from antdsl.senses.cell_order import NO_ORDER, CellOrder, Columns, Shape, Sizes, Three, agents_before, box_around
@@ -159,19 +159,19 @@ def _find(grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]
 
 
 @inlined
-def _lower(q: float, low: float, inverse: float, size: int) -> int:
+def _lower(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Cell of the lower end of a span, at least 0 and at most `size`."""
     return math.floor(min(max((q - low) * inverse, 0.0), float(size)))
 
 
 @inlined
-def _upper(q: float, low: float, inverse: float, size: int) -> int:
+def _upper(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Cell of the upper end of a span, at least -1 and below `size`."""
     return math.floor(min(max((q - low) * inverse, -1.0), size - 1.0))
 
 
 @inlined
-def _off(q: float, cell: int, low: float, width: float) -> float:
+def _off(q: F64, cell: I64, low: F64, width: F64) -> F64:
     """Least distance along an axis from q to a cell, rounded down."""
     edge = low + cell * width
     return max(max(edge - q, q - (edge + width)), 0.0) * _INWARD
@@ -179,18 +179,18 @@ def _off(q: float, cell: int, low: float, width: float) -> float:
 
 @called
 def _spans(
-    a: float,
-    b: float,
-    c: float,
-    radius: float,
-    keys: NDArray[np.int64],
-    starts: NDArray[np.int32],
-    low: tuple[float, float, float],
-    inverse: tuple[float, float, float],
-    width: tuple[float, float, float],
-    size: tuple[int, int, int],
-    spans: NDArray[np.int64],
-) -> tuple[int, int]:
+    a: F64,
+    b: F64,
+    c: F64,
+    radius: F64,
+    keys: Array1[I64],
+    starts: Array1[I32],
+    low: Three,
+    inverse: Three,
+    width: Three,
+    size: Sizes,
+    spans: Array1[I64],
+) -> tuple[I64, I64]:
     """Sorted agents in reach of a place as spans (first, beyond the last); a, b, c along the grid's fast, middle and slow axis.
 
     Gives the number of spans and of agents in them; or -1 and how long `spans` must be.
@@ -225,9 +225,10 @@ def _spans(
 
 
 @called
-def _bound(  # type: ignore[no-untyped-def]
-    sx, sy, sz, names, near, found, x, y, z, reach, name
-):
+def _bound(
+    sx: Array1[F32], sy: Array1[F32], sz: Array1[F32], names: Array1[I64], near: Array1[I64], found: I64, x: F32, y: F32, z: F32,
+    reach: F32, name: I64,
+) -> tuple[F32, I64]:  # fmt: skip
     """The distance and id of the last of the nearest `NEIGHBOURS` of the first `found` agents of `near` to a place, without the
     agent `name`: by bisection of the distance's bits, and of the ids at that distance."""
     low, high = 0, as_bits(np.float64(reach)) >> _ZEROS
