@@ -17,5 +17,5 @@ def grid_for(world: World, other: Population, widest: float) -> CellGrid:
     if known:
         return min(known, key=lambda each: each[0])[1]
     x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
-    grid = world.grids[other.name, size] = CellGrid(x, y, z, other.ids, widest)
+    grid = world.grids[other.name, size] = CellGrid(x, y, z, other.ids, widest, world.options.threads)
     return grid

@@ -1,24 +1,52 @@
-"""Agents in the order of the cells that they lie in: what a cell grid looks through."""
+"""Agents in the order of the cells of a grid, by a counting sort in parallel chunks.
+
+The sort counts the agents of each cell, adds these numbers up from the first cell on, and puts each agent at its position (D. E.
+Knuth, The Art of Computer Programming 3, 5.2). Each thread counts and puts one chunk of the agents. Chunks follow each other in a
+cell, so the order is that of one thread."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, independent, inlined, kernel
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    consecutive,
+    independent,
+    inlined,
+    kernel,
+    whole,
+)
+from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
-from antdsl.numerics.sorting import stable_order
+from antdsl.numerics.cores import cores
+from antdsl.numerics.sorting import place_among, stable_order
 
 Floats = NDArray[np.float32]
+Places = tuple[Floats, Floats, Floats]
 Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
+AnyColumns = tuple[Array1[Any], Array1[Any], Array1[Any]]
+Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+Three = tuple[F64, F64, F64]
+Sizes = tuple[I64, I64, I64]
 
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
 _LAYERS_PER_COLUMN = 2
-_NONE = np.empty(0, np.int64)
+_CHUNKED = 8_192  # agents for whom several threads pay
+SHARES = 16  # of a chunk, the least that a thread takes
+SPARE = 3  # more numbers in a table than it has cells
+NO_ORDER = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +80,12 @@ class Shape:
     def cells(self) -> int:
         return self.size[0] * self.size[1] * self.size[2]
 
+    @property
+    def inverse(self) -> tuple[float, float, float]:
+        """Cells in a millimetre along the three axes."""
+        a, b, c = self.width
+        return 1 / a, 1 / b, 1 / c
+
     def listed(self, agents: int) -> bool:
         """Whether the cells are few enough for a table of them, for so many agents."""
         return self.cells <= max(1 << 16, 16 * agents)
@@ -60,160 +94,273 @@ class Shape:
         """With one layer of cells along the shortest axis."""
         return Shape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
 
-    def numbers(self, places: list[NDArray[Any]]) -> list[NDArray[np.int64]]:
-        """Numbers of the cells of places (x, y, z, float64[n] mm) along the three axes."""
-        along = (places[axis] for axis in self.axes)
-        return [np.floor((p - b) / w).astype(np.int64) for p, b, w in zip(along, self.low, self.width, strict=True)]
-
-    def is_sheet(self, places: list[NDArray[Any]]) -> bool:
-        """Whether a crowd at these places, as on ground, has so few agents or layers above each other that these need not be told
-        apart."""
-        wide = [np.asarray(p, np.float64) for p in places]
-        return self.extent[2] > 0 and self.sheet_of(self.numbers(wide), wide[0].size)
-
-    def sheet_of(self, cells: list[NDArray[np.int64]], n: int) -> bool:
-        """The same of the numbers of cells of so many agents."""
-        across, broad, deep = (e / self.width[1] + 2 for e in self.extent)  # columns, and layers
-        if across * broad * deep <= max(1 << 16, 64 * n):
-            column = cells[1] * int(across) + (cells[0] >> 2)
-            columns = _distinct(column, int(across) * int(broad))
-            if n <= _AGENTS_PER_COLUMN * columns:
-                return True
-            cell = column * int(deep) + cells[2]
-            return _distinct(cell, int(across) * int(broad) * int(deep)) <= _LAYERS_PER_COLUMN * columns
-        column = np.sort((cells[1] << 32) | (cells[0] >> 2))
-        return n <= _AGENTS_PER_COLUMN * (1 + int(np.count_nonzero(column[1:] != column[:-1])))
+    def is_sheet(self, places: Places) -> bool:
+        """Whether a crowd at these places (float32[n] mm), as on ground, has so few agents or layers above each other that these
+        need not be told apart. In a far-flung crowd, columns may share a number."""
+        if not self.extent[2] > 0:
+            return False  # one layer of cells already
+        seen = np.zeros((2, max(1 << 16, 64 * len(places[0]))), np.bool_)
+        return bool(_is_sheet(along(self.axes, places), tuple(self.low), self.inverse, tuple(self.size), seen))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ordered:
-    """Agents at finite places in the order of cells of a `shape`, in each by id: their `rows`, the `keys` of their cells, int64,
-    and their `places`, x, y and z float32; `starts` int32, the first of each cell and how many there are, None where there are
-    too many cells to be listed."""
-
-    shape: Shape
-    rows: NDArray[np.int64]
-    keys: NDArray[np.int64]
-    places: list[Floats]
-    starts: NDArray[np.int32] | None
+def along(axes: tuple[int, ...], places: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Arrays of x, y and z by the fast, middle and slow axis."""
+    a, b, c = axes
+    return places[a], places[b], places[c]
 
 
-def ordered(x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float) -> Ordered:
-    """Agents at places float32[n] (mm) with `ids` int64[n], by cells for queries of a usual radius `cell` (mm)."""
-    places, ends = parallel.plain(x, y, z), np.empty((2, 3))
-    count, ascending = _box(*places, ids, ends)
+def box_around(places: Places) -> tuple[list[float], list[float]]:
+    """The corners of the box around all finite places (float32[n] mm); zeros where there are none."""
+    ends = np.empty((2, 3))
+    _box(*places, np.empty((6, WIDTH), np.float32), ends)
     low, high = ends.tolist()
-    shape = Shape.of(low, high, cell)
-    along = tuple(places[axis] for axis in shape.axes)
-    rows, cells = np.empty(count, np.int64), list(np.empty((3, count), np.int64))
-    _number(along, _NONE if ascending else stable_order(ids), tuple(shape.low), tuple(shape.width), rows, *cells)
-    if shape.extent[2] > 0 and shape.sheet_of(cells, count):
-        shape = shape.as_sheet()
-        cells[2][:] = 0
-    listed = shape.listed(count)
-    starts, order = np.zeros(shape.cells + 1 if listed else 0, np.int32), _NONE
-    if not listed:
-        order = stable_order((cells[2] * shape.size[1] + cells[1]) * shape.size[0] + cells[0])
-    sorted_rows, keys = np.empty((2, count), np.int64)
-    found = np.empty((3, count), np.float32)
-    _put(rows, *cells, *shape.size[:2], order, places, starts, sorted_rows, keys, found)
-    return Ordered(shape, sorted_rows, keys, list(found), starts if listed else None)
+    return low, high
 
 
-def _distinct(numbers: NDArray[np.int64], limit: int) -> int:
-    """How many different ones there are of whole numbers from 0 to below a limit."""
-    seen = np.zeros(limit, np.bool_)
-    seen[numbers] = True
-    return int(np.count_nonzero(seen))
+class CellOrder:
+    """So many agents in the order of cells, with arrays that the next sort uses again. Agents without a finite place come last,
+    in no cell.
+
+    `columns`: x, y and z float32 in that order, with eight spare ones behind the last; `rows` int32 of the agents; `at` int32
+    [n + 8]: the position of each row in the order; `starts` int32, the first agent of each cell and how many there are, or empty
+    where there are too many cells for a table: then `keys` int64 are the cells of the agents.
+    `tables`: what a plan's machine code reads, another mapping whenever an array in it is another one. `places`: x, y, z and the
+    row of each agent, [n + 8, 4], the last as the bits of an int32; `floats`: low, width and inverse width of cells along the
+    fast, middle and slow axis; `whole`: these axes, numbers of cells, number of agents."""
+
+    def __init__(self, count: int, threads: int) -> None:
+        self.count, self.threads = count, threads
+        self._chunks = max(1, min(threads, cores())) if count >= _CHUNKED else 1
+        self._places, self.at = np.zeros((count + WIDTH, 4), np.float32), np.zeros(count + WIDTH, np.int32)
+        self.columns = tuple(np.zeros((3, count + WIDTH), np.float32))
+        self._floats, self._whole = np.zeros(9), np.zeros(7, np.int64)
+        self._keys, self._table = np.empty(count, np.int64), np.empty((self._chunks, 0), np.int32)
+        self._counts, self.keys, self.starts = self._table, NO_ORDER, np.empty(0, np.int32)
+        self.shape: Shape | None = None
+        self._cells: tuple[Any, ...] = ()
+        self._flat = self._places.reshape(-1)
+        self._put = (self._flat, self._flat.view(np.int32), self.at)
+        self.tables: dict[str, NDArray[Any] | None] = {"places": self._places, "at": self.at, "keys": self.keys, "starts": None}
+        self.tables |= dict(zip("xyz", self.columns, strict=True)) | {"floats": self._floats, "whole": self._whole}
+
+    @property
+    def rows(self) -> NDArray[np.int32]:
+        return self._places.view(np.int32)[: self.count, 3]
+
+    def sort(self, shape: Shape, places: Places, order: NDArray[np.int64] = NO_ORDER) -> None:
+        """Sort agents at places (float32[n] mm) into cells. Those of one cell come as their rows do, or in an `order` of all."""
+        if shape is not self.shape:
+            self._take_shape(shape)
+        counts, keys = self._counts, self._keys
+        in_chunks(partial(_count, along(shape.axes, places), *self._cells, order, keys, counts), self._chunks, self.threads)
+        if counts.size:
+            add_up(counts, shape.cells)
+        else:
+            by_cell = stable_order(keys)
+            order = order.take(by_cell) if order.size else by_cell
+            self.keys = keys.take(by_cell)
+            self.tables = {**self.tables, "keys": self.keys}
+        in_chunks(partial(_put, places, order, keys, counts, *self._put), self._chunks, self.threads)
+        parallel.in_parts(partial(_columns, self._flat, *self.columns), self.count, self.threads, parallel.LIGHT)
+
+    def _take_shape(self, shape: Shape) -> None:
+        """Numbers of its cells, and room for a table of them."""
+        self.shape, self._cells = shape, (tuple(shape.low), shape.inverse, tuple(shape.size), 0)
+        self._floats[:] = *shape.low, *shape.width, *shape.inverse
+        self._whole[:] = *shape.axes, *shape.size, self.count
+        listed, needed = shape.listed(self.count), shape.cells + SPARE
+        if listed and self._table.shape[1] < needed:
+            self._table = np.empty((self._chunks, needed + (needed >> 3)), np.int32)
+        self._counts = self._table if listed else self._table[:, :0]
+        self.starts = self._counts[-1]
+        self.tables = {**self.tables, "starts": self.starts if listed else None}
+
+
+def in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
+    """Call a kernel for so many chunks. What its last two arguments count are sixteenths of a chunk: a thread takes no less."""
+    parallel.in_parts(work, SHARES * chunks, threads, SHARES)
 
 
 @kernel
-def _box(x: Array1[F32], y: Array1[F32], z: Array1[F32], ids: Array1[I64], ends: Array2[F64]) -> tuple[I64, BOOL]:
-    """How many places are finite, whose least and greatest x, y and z are put into `ends` (2, 3), 0 where there are none; and
-    whether the ids of all ascend."""
-    count, ascending = 0, True
-    low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
-    high_x, high_y, high_z = np.float32(-np.inf), np.float32(-np.inf), np.float32(-np.inf)
-    for k in range(x.size):
-        if k > 0 and ids[k] < ids[k - 1]:
-            ascending = False
-        if np.isfinite(x[k]) and np.isfinite(y[k]) and np.isfinite(z[k]):
-            count += 1
-            low_x, low_y, low_z = min(low_x, x[k]), min(low_y, y[k]), min(low_z, z[k])
-            high_x, high_y, high_z = max(high_x, x[k]), max(high_y, y[k]), max(high_z, z[k])
-    ends[0, 0], ends[0, 1], ends[0, 2] = np.float64(low_x), np.float64(low_y), np.float64(low_z)
-    ends[1, 0], ends[1, 1], ends[1, 2] = np.float64(high_x), np.float64(high_y), np.float64(high_z)
-    if count == 0:
-        for k in range(3):
-            ends[0, k], ends[1, k] = 0.0, 0.0
-    return count, ascending
+def _box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], ends: Array2[F64]) -> None:
+    """Put the least and the greatest x, y and z of finite places into `ends` (2, 3), 0 where there are none. `lanes` (6, 8) has
+    those of each lane."""
+    even = x.size & -8
+    for lane in independent(0, 8):
+        low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
+        high_x, high_y, high_z = np.float32(-np.inf), np.float32(-np.inf), np.float32(-np.inf)
+        for first in range(0, even, 8):
+            a, b, c = x[first + lane], y[first + lane], z[first + lane]
+            good = np.isfinite(a) & np.isfinite(b) & np.isfinite(c)
+            low_x, low_y, low_z = _lower(low_x, a, good), _lower(low_y, b, good), _lower(low_z, c, good)
+            high_x, high_y, high_z = _higher(high_x, a, good), _higher(high_y, b, good), _higher(high_z, c, good)
+        lanes[0, lane], lanes[1, lane], lanes[2, lane] = low_x, low_y, low_z
+        lanes[3, lane], lanes[4, lane], lanes[5, lane] = high_x, high_y, high_z
+    for axis in range(3):
+        low, high = np.float32(np.inf), np.float32(-np.inf)
+        for lane in range(8):
+            low, high = min(low, lanes[axis, lane]), max(high, lanes[axis + 3, lane])
+        for k in range(even, x.size):
+            place = x[k] if axis == 0 else (y[k] if axis == 1 else z[k])
+            good = np.isfinite(x[k]) & np.isfinite(y[k]) & np.isfinite(z[k])
+            low, high = _lower(low, place, good), _higher(high, place, good)
+        ends[0, axis], ends[1, axis] = (np.float64(low), np.float64(high)) if low <= high else (0.0, 0.0)
 
 
 @inlined
-def _along(place: F32, low: F64, width: F64) -> I64:
-    return np.int64(np.floor((np.float64(place) - low) / width))
+def _lower(low: F32, place: F32, good: BOOL) -> F32:
+    return place if good & (place < low) else low
+
+
+@inlined
+def _higher(high: F32, place: F32, good: BOOL) -> F32:
+    return place if good & (place > high) else high
 
 
 @kernel
-def _number(
-    along: Columns,
-    order: Array1[I64],
-    low: tuple[F64, F64, F64],
-    width: tuple[F64, F64, F64],
-    rows: Array1[I64],
-    fast: Array1[I64],
-    middle: Array1[I64],
-    slow: Array1[I64],
-) -> None:
-    """The `rows` of agents at finite places, in an `order` of all (empty: as they are), and the numbers of their cells along the
-    three axes."""
-    count = 0
-    for k in range(along[0].size):
-        row = order[k] if order.size > 0 else k
-        if np.isfinite(along[0][row]) and np.isfinite(along[1][row]) and np.isfinite(along[2][row]):
-            rows[count] = row
-            count += 1
-    for n in independent(0, count):
-        own = rows[n]
-        fast[n] = _along(along[0][own], low[0], width[0])
-        middle[n] = _along(along[1][own], low[1], width[1])
-        slow[n] = _along(along[2][own], low[2], width[2])
+def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, seen: Array2[BOOL]) -> BOOL:
+    """Whether the columns or layers of cells have few agents. `seen` (2, k): which columns and which cells have any."""
+    agents, columns, cells = 0, 0, 0
+    for row in range(along[0].size):
+        a, b, c = along[0][row], along[1][row], along[2][row]
+        if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(c)):
+            continue
+        agents += 1
+        column = whole(_cell(b, low[1], inverse[1], size[1])) * ((size[0] >> 2) + 1) + (
+            whole(_cell(a, low[0], inverse[0], size[0])) >> 2
+        )
+        cell = column * size[2] + whole(_cell(c, low[2], inverse[2], size[2]))
+        column, cell = column % seen.shape[1], cell % seen.shape[1]
+        columns += not seen[0, column]
+        cells += not seen[1, cell]
+        seen[0, column], seen[1, cell] = True, True
+    return agents <= _AGENTS_PER_COLUMN * columns or cells <= _LAYERS_PER_COLUMN * columns
+
+
+@inlined
+def _cell(place: Any, low: F64, inverse: F64, size: I64) -> F64:
+    """The number of the cell along an axis, as float64."""
+    return np.floor(min(max((np.float64(place) - low) * inverse, 0.0), np.float64(size - 1)))
+
+
+@inlined
+def number_of_cell(along: AnyColumns, row: I64, low: Three, inverse: Three, size: Sizes) -> I64:
+    """The number of the cell of an agent; that behind the last one without a finite place."""
+    fast, middle, slow = along[0][row], along[1][row], along[2][row]
+    line = _cell(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _cell(middle, low[1], inverse[1], size[1])
+    key = whole(line) * size[0] + whole(_cell(fast, low[0], inverse[0], size[0]))
+    good = np.isfinite(fast) & np.isfinite(middle) & np.isfinite(slow)
+    return key if good else size[0] * size[1] * size[2]
+
+
+@inlined
+def _chunk(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
+    """Where a chunk of so many agents begins and ends."""
+    length = -(-count // (8 * chunks)) * 8
+    return min(chunk * length, count), min((chunk + 1) * length, count)
+
+
+@inlined
+def counted(
+    along: AnyColumns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
+    counts: Array2[I32], begin: I64, end: I64,
+) -> I64:  # fmt: skip
+    """Store the cell of each agent, which is `shift` more than `number_of_cell`, and count the agents of each cell two places
+    behind its own. `order`: rows of the agents, empty where these are all rows. Gives how many pairs of agents of a chunk share a
+    cell, either way and each with itself."""
+    mates = 0
+    for chunk in range(begin // SHARES, end // SHARES):
+        first, last = _chunk(chunk, counts.shape[0], keys.size)
+        if order.size > 0:
+            for k in independent(first, last):
+                keys[k] = number_of_cell(along, order[k], low, inverse, size) + shift
+        else:
+            for k in independent(first, last):
+                keys[k] = number_of_cell(along, k, low, inverse, size) + shift
+        if counts.shape[1] > 0:
+            for k in range(size[0] * size[1] * size[2] + SPARE):
+                counts[chunk, k] = 0
+            for k in range(first, last):
+                count = counts[chunk, keys[k] + 2]
+                mates += 2 * count + 1
+                counts[chunk, keys[k] + 2] = count + 1
+    return mates
+
+
+@kernel
+def _count(
+    along: Columns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
+    counts: Array2[I32], begin: I64, end: I64,
+) -> None:  # fmt: skip
+    """As `counted`."""
+    counted(along, low, inverse, size, shift, order, keys, counts, begin, end)
+
+
+@kernel
+def add_up(counts: Array2[I32], cells: I64) -> None:
+    """Make numbers of agents the positions that each chunk's first agent of each cell gets, one place behind the cell's own. Once
+    all agents are put, the last chunk has the first agent of each cell."""
+    last, position = counts.shape[0] - 1, 0
+    for chunk in range(last):
+        for at in range(cells + 2):
+            counts[last, at] += counts[chunk, at]
+    for at in range(cells + 2):
+        position += counts[last, at]
+        counts[last, at] = position
+    for chunk in range(last):
+        for at in range(cells + 2):
+            count = counts[chunk, at + 1]
+            counts[chunk, at] = counts[last, at]
+            counts[last, at] += count
+
+
+@inlined
+def position_of(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
+    """Where the next agent of a cell goes; without a table, agents are in order already."""
+    position = k
+    if counts.shape[1] > 0:
+        position = counts[chunk, key + 1]
+        counts[chunk, key + 1] = position + 1
+    return position
 
 
 @kernel
 def _put(
-    rows: Array1[I64],
-    fast: Array1[I64],
-    middle: Array1[I64],
-    slow: Array1[I64],
-    across: I64,
-    broad: I64,
-    order: Array1[I64],
-    places: Columns,
-    starts: Array1[I32],
-    ordered: Array1[I64],
-    keys: Array1[I64],
-    found: Array2[F32],
-) -> None:
-    """Put `rows` in the order of their cells, with the keys of these and their places (3, n): by counting how many are in each,
-    which fills `starts`, or where there is no room for that as `order` says."""
-    n = rows.size
+    places: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F32], rows: Array1[I32],
+    at: Array1[I32], begin: I64, end: I64,
+) -> None:  # fmt: skip
+    """Put x, y, z and the row of each agent at its position. `ordered` and `rows` are one array, by fours."""
+    for chunk in range(begin // SHARES, end // SHARES):
+        first, last = _chunk(chunk, counts.shape[0], keys.size)
+        for k in range(first, last):
+            row = order[k] if order.size > 0 else k
+            position = position_of(counts, chunk, k, keys[k])
+            ordered[4 * position], ordered[4 * position + 1] = places[0][row], places[1][row]
+            ordered[4 * position + 2], rows[4 * position + 3] = places[2][row], row
+            at[row] = position
+
+
+@kernel
+def _columns(ordered: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
+    """Places in the order of the cells, one axis after the other."""
+    for n in independent(begin, end):
+        x[n], y[n], z[n], _ = consecutive(ordered, 4 * n, 4)
+
+
+@kernel
+def in_order(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64, end: I64) -> None:
+    """Put four registers of each agent at its position, by fours."""
+    for row in range(begin, end):
+        first = 4 * at[row]
+        ordered[first], ordered[first + 1] = registers[0][row], registers[1][row]
+        ordered[first + 2], ordered[first + 3] = registers[2][row], registers[3][row]
+
+
+@inlined
+def agents_before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
+    """How many sorted agents lie in cells before `key`; by bisection of their cells where there is no table."""
     if starts.size > 0:
-        for k in range(n):
-            key = (slow[k] * broad + middle[k]) * across + fast[k]
-            if key + 2 < starts.size:
-                starts[key + 2] += 1
-        for k in range(2, starts.size):
-            starts[k] += starts[k - 1]
-        for k in range(n):  # where a cell begins goes on to where it ends, which is where the next one begins
-            key = (slow[k] * broad + middle[k]) * across + fast[k]
-            place = starts[key + 1]
-            ordered[place], keys[place] = rows[k], key
-            starts[key + 1] += 1
+        found = starts[key]
     else:
-        for k in range(n):
-            other = order[k]
-            ordered[k], keys[k] = rows[other], (slow[other] * broad + middle[other]) * across + fast[other]
-    for at in independent(0, n):
-        row = ordered[at]
-        found[0, at], found[1, at], found[2, at] = places[0][row], places[1][row], places[2][row]
+        found = place_among(keys, key, 0, keys.size)
+    return found

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,8 @@ from numpy.typing import NDArray
 from antdsl.limits import NEIGHBOURS
 from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, as_bits, as_float, called, inlined, kernel
 from antdsl.numerics import parallel
-from antdsl.numerics.kernel_vectors import Vec3
-from antdsl.numerics.sorting import place_among
-from antdsl.senses.cell_order import ordered
+from antdsl.numerics.sorting import stable_order
+from antdsl.senses.cell_order import NO_ORDER, CellOrder, Columns, Shape, Sizes, Three, agents_before, box_around
 
 Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]  # an index of another type is converted at every use
@@ -29,11 +27,9 @@ _BEYOND = np.float32(1.0 + 1e-5)  # a squared distance over this many squared ra
 _LARGEST = np.int64((1 << 63) - 1)
 _ZEROS = 29  # last bits of a float64 that are 0 if it is a float32
 
-Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
-# Places x, y, z, rows, ids and keys of the agents sorted by cell, the table of starts; then low, width and size of the cells
-Grid = tuple[
-    Columns, Array1[I64], Array1[I64], Array1[I64], Array1[I32], tuple[F64, F64, F64], tuple[F64, F64, F64], tuple[I64, I64, I64]
-]
+# Places x, y, z, rows, ids and keys of the agents sorted by cell, the table of starts; then low, inverse width, width and size of
+# the cells
+Grid = tuple[Columns, Array1[I32], Array1[I64], Array1[I64], Array1[I32], Three, Three, Three, Sizes]
 # Places x, y, z and along the fast, middle and slow axis, ids, radius, heading and the cosine of the field of view
 Query = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
 Found = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
@@ -72,38 +68,13 @@ class CellGrid:
     this one fastest. An agent at a place that is not finite is nobody's neighbour.
     """
 
-    def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float) -> None:
+    def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float, threads: int = 1) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
-        order = ordered(x, y, z, ids, cell)
-        shape = order.shape
-        self._axes, self._low, self._width, self._size = shape.axes, shape.low, shape.width, shape.size
-        self._rows, self._keys, self._sorted, self._starts = order.rows, order.keys, order.places, order.starts
-
-    @cached_property
-    def _sorted_ids(self) -> NDArray[np.int64]:
-        return self.ids.take(self._rows)
-
-    @cached_property
-    def tables(self) -> dict[str, NDArray[Any] | None]:
-        """What machine code searches by: `places` of agents in the order of cells and their rows, x, y, z float32 and the bits of
-        an int32, with eight spare ones behind the last; `x y z` alone; their `keys` int64; `starts` int32, first agent of each
-        cell, where it is listed; `at` int32, for each row its place in that order, -1 for none; `floats`: low, width and its
-        inverse of cells along the fast, middle and slow axis; `whole`: these axes, numbers of cells, number of agents."""
-        places = np.zeros((self._rows.size + 8, 4), np.float32)
-        for axis, values in enumerate(self._sorted):
-            places[: self._rows.size, axis] = values
-        places.view(np.int32)[: self._rows.size, 3] = self._rows
-        at = np.full(len(self.ids) + 8, -1, np.int32)
-        at[self._rows] = np.arange(self._rows.size)
-        found: dict[str, NDArray[Any] | None] = {"places": places, "at": at}
-        found |= {name: np.concatenate([a, np.zeros(8, a.dtype)]) for name, a in zip("xyz", self._sorted, strict=True)}
-        found |= {
-            "keys": self._keys,
-            "starts": self._starts,
-            "floats": np.array([*self._low, *self._width, *(1 / w for w in self._width)]),
-        }
-        found["whole"] = np.array([*self._axes, *self._size, self._rows.size], np.int64)
-        return found
+        x, y, z = parallel.plain(x, y, z)
+        shape = Shape.of(*box_around((x, y, z)), cell)
+        self.shape = shape.as_sheet() if shape.is_sheet((x, y, z)) else shape
+        self.order = CellOrder(x.size, threads)
+        self.order.sort(self.shape, (x, y, z), NO_ORDER if (ids[1:] >= ids[:-1]).all() else stable_order(ids))
 
     def pairs(
         self,
@@ -147,14 +118,14 @@ class CellGrid:
         limit: int,
     ) -> Pairs:
         none = np.empty(0, np.float32)
-        starts = np.empty(0, np.int32) if self._starts is None else self._starts
-        cells = tuple(self._low), tuple(self._width), tuple(self._size)
-        grid = (tuple(self._sorted), self._rows, self._sorted_ids, self._keys, starts, *cells)
+        order, shape, rows = self.order, self.shape, np.ascontiguousarray(self.order.rows)
+        cells = tuple(shape.low), shape.inverse, tuple(shape.width), tuple(shape.size)
+        grid = (order.columns, rows, self.ids.take(rows), order.keys, order.starts, *cells)
         who = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
 
         def part(begin: int, end: int) -> tuple[NDArray[Any], ...] | None:
-            found = _find(grid, self._axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
+            found = _find(grid, shape.axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
             if found is not None:
                 found[0][:] += begin
             return found
@@ -188,15 +159,15 @@ def _find(grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]
 
 
 @inlined
-def _lower(q: F64, low: F64, width: F64, size: I64) -> I64:
+def _lower(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Cell of the lower end of a span, at least 0 and at most `size`."""
-    return math.floor(min(max((q - low) / width, 0.0), float(size)))
+    return math.floor(min(max((q - low) * inverse, 0.0), float(size)))
 
 
 @inlined
-def _upper(q: F64, low: F64, width: F64, size: I64) -> I64:
+def _upper(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Cell of the upper end of a span, at least -1 and below `size`."""
-    return math.floor(min(max((q - low) / width, -1.0), size - 1.0))
+    return math.floor(min(max((q - low) * inverse, -1.0), size - 1.0))
 
 
 @inlined
@@ -207,14 +178,6 @@ def _off(q: F64, cell: I64, low: F64, width: F64) -> F64:
 
 
 @called
-def _before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
-    """How many sorted agents lie in cells before `key`; by bisection where there is no table."""
-    if starts.size:
-        return int(starts[key])
-    return int(place_among(keys, key, 0, keys.size))
-
-
-@called
 def _spans(
     a: F64,
     b: F64,
@@ -222,9 +185,10 @@ def _spans(
     radius: F64,
     keys: Array1[I64],
     starts: Array1[I32],
-    low: Vec3,
-    width: Vec3,
-    size: tuple[I64, I64, I64],
+    low: Three,
+    inverse: Three,
+    width: Three,
+    size: Sizes,
     spans: Array1[I64],
 ) -> tuple[I64, I64]:
     """Sorted agents in reach of a place as spans (first, beyond the last); a, b, c along the grid's fast, middle and slow axis.
@@ -233,9 +197,9 @@ def _spans(
     """
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
     r = radius * _SLACK + tiny
-    b0, b1 = _lower(b - r, low[1], width[1], size[1]), _upper(b + r, low[1], width[1], size[1])
+    b0, b1 = _lower(b - r, low[1], inverse[1], size[1]), _upper(b + r, low[1], inverse[1], size[1])
     sheet = size[2] == 1 and abs(c - low[2]) <= width[2]
-    c0, c1 = (0, 0) if sheet else (_lower(c - r, low[2], width[2], size[2]), _upper(c + r, low[2], width[2], size[2]))
+    c0, c1 = (0, 0) if sheet else (_lower(c - r, low[2], inverse[2], size[2]), _upper(c + r, low[2], inverse[2], size[2]))
     number, total = 0, 0
     if b0 > b1 or c0 > c1:
         return 0, 0
@@ -249,11 +213,11 @@ def _spans(
             if not left >= 0:
                 continue
             half = math.sqrt(left) * _SLACK + tiny
-            a0, a1 = _lower(a - half, low[0], width[0], size[0]), _upper(a + half, low[0], width[0], size[0])
+            a0, a1 = _lower(a - half, low[0], inverse[0], size[0]), _upper(a + half, low[0], inverse[0], size[0])
             if a0 > a1:
                 continue
             line = (cz * size[1] + cy) * size[0]
-            first, last = _before(starts, keys, line + a0), _before(starts, keys, line + a1 + 1)
+            first, last = agents_before(starts, keys, line + a0), agents_before(starts, keys, line + a1 + 1)
             if last > first:
                 spans[2 * number], spans[2 * number + 1] = first, last
                 number, total = number + 1, total + last - first
@@ -262,18 +226,9 @@ def _spans(
 
 @called
 def _bound(
-    sx: Array1[F32],
-    sy: Array1[F32],
-    sz: Array1[F32],
-    names: Array1[I64],
-    near: Array1[I64],
-    found: I64,
-    x: F32,
-    y: F32,
-    z: F32,
-    reach: F32,
-    name: I64,
-) -> tuple[F32, I64]:
+    sx: Array1[F32], sy: Array1[F32], sz: Array1[F32], names: Array1[I64], near: Array1[I64], found: I64, x: F32, y: F32, z: F32,
+    reach: F32, name: I64,
+) -> tuple[F32, I64]:  # fmt: skip
     """The distance and id of the last of the nearest `NEIGHBOURS` of the first `found` agents of `near` to a place, without the
     agent `name`: by bisection of the distance's bits, and of the ids at that distance."""
     low, high = 0, as_bits(np.float64(reach)) >> _ZEROS
@@ -308,23 +263,16 @@ def _bound(
     return farthest, last
 
 
-class Filled(NamedTuple):
-    """The query come to, the pairs found, and how long `spans` and `near` must be to go on (-1: a query has more than `limit`
-    others within its radius)."""
-
-    query: I64
-    pairs: I64
-    spans: I64
-    near: I64
-
-
 @kernel
-def _fill(grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: Found, k: I64, used: I64) -> Filled:
+def _fill(
+    grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: Found, k: I64, used: I64
+) -> tuple[I64, I64, I64, I64]:
     """Go on with query k, with so many pairs found before it, until an array is too short.
 
-    Of more than `NEIGHBOURS` the nearest are taken, by distance and id..
+    Gives the query come to, the pairs found, and how long `spans` and `near` must be to go on (-1: a query has more than `limit`
+    others within its radius). Of more than `NEIGHBOURS` the nearest are taken, by distance and id..
     """
-    (sx, sy, sz), rows, names, keys, starts, low, width, size = grid
+    (sx, sy, sz), rows, names, keys, starts, low, inverse, width, size = grid
     (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
     i, j, dx, dy, dz, distance = pairs
     own, limited = who.size > 0, cosine.size > 0
@@ -337,12 +285,12 @@ def _fill(grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1
         if limited:
             gx, gy, gz, least = hx[k], hy[k], hz[k], cosine[k]
         number, total = _spans(
-            float(fast[k]), float(middle[k]), float(slow[k]), float(reach), keys, starts, low, width, size, spans
+            float(fast[k]), float(middle[k]), float(slow[k]), float(reach), keys, starts, low, inverse, width, size, spans
         )
         if number < 0:
-            return Filled(k, used, total, near.size)
+            return k, used, total, near.size
         if total > near.size:
-            return Filled(k, used, spans.size, total)
+            return k, used, spans.size, total
         beyond = reach * reach * _BEYOND + np.float32(1e-30)
         found = 0
         for s in range(number):
@@ -359,11 +307,11 @@ def _fill(grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1
                 ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
                 count += (np.sqrt((ux * ux + uy * uy) + uz * uz) <= reach) & (not own or names[at] != name)
             if count > limit:
-                return Filled(k, used, spans.size, -1)
+                return k, used, spans.size, -1
             if count > NEIGHBOURS:
                 farthest, last = _bound(sx, sy, sz, names, near, found, x, y, z, reach, name)
         if used + found > i.size:
-            return Filled(k, used, spans.size, near.size)
+            return k, used, spans.size, near.size
         for p in range(found):
             at = near[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
@@ -378,4 +326,4 @@ def _fill(grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1
             dx[used], dy[used], dz[used], distance[used] = ux, uy, uz, length
             used += good
         k += 1
-    return Filled(k, used, spans.size, near.size)
+    return k, used, spans.size, near.size

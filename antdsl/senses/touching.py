@@ -15,26 +15,27 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, consecutive, fetch_ahead, independent, kernel
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, consecutive, fetch_ahead, independent, kernel, whole
 from antdsl.numerics.parallel import plain
 from antdsl.numerics.sorting import listed, stable_order
+from antdsl.senses.cell_order import NO_ORDER, SHARES, SPARE, Sizes, add_up, agents_before, along, counted, position_of
+from antdsl.senses.cell_order import Three as Corner
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
+Three = tuple[Floats, Floats, Floats]
+Columns = tuple[Array1[F64], Array1[F64], Array1[F64]]
 Bounds = list[tuple[float, float]]
-Cells = tuple[list[int], list[float], float, list[int]]
-Column = Array1[F64]
-Indices = Array1[I64]
-Counts = Array1[I32]
+# Places and reaches by fours, rows, and cells
+Agents = tuple[Array1[F64], Array1[I32], Array1[I64]]
+Room = tuple[Array1[I32], Array1[I32], Array1[I32]]
 
 _MOST = 48  # of one row of three cells, with whom an agent is paired: more than stand side by side in it
 _ALONG = 1 << 20  # cells along an axis at most
 _SHEET = 8  # pairs of cell mates for each agent, up to which layers above each other are not told apart
 _ONE_LAYER = 3  # cells along the shortest axis where all lie in one layer: one is free at either end
-_ANY = 1 << 62  # more than there are pairs of cell mates
-_SIZES = 1  # powers of two that agents of one grid differ by at most
 _TOGETHER = 64  # agents whose candidates are listed before these are measured
-_FETCHED = 40  # agents whose places among the sorted ones are brought near before they are written
+_FETCHED = 40  # agents whose positions are brought near before they are written
 _WRITTEN = 4  # candidates of a span that are always written
 
 
@@ -58,329 +59,220 @@ class Touching:
     near: NDArray[np.bool_]
 
 
-def within_reach(
-    place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64], bounds: Bounds | None = None
-) -> Pairs:
+def within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None = None) -> Pairs:
     """Pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z float64[n],
     mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place
     and reach are in no pair. `bounds`: the least and the greatest x, y, z and reach, where they are known, not finite where any
     of them is not."""
-    if not len(reach):
-        return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), True)
-    rows, bounds = None, _bounds((*place, reach)) if bounds is None else bounds
-    if not (all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0):
+    found = all_within_reach(place, reach, bounds)
+    if found is None:
+        found = _within_reach(place, reach, order, bounds, True)
+    assert found is not None
+    return found
+
+
+def all_within_reach(place: Three, reach: Floats, bounds: Bounds | None = None) -> Pairs | None:
+    """The same where all pairs are found, else None."""
+    return _within_reach(place, reach, NO_ORDER, bounds, False)
+
+
+def _within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None, heaps: bool) -> Pairs | None:
+    """Pairs of all agents; None where there are heaps that are not to be met in part."""
+    rows, (x, y, z, reach) = NO_ORDER, plain(*place, reach)
+    place = x, y, z
+    if bounds is None and len(reach):
+        bounds = _bounds((*place, reach))
+    if bounds is None or not (all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0):
         fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
         rows = np.flatnonzero(fit)
-        place, reach, order = (place[0][rows], place[1][rows], place[2][rows]), reach[rows], order[rows]
         if not len(rows):
             return Pairs(rows, rows, True)
-        bounds = _bounds((*place, reach))
-    found = _of_all(place, reach, None, bounds)
-    if not found.all_of_them:  # who is left out goes by the order, not by rows
-        found = _of_all(place, reach, order, bounds)
-    if rows is None:
-        return found
-    return Pairs(rows[found.i], rows[found.j], found.all_of_them)
+        bounds = _bounds((*place, reach), rows)
+    if heaps:  # who is left out goes by the order, not by rows
+        rows = rows[stable_order(order[rows])] if rows.size else stable_order(order)
+    return _among(place, reach, rows, bounds, heaps)
 
 
-def _bounds(numbers: Sequence[Floats]) -> Bounds:
-    """The least and the greatest of some numbers each."""
-    return [(float(each.min()), float(each.max())) for each in numbers]
+def _bounds(numbers: Sequence[Floats], rows: Rows = NO_ORDER) -> Bounds:
+    """The least and the greatest of some numbers each, of some rows (none: of all)."""
+    return [(float(each.min()), float(each.max())) for each in (n[rows] if rows.size else n for n in numbers)]
 
 
-def _of_all(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, bounds: Bounds) -> Pairs:
+def _among(place: Three, reach: Floats, rows: Rows, bounds: Bounds, heaps: bool) -> Pairs | None:
+    """Pairs among rows (none: all) within bounds; None where there are heaps that are not to be met in part. In a heap the first
+    rows count first."""
     low, high = bounds[3]
-    if low * (1 << _SIZES) >= high:
-        return _of_class(place, reach, order, None, None, bounds)
-    sizes = np.frexp(reach)[1] // _SIZES
-    found = []
+    if 2 * low >= high:
+        return _joined([_Grid.of(place, reach, rows, bounds).pairs(heaps)])
+    rows = rows if rows.size else np.arange(len(reach))
+    sizes, found = np.frexp(reach[rows])[1], []
     for size in np.unique(sizes):
-        members, smaller = np.flatnonzero(sizes == size), np.flatnonzero(sizes < size)
-        own = _bounds([v[members] for v in (*place, reach)])
-        found.append(_of_class(place, reach, order, members, smaller if len(smaller) else None, own))
-    i, j = (np.concatenate([getattr(each, name) for each in found]) for name in ("i", "j"))
-    return Pairs(i, j, all(each.all_of_them for each in found))
+        members, smaller = rows[sizes == size], rows[sizes < size]
+        grid = _Grid.of(place, reach, members, _bounds((*place, reach), members))
+        found += [grid.pairs(heaps)] + ([grid.pairs_with(place, reach, smaller, heaps)] if smaller.size else [])
+        if None in found:
+            return None
+    return _joined(found)
 
 
-def _of_class(
-    place: tuple[Floats, Floats, Floats],
-    reach: Floats,
-    order: NDArray[np.int64] | None,
-    rows: Rows | None,
-    smaller: Rows | None,
-    bounds: Bounds,
-) -> Pairs:
-    """The pairs among some rows of much the same size (None: all), and of those with all `smaller` ones. `bounds` of places and
-    reaches are those of these rows."""
-    cells = _cells(bounds[:3], 2 * bounds[3][1])
-    if smaller is None:
-        found = _by_loop(place, reach, order, rows, cells)
-        if found is not None:
-            return found
-    grid = _Grid.of(place, cells, np.arange(len(reach)) if rows is None else rows, order)
-    i, j, whole = grid.among_themselves()
-    i, j = _near(place, reach, i, j)
-    if smaller is None:
-        return Pairs(i, j, whole)
-    if order is not None:
-        smaller = smaller[stable_order(order[smaller])]
-    near, far, entire = grid.asked_by(place, smaller)
-    near, far = _near(place, reach, near, far)
-    return Pairs(np.concatenate([i, near]), np.concatenate([j, far]), whole and entire)
+def _joined(found: Sequence[Pairs | None]) -> Pairs | None:
+    parts = [each for each in found if each is not None]
+    if len(parts) < len(found) or len(parts) == 1:
+        return found[0] if len(parts) == 1 else None
+    i, j = (np.concatenate([getattr(each, name) for each in parts]) for name in ("i", "j"))
+    return Pairs(i, j, all(each.all_of_them for each in parts))
 
 
-def _by_loop(
-    place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, rows: Rows | None, cells: Cells
-) -> Pairs | None:
-    """The pairs among some rows, as `_of_class`; None where there are too many cells for a table."""
-    if order is not None:
-        rows = stable_order(order) if rows is None else rows[stable_order(order[rows])]
-    x, y, z, wide = (v if rows is None else v[rows] for v in (*place, reach))
-    sheet = _SHEET * len(wide) if cells[3][2] > _ONE_LAYER else _ANY
-    found = _pairs((x, y, z), wide, cells, _limit(len(wide)), sheet, _MOST, order is not None)
-    if isinstance(found, tuple):
-        i, j, whole = found
-        return Pairs(i, j, whole) if rows is None else Pairs(rows.take(i), rows.take(j), whole)
-    none = np.empty(0, np.intp)
-    return Pairs(none, none, False) if found == -2 else None
+class _Grid(NamedTuple):
+    """Agents of much the same size in the order of their cells, of which one is free at either end of each axis: `axes` from the
+    longest to the shortest, and along them low corners (mm), cells in a millimetre, and numbers of cells, 1 where layers are not
+    told apart; `agents` as in kernels; `starts`: the first agent of each cell, empty where there are too many for a table."""
 
-
-def _cells(bounds: Bounds, cell: float) -> Cells:
-    """Axes from the longest to the shortest, and along them where cells begin, how wide (mm) and how many they are: about places
-    of these bounds along x, y and z, for cells of a width at least."""
-    low, extent = [low for low, _ in bounds], [high - low for low, high in bounds]
-    axes = sorted(range(3), key=lambda axis: -extent[axis])
-    cell = max(cell, extent[axes[0]] / _ALONG, 1e-9)
-    size = [int(extent[axis] / cell) + 3 for axis in axes]  # one is free at either end
-    return axes, [low[axis] for axis in axes], cell, size
-
-
-def _limit(agents: int) -> int:
-    """How many cells there may be in a table, for so many agents."""
-    return max(1 << 16, 16 * agents)
-
-
-def _near(place: tuple[Floats, Floats, Floats], reach: Floats, i: Rows, j: Rows) -> tuple[Rows, Rows]:
-    x, y, z = (p.take(j) - p.take(i) for p in place)
-    room = reach.take(i) + reach.take(j)
-    keep = np.flatnonzero((x * x + y * y) + z * z <= room * room)
-    return i.take(keep), j.take(keep)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
-    """Rows sorted by cells: `low` and `cell` (mm), the `axes` from the longest to the shortest, numbers of cells along them, and
-    the cells of all, ascending."""
-
-    axes: list[int]
-    low: list[float]
-    cell: float
-    size: list[int]
-    rows: Rows
-    keys: NDArray[np.int64]
-    starts: NDArray[np.intp] | None
+    axes: tuple[int, ...]
+    low: tuple[float, ...]
+    rate: float
+    size: tuple[int, int, int]
+    agents: tuple[Floats, NDArray[np.int32], NDArray[np.int64]]
+    starts: NDArray[np.int32]
 
     @staticmethod
-    def of(place: tuple[Floats, Floats, Floats], cells: Cells, rows: Rows, order: NDArray[np.int64] | None) -> _Grid:
-        """The grid of some rows, of which those in one cell are in an order."""
-        if order is not None:
-            rows = rows[stable_order(order[rows])]
-        every = len(rows) == len(place[0]) and order is None
-        own = [p if every else p[rows] for p in place]
-        axes, low, cell, size = cells[0], cells[1], cells[2], list(cells[3])
-        number = [((own[axis] - b) * (1 / cell)).astype(np.int64) + 1 for axis, b in zip(axes, low, strict=True)]
-        keys = number[1] * size[0] + number[0]
-        flat = size[2] == _ONE_LAYER
-        if not flat and size[0] * size[1] <= _limit(len(rows)):
-            mates = np.bincount(keys)
-            flat = int((mates * mates).sum()) <= _SHEET * len(rows)
-        if flat:
-            size[2] = 1
+    def of(place: Three, reach: Floats, rows: Rows, bounds: Bounds) -> _Grid:
+        """That of rows (none: all) within bounds."""
+        low, extent = [low for low, _ in bounds[:3]], [high - low for low, high in bounds[:3]]
+        axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))
+        cell = max(2 * bounds[3][1], extent[axes[0]] / _ALONG, 1e-9)
+        across, broad, deep = (int(extent[axis] / cell) + 3 for axis in axes)
+        count = rows.size or reach.size
+        agents = np.empty(4 * count), np.empty(count, np.int32), np.empty(count, np.int64)
+        start = tuple(low[axis] for axis in axes)
+        grid = _Grid(axes, start, 1 / cell, (across, broad, 1), agents, np.empty(0, np.int32))
+        most, flat, keys = max(1 << 16, 16 * count), deep == _ONE_LAYER, np.empty(count, np.int64)
+        counts, mates = grid._counted(place, rows, keys, most)
+        if not (flat or (counts.size and mates <= _SHEET * count)):
+            grid = grid._replace(size=(across, broad, deep))
+            counts, _ = grid._counted(place, rows, keys, most)
+        if counts.size:
+            add_up(counts, grid.cells)
         else:
-            keys += number[2] * (size[0] * size[1])
-        order_of_keys = stable_order(keys)
-        keys, rows = keys.take(order_of_keys), rows.take(order_of_keys)
-        count = size[0] * size[1] * size[2]
-        starts = None
-        if count <= _limit(len(rows)):
-            starts = np.zeros(count + 1, np.intp)
-            np.cumsum(np.bincount(keys, minlength=count), out=starts[1:])
-        return _Grid(axes, low, cell, size, rows, keys, starts)
+            order = stable_order(keys)
+            keys, rows = keys.take(order), rows.take(order) if rows.size else order
+        _put(place, reach, rows, keys, counts, *agents)
+        return grid._replace(starts=counts[0])
 
-    def among_themselves(self) -> tuple[Rows, Rows, bool]:
-        """Candidates: each with those after it in its cell and in the half of the surroundings that comes after."""
-        n, across, layer = len(self.rows), self.size[0], self.size[0] * self.size[1]
-        number = np.arange(n)
-        spans = [(number + 1, self._before(self.keys + 2))]
-        shifts = [across] if self.size[2] == 1 else [across, layer - across, layer, layer + across]
-        spans += [(self._before(self.keys + (shift - 1)), self._before(self.keys + (shift + 2))) for shift in shifts]
-        return self._listed(self.rows, spans)
+    @property
+    def cells(self) -> int:
+        return self.size[0] * self.size[1] * self.size[2]
 
-    def asked_by(self, place: tuple[Floats, Floats, Floats], rows: Rows) -> tuple[Rows, Rows, bool]:
-        """Candidates of others: all in the cells about them."""
-        at = [
-            np.clip(np.floor((place[axis][rows] - low) * (1 / self.cell)), -2.0, float(size)).astype(np.int64) + 1
-            for axis, low, size in zip(self.axes, self.low, self.size, strict=True)
-        ]
-        inside = [(a >= 0) & (a < size) for a, size in zip(at, self.size, strict=True)]
-        flat = self.size[2] == 1
-        known = inside[0] & inside[1] if flat else inside[0] & inside[1] & inside[2]
-        rows, at = rows[known], [a[known] for a in at]
-        spans = []
-        for deep in (0,) if flat else (-1, 0, 1):
-            for aside in (-1, 0, 1):
-                y, z = at[1] + aside, 0 if flat else at[2] + deep
-                first = (z * self.size[1] + y) * self.size[0]
-                last = first + np.minimum(at[0] + 1, self.size[0] - 1) + 1
-                first = first + np.maximum(at[0] - 1, 0)
-                there = (y >= 0) & (y < self.size[1]) & ((z >= 0) & (z < self.size[2]))
-                spans.append((self._before(np.where(there, first, 0)), self._before(np.where(there, last, 0))))
-        return self._listed(rows, spans)
+    def _numbers(self) -> tuple[Any, ...]:
+        """What kernels number cells by: low corners, cells in a millimetre, sizes, and the number of the first one in use."""
+        across, broad, deep = self.size
+        first, rate = (broad + 1) * across + 1 if deep > 1 else across + 1, self.rate
+        return self.low, (rate, rate, rate if deep > 1 else 0.0), self.size, first
 
-    def _before(self, key: NDArray[Any]) -> Rows:
-        """How many rows lie in cells before others."""
-        if self.starts is not None:
-            known: Rows = self.starts.take(np.minimum(key, len(self.starts) - 1))
-            return known
-        found: Rows = np.searchsorted(self.keys, key)
-        return found
+    def _counted(self, place: Three, rows: Rows, keys: NDArray[np.int64], most: int) -> tuple[NDArray[np.int32], int]:
+        """Store the cells of rows. Gives a table of how many are in each, empty where there are more than `most` cells, and how
+        many pairs share one."""
+        counts = np.empty((1, self.cells + SPARE if self.cells <= most else 0), np.int32)
+        return counts, _count(along(self.axes, place), *self._numbers(), rows, keys, counts, 0, SHARES)
 
-    def _listed(self, asking: Rows, spans: list[tuple[Rows, Rows]]) -> tuple[Rows, Rows, bool]:
-        """Pairs of who asks and who is in its spans of sorted rows: of one span at most _MOST, from another place on for each."""
-        i, j, whole = [], [], True
-        for first, last in spans:
-            count = last - first
-            dense = int(count.max(initial=0)) > _MOST
-            kept = np.minimum(count, _MOST) if dense else count
-            who = np.repeat(np.arange(len(asking)), kept)
-            at = np.arange(len(who)) - np.repeat(np.cumsum(kept) - kept, kept)
-            if dense:
-                whole = False
-                turned = (np.arange(len(asking)) * _MOST) % np.maximum(count, 1)
-                at = np.where(count.take(who) > _MOST, (at + turned.take(who)) % count.take(who), at)
-            at += first.take(who)
-            i.append(asking.take(who))
-            j.append(self.rows.take(at))
-        return np.concatenate(i), np.concatenate(j), whole
+    def pairs(self, heaps: bool) -> Pairs | None:
+        """Those among its agents: each with those after it in its cell and in the half of the surroundings that comes after."""
+        across, layer = self.size[0], self.size[0] * self.size[1]
+        return self._found(self.agents, [0, across, layer - across, layer, layer + across], True, heaps)
 
+    def pairs_with(self, place: Three, reach: Floats, rows: Rows, heaps: bool) -> Pairs | None:
+        """Those of other rows with its agents: each with all in the cells around."""
+        across, layer = self.size[0], self.size[0] * self.size[1]
+        around = [deep * layer + aside * across for deep in (0, -1, 1) for aside in (-1, 0, 1)]
+        places, own, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
+        used = _ask(place, along(self.axes, place), reach, *self._numbers(), rows, places, own, keys)
+        return self._found((places, own[:used], keys), around, False, heaps)
 
-def _pairs(
-    place: tuple[Floats, Floats, Floats], reach: Floats, cells: Cells, limit: int, sheet: int, most: int, heaps: bool
-) -> tuple[Rows, Rows, bool] | int:
-    """Pairs of agents no farther apart than their reaches add up to. `cells` as of `touching`: axes from the longest to the
-    shortest, and along them where they begin and how wide (mm) and how many they are. Layers above each other are not told apart
-    up to `sheet` pairs of cell mates. What comes last is whether these are all. Instead -1 where there are more than `limit`
-    cells, and where there are more than `most` agents in three cells in a row -2, unless `heaps` are to be met in part, as
-    `_Grid` does, of agents in the order in which they count."""
-    axes, low, cell, size = cells
-    count, rate, layer = len(reach), 1 / cell, size[0] * size[1]
-    columns = plain(*place, reach)
-    fast, middle, slow = (columns[axis] for axis in axes)
-    if layer > limit:
-        return -1
-    keys, counts = np.empty(count, np.int32), np.zeros(layer + 1, np.int32)
-    flat = _in_columns(fast, middle, low[0], low[1], rate, size[0], keys, counts) <= sheet
-    if not flat:
-        if layer * size[2] > limit:
-            return -1
-        counts = np.zeros(layer * size[2] + 1, np.int32)
-        _in_layers(slow, low[2], rate, layer, keys, counts)
-    ordered, rows, cell_of = np.empty(4 * count), *np.empty((2, count), np.int32)
-    _sorted(keys, counts, *columns, rows, cell_of, ordered)
-    spans = 2 if flat else 5
-    work = Candidates(*np.empty((3, _TOGETHER * spans * most + _WRITTEN), np.int32))
-    in_cells = InCells(ordered, rows, cell_of, counts)
-    used, most_pairs = -3, 2 * count + 256
-    while used == -3:
-        i, j = np.empty((2, most_pairs), np.int64)
-        used, left_out = _filled(in_cells, size[0], layer, spans, most, heaps, work, i, j)
-        most_pairs *= 4
-    return used if used < 0 else (i[:used], j[:used], not left_out)
+    def _found(
+        self, asking: tuple[Floats, NDArray[np.int32], NDArray[np.int64]], around: list[int], own: bool, heaps: bool
+    ) -> Pairs | None:
+        """Pairs of agents that ask, with others in rows of three cells at distances from theirs."""
+        if self.size[2] == 1:
+            around = around[: 2 if own else 3]
+        count, shifts = asking[1].size, np.array(around, np.int64)
+        room = tuple(np.empty((3, _TOGETHER * len(around) * _MOST + _WRITTEN), np.int32))
+        used, most_pairs, left_out = -3, 4 * count + 256, 0
+        while used == -3:
+            i, j = np.empty((2, most_pairs), np.int64)
+            used, left_out = _filled(asking, self.agents, self.starts, self.cells, shifts, own, _MOST, heaps, room, i, j)
+            most_pairs *= 4
+        return None if used < 0 else Pairs(i[:used], j[:used], not left_out)
 
 
 @kernel
-def _in_columns(
-    fast: Column, middle: Column, first: F64, second: F64, rate: F64, across: I64, keys: Counts, counts: Counts
-) -> I64:
-    """The cell of each agent in a layer, and how many are in each; gives how many pairs of cell mates there are, either way."""
-    mates = 0
-    for k in range(fast.size):
-        a, b = np.int64((fast[k] - first) * rate) + 1, np.int64((middle[k] - second) * rate) + 1
-        at = b * across + a
-        keys[k] = at
-        mates += 2 * counts[at] + 1
-        counts[at] += 1
-    return mates
+def _count(
+    along: Columns, low: Corner, inverse: Corner, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
+    counts: Array2[I32], begin: I64, end: I64,
+) -> I64:  # fmt: skip
+    """As `counted`."""
+    return counted(along, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
 @kernel
-def _in_layers(slow: Column, low: F64, rate: F64, layer: I64, keys: Counts, counts: Counts) -> None:
-    """The cell of each agent, from that in its layer, and how many are in each."""
-    for k in range(slow.size):
-        at = keys[k] + (np.int64((slow[k] - low) * rate) + 1) * layer
-        keys[k] = at
-        counts[at] += 1
-
-
-@kernel
-def _sorted(
-    keys: Counts, counts: Counts, x: Column, y: Column, z: Column, reach: Column, rows: Counts, cell_of: Counts,
-    ordered: Column,
+def _put(
+    places: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F64],
+    rows: Array1[I32], cells: Array1[I64],
 ) -> None:  # fmt: skip
-    """Rows by their cells, and in this order the cells, places and reaches; `counts` become where the agents of each cell begin,
-    which is where those of the one before end."""
-    total = 0
-    for k in range(counts.size):
-        count = counts[k]
-        counts[k] = total
-        total += count
+    """Put x, y, z and reach, by fours, the row and the cell of each agent at its position."""
     for k in range(keys.size):
-        fetch_ahead(ordered, 4 * counts[keys[min(k + _FETCHED, keys.size - 1)]])
-        key = keys[k]
-        at = counts[key]
-        rows[at], cell_of[at] = k, key
-        ordered[4 * at], ordered[4 * at + 1], ordered[4 * at + 2], ordered[4 * at + 3] = x[k], y[k], z[k], reach[k]
-        counts[key] = at + 1
-    for k in range(counts.size - 1, 0, -1):
-        counts[k] = counts[k - 1]
-    counts[0] = 0
+        if counts.shape[1] > 0:
+            fetch_ahead(ordered, 4 * counts[0, keys[min(k + _FETCHED, keys.size - 1)] + 1])
+        row = order[k] if order.size > 0 else k
+        position = position_of(counts, 0, k, keys[k])
+        ordered[4 * position], ordered[4 * position + 1] = places[0][row], places[1][row]
+        ordered[4 * position + 2], ordered[4 * position + 3] = places[2][row], reach[row]
+        rows[position], cells[position] = row, keys[k]
 
 
-class InCells(NamedTuple):
-    """Places and reaches in the order of cells, their rows and cells, and where the agents of each cell begin."""
-
-    ordered: Column
-    rows: Counts
-    cell_of: Counts
-    starts: Counts
-
-
-class Candidates(NamedTuple):
-    """Memory for work: pairs of some agents, listed without a branch that is hard to foretell, and who is `near`."""
-
-    one: Counts
-    other: Counts
-    near: Counts
+@kernel
+def _ask(
+    places: Columns, along: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
+    order: Array1[I64], asking: Array1[F64], rows: Array1[I32], cells: Array1[I64],
+) -> I64:  # fmt: skip
+    """Put rows that are no farther from cells in use than one cell, one after another; gives how many these are."""
+    used = 0
+    for k in range(order.size):
+        row = order[k]
+        a, b = np.floor((along[0][row] - low[0]) * inverse[0]), np.floor((along[1][row] - low[1]) * inverse[1])
+        c = np.floor((along[2][row] - low[2]) * inverse[2])
+        if not (a >= -1.0 and b >= -1.0 and c >= -1.0):
+            continue
+        if not (a <= np.float64(size[0] - 2) and b <= np.float64(size[1] - 2) and c <= np.float64(max(size[2] - 2, 0))):
+            continue
+        asking[4 * used], asking[4 * used + 1] = places[0][row], places[1][row]
+        asking[4 * used + 2], asking[4 * used + 3] = places[2][row], reach[row]
+        rows[used], cells[used] = row, (whole(c) * size[1] + whole(b)) * size[0] + whole(a) + shift
+        used += 1
+    return used
 
 
 @kernel
 def _filled(
-    cells: InCells, across: I64, layer: I64, spans: I64, most: I64, heaps: BOOL, work: Candidates, i: Indices, j: Indices
-) -> tuple[I64, I64]:
-    """Fill `i` and `j` with pairs and give how many there are (-3 where these are too short, -2 as `_pairs`) and in how many
-    spans some are left out."""
-    ordered, rows, cell_of, starts = cells
-    one, other, near = work
-    used, last_cell, count, left_out = 0, starts.size - 1, rows.size, 0
+    asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, most: I64, heaps: BOOL,
+    room: Room, i: Array1[I64], j: Array1[I64],
+) -> tuple[I64, I64]:  # fmt: skip
+    """Fill `i` and `j` with pairs and give how many there are and in how many spans some are left out. -3: these are too short;
+    -2: there are more than `most` agents in three cells in a row, and heaps are not to be met in part. `shifts`: numbers of the
+    cells in the middle of three, less that of the agent's own; `own`: agents ask about those after them, first in their cell.
+    `room`: candidates of some agents, listed without a branch that is hard to foretell, and who is near."""
+    (asks, asking_rows, asking_keys), (ordered, rows, keys), (one, other, near) = asking, agents, room
+    used, count, left_out = 0, asking_rows.size, 0
     for begin in range(0, count, _TOGETHER):
         candidates = 0
         for at in range(begin, min(begin + _TOGETHER, count)):
-            key = cell_of[at]
-            for span in range(spans):
-                first, last = at + 1, starts[min(key + 2, last_cell)]
-                if span > 0:
-                    shift = across if span == 1 else layer + (span - 3) * across
-                    first, last = starts[min(key + shift - 1, last_cell)], starts[min(key + shift + 2, last_cell)]
+            middle = asking_keys[at]
+            for span in range(shifts.size):
+                key = middle + shifts[span]
+                last = agents_before(starts, keys, min(max(key + 2, 0), cells))
+                if own and span == 0:
+                    first = at + 1
+                else:
+                    first = agents_before(starts, keys, min(max(key - 1, 0), cells))
                 if last - first > most:
                     if not heaps:
                         return -2, 0
@@ -397,13 +289,13 @@ def _filled(
                 candidates += last - first
         for n in independent(0, candidates):
             p, q = one[n], other[n]
-            (x, y, z, wide), (u, v, w, far) = consecutive(ordered, 4 * p, 4), consecutive(ordered, 4 * q, 4)
-            x, y, z, room = u - x, v - y, w - z, wide + far
-            near[n] = 1 if (x * x + y * y) + z * z <= room * room else 0
+            (x, y, z, wide), (u, v, w, far) = consecutive(asks, 4 * p, 4), consecutive(ordered, 4 * q, 4)
+            x, y, z, reach = u - x, v - y, w - z, wide + far
+            near[n] = 1 if (x * x + y * y) + z * z <= reach * reach else 0
         found = listed(near, candidates)
         if used + found > i.size:
             return -3, 0
         for n in range(found):
-            i[used + n], j[used + n] = rows[one[near[n]]], rows[other[near[n]]]
+            i[used + n], j[used + n] = asking_rows[one[near[n]]], rows[other[near[n]]]
         used += found
     return used, left_out

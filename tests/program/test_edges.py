@@ -200,6 +200,15 @@ def test_overlap_is_exact_however_dense_a_crowd_is(spread: float) -> None:
     assert worst_overlaps(*place.T.copy(), radius) == pytest.approx(expected.max(axis=1), abs=1e-6)
 
 
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_few_agents_overlap_or_none(count: int) -> None:
+    place, radius = np.full((3, count), 4, np.float32), np.zeros(count, np.float32)
+    assert worst_overlaps(*place, radius).tolist() == [float(count > 1)] * count
+    place[0, 1:] += np.float32(0.5)
+    assert worst_overlaps(*place, radius + 1).tolist() == [0.75 if count > 1 else 0] * count
+    assert worst_overlaps(*place, radius).tolist() == [0] * count
+
+
 def test_overlaps_of_thousands_in_one_place_are_exact() -> None:
     place, radius = np.zeros((3, 20_000), np.float32), np.full(20_000, 2, np.float32)
     assert (worst_overlaps(*place, radius) == 1).all()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from itertools import combinations
 
 import meshes
 import numpy as np
@@ -15,8 +14,6 @@ from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash
 from antdsl.runtime.moving import capsules, contacts
 from antdsl.runtime.moving.capsules import Crowd, depths, find
 from antdsl.scene.setting import CrowdData, MeshData, PlaceData, Setting
-from antdsl.senses import touching
-from antdsl.senses.touching import within_reach
 
 RESTING = """ant 1
 species ant {
@@ -207,55 +204,6 @@ def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
 
 
 # --- who is near ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "size, reach", [((90, 90, 0), (1, 1.2)), ((60, 60, 60), (1, 8)), ((90, 90, 4), (0.5, 6)), ((1e6, 1e6, 3), (1, 2))]
-)
-def test_every_pair_in_reach_is_found_once(size: tuple[float, ...], reach: tuple[float, float]) -> None:
-    random = np.random.default_rng(1)
-    place, wide = random.random((250, 3)) * size, random.uniform(*reach, 250)
-    found = within_reach((place[:, 0].copy(), place[:, 1].copy(), place[:, 2].copy()), wide, np.arange(250))
-    apart = np.linalg.norm(place[:, None] - place[None], axis=2)
-    expected = {(i, j) for i, j in combinations(range(250), 2) if apart[i, j] <= wide[i] + wide[j]}
-    assert found.all_of_them and len(found.i) == len(expected)
-    assert {(min(i, j), max(i, j)) for i, j in zip(found.i.tolist(), found.j.tolist(), strict=True)} == expected
-
-
-def test_thousands_in_one_place_are_paired_with_a_bounded_number_each() -> None:
-    n = 7500
-    place = np.zeros(n)
-    found = within_reach((place, place, place), np.ones(n), np.arange(n))
-    each = np.bincount(np.concatenate([found.i, found.j]), minlength=n)
-    assert not found.all_of_them and each.min() >= 40 and len(found.i) < 60 * n
-
-
-def test_who_is_left_out_of_a_heap_goes_by_ids_and_not_by_rows() -> None:
-    random = np.random.default_rng(2)
-    place, wide = random.random((400, 3)) * (4, 4, 0.1), np.where(np.arange(400) < 20, 6.0, 1.0)
-    found = set()
-    for rows in (np.arange(400), random.permutation(400)):
-        x, y, z = np.ascontiguousarray(place[rows].T)
-        pairs = within_reach((x, y, z), wide[rows], rows)
-        assert not pairs.all_of_them
-        ends = np.sort(np.stack([rows[pairs.i], rows[pairs.j]]), axis=0)
-        found.add(tuple(sorted(zip(*ends.tolist(), strict=True))))
-    assert len(found) == 1
-
-
-@pytest.mark.parametrize("size", [(0, 0, 0), (4, 4, 0.1), (40, 3, 0), (4, 4, 9), (5, 5, 5)])
-def test_the_same_pairs_of_a_heap_are_left_out_by_the_loop_and_by_arrays(
-    size: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    random = np.random.default_rng(3)
-    x, y, z = np.ascontiguousarray((random.random((700, 3)) * size).T)
-    wide, order, found = np.ones(700), random.permutation(700), []
-    for loop in (touching._by_loop, lambda *_: None):  # arrays are for crowds that are spread far, and of several sizes
-        monkeypatch.setattr(touching, "_by_loop", loop)
-        pairs = within_reach((x, y, z), wide, order)
-        assert not pairs.all_of_them
-        found.append(sorted(zip(*np.sort(np.stack([pairs.i, pairs.j]), axis=0).tolist(), strict=True)))
-    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("n", [300, 600])

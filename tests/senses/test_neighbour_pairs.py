@@ -8,9 +8,10 @@ from foraging_shots import EXAMPLE, world
 
 from antdsl import limits
 from antdsl.numerics import parallel
+from antdsl.numerics.sorting import stable_order
 from antdsl.runtime import Options, item_pairs, state_hash, step
-from antdsl.senses import neighbours
-from antdsl.senses.cell_order import Shape, ordered
+from antdsl.senses import cell_order, neighbours
+from antdsl.senses.cell_order import NO_ORDER, CellOrder, Shape, box_around, in_order
 from antdsl.senses.neighbours import CellGrid, Pairs, TooManyWithin
 
 EXTENTS = ((400, 10, 400), (100, 100, 100), (3000, 0, 0), (0, 900, 0), (9e6, 4e4, 9e6), (60, 1, 60))
@@ -41,8 +42,7 @@ def view_of(n: int) -> tuple[np.ndarray, ...]:
 def all_pairs(grid: CellGrid, query, radius, who=None, view=None) -> list[tuple[np.ndarray, ...]]:
     """Pairs as `CellGrid.pairs` gives them, from all candidates of one query after another."""
     reach = np.broadcast_to(np.float32(radius), query[0].shape)
-    key = np.full(len(grid.ids), -1)
-    key[grid._rows] = grid._keys
+    key = np.where(np.isfinite([grid.x, grid.y, grid.z]).all(axis=0), cells_of(grid.shape, [grid.x, grid.y, grid.z]), -1)
     result = []
     with np.errstate(all="ignore"):
         for i in np.flatnonzero(np.isfinite(query[0]) & np.isfinite(query[1]) & np.isfinite(query[2]) & (reach >= 0)):
@@ -79,39 +79,89 @@ def test_pairs_are_all_in_reach_in_the_order_of_cells_and_ids(extent, radius) ->
     )
 
 
-@pytest.mark.parametrize("ascending", [False, True])
+def cells_of(shape: Shape, positions) -> np.ndarray:
+    """The number of each agent's cell; as many as there are cells where a place is not finite."""
+    key = np.zeros(len(positions[0]), np.int64)
+    finite = np.isfinite(np.array(positions)).all(axis=0)
+    for axis, low, width, size in reversed(list(zip(shape.axes, shape.low, shape.width, shape.size, strict=True))):
+        along = np.where(finite, positions[axis], low).astype(np.float64)
+        key = key * size + np.clip(np.floor((along - low) * (1 / width)), 0, size - 1).astype(np.int64)
+    return np.where(finite, key, shape.cells)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 4])
 @pytest.mark.parametrize("extent", (*EXTENTS, (0, 0, 0)), ids=str)
-def test_agents_are_put_in_the_order_of_cells_and_ids(extent, ascending) -> None:
-    positions, ids = crowd(extent)
-    if ascending:
-        ids = np.sort(ids)
-    nobody = [np.full(5, np.nan, np.float32)] * 3
-    for cell in (0.0, 6.0, 80.0, 5e4, np.inf):
-        for columns, names in ((positions, ids), (nobody, np.arange(5)), ([np.empty(0, np.float32)] * 3, np.arange(0))):
-            result = ordered(*columns, names, cell)
-            rows = np.flatnonzero(np.isfinite(columns[0]) & np.isfinite(columns[1]) & np.isfinite(columns[2]))
-            wide = [np.float64(column[rows]) for column in columns]
-            box = [[float(each.min()) for each in wide], [float(each.max()) for each in wide]] if len(rows) else [[0.0] * 3] * 2
-            shape = Shape.of(*box, cell)
-            shape = shape.as_sheet() if shape.is_sheet(wide) else shape
-            assert result.shape == shape
-            fast, middle, slow = (
-                np.floor((wide[axis] - low) / width).astype(int)
-                for axis, low, width in zip(shape.axes, shape.low, shape.width, strict=True)
-            )
-            key = (slow * shape.size[1] + middle) * shape.size[0] + fast
-            order = np.lexsort((names[rows], key))
-            assert np.array_equal(result.rows, rows[order]) and np.array_equal(result.keys, key[order])
-            assert all(np.array_equal(own, column[rows[order]]) for own, column in zip(result.places, columns, strict=True))
-            assert (result.starts is None) == (shape.cells > max(1 << 16, 16 * len(rows)))
-            if result.starts is not None:
-                assert np.array_equal(result.starts, np.searchsorted(key[order], np.arange(shape.cells + 1)))
+def test_agents_are_put_in_the_order_of_cells(monkeypatch: pytest.MonkeyPatch, extent, threads: int) -> None:
+    monkeypatch.setattr(cell_order, "_CHUNKED", 20)
+    for name in ("LIGHT", "PART"):
+        monkeypatch.setattr(parallel, name, 16)
+    for module in (cell_order, parallel):
+        monkeypatch.setattr(module, "cores", lambda: threads)
+    many, ids = crowd(extent)
+    crowds = [[each[:count] for each in many] for count in (0, 1, 2, 8, 50, 333, 2000)]
+    for positions in (*crowds, [np.full(5, np.nan, np.float32)] * 3):
+        columns, count = tuple(np.ascontiguousarray(each) for each in positions), len(positions[0])
+        finite = np.isfinite(np.array(columns)).all(axis=0)
+        low, high = box_around(columns)
+        assert low == [float(each[finite].min()) if finite.any() else 0 for each in columns]
+        assert high == [float(each[finite].max()) if finite.any() else 0 for each in columns]
+        order = CellOrder(count, threads)
+        for cell in (6.0, 80.0, 0.0, 5e4, 2.0, np.inf):  # arrays serve again
+            shape = Shape.of(low, high, cell)
+            for each in (shape, shape.as_sheet() if shape.extent[2] > 0 else shape):
+                key = cells_of(each, columns)
+                for names in (NO_ORDER, stable_order(ids[:count])):
+                    order.sort(each, columns, names)
+                    rows = names if names.size else np.arange(count)
+                    rows = rows[np.argsort(key[rows], kind="stable")]
+                    assert np.array_equal(order.rows, rows) and np.array_equal(order.at[rows], np.arange(count))
+                    for own, column in zip(order.columns, columns, strict=True):
+                        assert np.array_equal(own[:count], column[rows], equal_nan=True)
+                    assert np.array_equal(
+                        order.tables["places"][:count, :3].T, [column[rows] for column in columns], equal_nan=True
+                    )
+                    assert (order.tables["starts"] is None) == (each.cells > max(1 << 16, 16 * count)) == (order.starts.size == 0)
+                    if order.starts.size:
+                        assert np.array_equal(
+                            order.starts[: each.cells + 1], np.searchsorted(key[rows], np.arange(each.cells + 1))
+                        )
+                    else:
+                        assert np.array_equal(order.keys, key[rows]) and order.tables["keys"] is order.keys
+                    width = order.tables["floats"][3:6]
+                    assert width.tolist() == each.width and order.tables["whole"].tolist() == [*each.axes, *each.size, count]
+
+
+@pytest.mark.parametrize(
+    "layers, agents, sheet", [(1, 900, True), (2, 9000, True), (5, 9000, False), (5, 1200, True), (5, 300, True)]
+)
+def test_a_crowd_of_few_layers_is_a_sheet(layers: int, agents: int, sheet: bool) -> None:
+    rng = np.random.default_rng(3)
+    x, z = rng.uniform(0, 300, (2, agents)).astype(np.float32)
+    y = (rng.integers(0, layers, agents) * 20 + rng.uniform(0, 1, agents)).astype(np.float32)
+    x[::50] = np.nan
+    shape = Shape.of(*box_around((x, y, z)), 20.0)
+    assert shape.is_sheet((x, y, z)) == sheet
+    assert not Shape.of([0, 0, 0], [300, 0, 300], 20.0).is_sheet((x, y, z))
+    x[1:3], z[1:3] = (-1e6, 1e6), (-1e6, 1e6)
+    shape = Shape.of(*box_around((x, y, z)), 20.0)
+    assert not shape.listed(agents) and shape.is_sheet((x, y, z)) == sheet
+
+
+@pytest.mark.parametrize("count", [1, 3, 16, 2500])
+def test_registers_are_put_in_the_order_of_cells(count: int) -> None:
+    rng = np.random.default_rng(count)
+    four, at = rng.random((4, count)).astype(np.float32), rng.permutation(count).astype(np.int32)
+    expected, ordered = np.zeros((count, 4), np.float32), np.zeros((count, 4), np.float32)
+    expected[at] = four.T
+    for first in range(0, count, 1000):
+        in_order(at, tuple(four), ordered.reshape(-1), first, min(first + 1000, count))
+    assert np.array_equal(ordered, expected)
 
 
 def test_a_cell_table_too_large_to_list_is_searched() -> None:
     positions, ids = crowd(EXTENTS[4])
     grid = CellGrid(*positions, ids, 2e4)
-    assert grid._starts is None
+    assert not grid.order.starts.size
     pairs = grid.pairs(None, 1e5)
     assert_same(pairs, all_pairs(grid, positions, 1e5, ids))
     assert pairs.i.size > 1000

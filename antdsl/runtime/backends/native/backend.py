@@ -47,7 +47,7 @@ class NativeBackend(NumpyBackend):
         self._rooms = Rooms()
         self._versions: list[int] = []
         self._widest: dict[tuple[str, str, int], float] = {}
-        self._grids: Grids | None = None
+        self._grids = Grids()
 
     @property
     def by(self) -> str:
@@ -70,8 +70,7 @@ class NativeBackend(NumpyBackend):
             self._versions = versions
             self._rooms.forget()
         self._rooms.settle(world.populations.values())
-        if self._grids is not None:
-            self._grids.forget()
+        self._grids.forget()
         super().begin(world)
 
     def told(self) -> list[str]:
@@ -114,7 +113,7 @@ class NativeBackend(NumpyBackend):
                     f"in antdsl ({type(problem).__name__}: {problem})"
                 )
         if ready is not None:
-            self.ready, self._grids = ready, Grids(ready.function, self._rooms)
+            self.ready = ready
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births are NumPy's."""
@@ -150,13 +149,12 @@ class NativeBackend(NumpyBackend):
 
     def _cells(self, world: World, population: Population, block: str, near: Near, number: int) -> Arrays:
         """Cells for a search: they suit the greatest radius of the step before, or at first what `_guessed` gives."""
-        assert self._grids is not None
         key = (population.name, block, number)
         other = world.populations[near.species]
         if key not in self._widest:
             self._widest[key] = _guessed(world, population, other, [chosen.args[0] for chosen in near.sets])
         widest = self._widest[key]
-        beside = [(names, [self._rooms.moved(other, name, start=True)[1] for name in names.split()]) for names in near.beside]
+        beside = [(names, [other.start[name] for name in names.split()]) for names in near.beside]
         return self._grids.of(world, other, widest if widest > 0 else 1.0, beside)
 
 

@@ -11,7 +11,7 @@ from antdsl.machine_code.module import Module
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction
-from antdsl.runtime.backends.native import cell_sort, search, sets
+from antdsl.runtime.backends.native import search, sets
 from antdsl.runtime.backends.native.asking import ask
 from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
 from antdsl.runtime.backends.native.layout import KINDS, Layout
@@ -91,5 +91,4 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
             if each.does not in PAIRED and isinstance(each.what, ir.Node):
                 for part, kind in enumerate(ir.TUPLES.get(each.what.op, (each.what.kind,))):
                     code.layout.array(each.out, part, KINDS[kind])
-    cell_sort.write(module)
     return Program(module.text(), module.functions, {name: module.unit(name) for name in module.entries()}, found)
