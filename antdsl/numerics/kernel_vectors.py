@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, inlined
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, inlined
 
 Vec3 = tuple[F64, F64, F64]
 Vec3F32 = tuple[F32, F32, F32]
@@ -155,3 +155,31 @@ def nearest(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
                 b1, b2, best = x, y, dot(off, off)
     off = minus(minus(v, times(edge1, b1)), times(edge2, b2))
     return b1, b2, np.sqrt(dot(off, off))
+
+
+@inlined
+def divide(a: Vec3, s: F64) -> Vec3:
+    return a[0] / s, a[1] / s, a[2] / s
+
+
+@inlined
+def unit(v: Vec3) -> Vec3:
+    return divide(v, max(np.sqrt(dot(v, v)), 1e-300))
+
+
+@inlined
+def row64(vectors: Array2[F32], i: I64) -> Vec3:
+    """One of vectors (n, 3), in float64."""
+    return np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
+
+
+@inlined
+def column64(vectors: Strided2[F64], i: I64) -> Vec3:
+    """One of vectors (3, n), in float64."""
+    return np.float64(vectors[0, i]), np.float64(vectors[1, i]), np.float64(vectors[2, i])
+
+
+@inlined
+def rotated(v: Vec3, axis: Vec3, c: F64, s: F64) -> Vec3:
+    """A vector turned about a unit axis by an angle of a cosine and a sine (O. Rodrigues, 1840)."""
+    return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))

@@ -1,7 +1,4 @@
-"""Does it look alive? Measures of motion over a run (decision 31): numbers that are right and ants that twitch are a failure.
-
-Nothing here acts on the agents, and nothing is part of the state.
-"""
+"""Does it look alive? Measures of motion over a run. Nothing here acts on the agents, and nothing is part of the state."""
 
 from __future__ import annotations
 
@@ -41,8 +38,7 @@ _DEEP = 0.05  # of its width: farther in another than this an agent is seen to b
 _AT_EVERY_STEP = 2_000  # agents whose trunks are measured in every step; of so many times more, as many times more seldom
 _COUNTS = (
     "turns", "tilts", "overlaps", "standing", "wishing", "ways", "circling", "straightness", "steps",
-    "tilt_max", "step_max", "heads", "heads_inside", "placed", "overlapping",
-    "deep_max",
+    "tilt_max", "step_max", "heads", "heads_inside", "placed", "overlapping", "deep_max",
 )  # fmt: skip
 _WAYS = ("ids", "start", "path", "age")
 _SEEN = tuple(f"{name}.{axis}" for name in ("position", "heading", "up") for axis in AXES)

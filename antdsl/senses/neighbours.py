@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,17 @@ Grid = tuple[Columns, Array1[I32], Array1[I64], Array1[I64], Array1[I32], Three,
 # Places x, y, z and along the fast, middle and slow axis, ids, radius, heading and the cosine of the field of view
 Query = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
 Found = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+
+
+class Progress(NamedTuple):
+    """How far a search came: the next query, the pairs found, and how long `spans` and `near` must be to continue.
+
+    `near` is -1 where a query has more others within its radius than are allowed."""
+
+    query: I64
+    pairs: I64
+    spans: I64
+    near: I64
 
 
 class TooManyWithin(Exception):
@@ -266,11 +277,10 @@ def _bound(
 @kernel
 def _fill(
     grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: Found, k: I64, used: I64
-) -> tuple[I64, I64, I64, I64]:
+) -> Progress:
     """Go on with query k, with so many pairs found before it, until an array is too short.
 
-    Gives the query come to, the pairs found, and how long `spans` and `near` must be to go on (-1: a query has more than `limit`
-    others within its radius). Of more than `NEIGHBOURS` the nearest are taken, by distance and id..
+    Of more than `NEIGHBOURS` the nearest are taken, by distance and id.
     """
     (sx, sy, sz), rows, names, keys, starts, low, inverse, width, size = grid
     (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
@@ -288,9 +298,9 @@ def _fill(
             float(fast[k]), float(middle[k]), float(slow[k]), float(reach), keys, starts, low, inverse, width, size, spans
         )
         if number < 0:
-            return k, used, total, near.size
+            return Progress(k, used, total, near.size)
         if total > near.size:
-            return k, used, spans.size, total
+            return Progress(k, used, spans.size, total)
         beyond = reach * reach * _BEYOND + np.float32(1e-30)
         found = 0
         for s in range(number):
@@ -307,11 +317,11 @@ def _fill(
                 ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
                 count += (np.sqrt((ux * ux + uy * uy) + uz * uz) <= reach) & (not own or names[at] != name)
             if count > limit:
-                return k, used, spans.size, -1
+                return Progress(k, used, spans.size, -1)
             if count > NEIGHBOURS:
                 farthest, last = _bound(sx, sy, sz, names, near, found, x, y, z, reach, name)
         if used + found > i.size:
-            return k, used, spans.size, near.size
+            return Progress(k, used, spans.size, near.size)
         for p in range(found):
             at = near[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
@@ -326,4 +336,4 @@ def _fill(
             dx[used], dy[used], dz[used], distance[used] = ux, uy, uz, length
             used += good
         k += 1
-    return k, used, spans.size, near.size
+    return Progress(k, used, spans.size, near.size)

@@ -38,7 +38,7 @@ FORBIDDEN_ATTRIBUTES = frozenset(
 )
 FORBIDDEN_NAMES = frozenset(["utils", "util", "helpers", "common", "base", "manager", "misc"])
 HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "mapbox_earcut", "PIL", "imageio_ffmpeg", "graphlay"])
-OPEN3D_DOOR = PACKAGE / "casting" / "rays.py"
+OPEN3D_DOOR = PACKAGE / "casting" / "open3d_module.py"
 
 
 def room(path: Path) -> str:
@@ -131,6 +131,7 @@ OWN_FILES = {
     "numerics/memory.py": "what the system tells about memory",
     "cli/printing/messages.py": "the null device",
     "scene/paths.py": "folders, part by part",
+    "scene/library_bodies.py": "the list of the bodies that come with the package",
     "reader/child.py": "the null device, pipes that it was given",
     "reader/client.py": "the null device",
     "reader/sandbox.py": "folders that are granted to Landlock",

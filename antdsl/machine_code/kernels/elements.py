@@ -50,11 +50,18 @@ class Elements(Arithmetic):
             place = self.arithmetic(node, ast.Add(), place, number)
         return place
 
+    def count(self, array: Array) -> Number:
+        """How many elements an array has."""
+        found = array.lengths[0]
+        for each in array.lengths[1:]:
+            found = self.op("mul", INT, found, each)
+        return found
+
     def fetch(self, array: Array, at: Number) -> Number:
         """The element so far behind the first one."""
         scalar = array.of
         if not at.wide:
-            found = self.op("load", scalar.loaded, self._counting(self._place(array, at)))
+            found = self.op("load", scalar.loaded, self._counting(array, at))
         elif at.first:
             self._check_span(array, at.first)
             found = self._load_lanes(array, scalar.loaded, self._place(array, at.first))
@@ -124,10 +131,17 @@ class Elements(Arithmetic):
         index = Number(INT, str(at)) if isinstance(at, int) else at
         return self.op("element", "ptr", address, index, x=array.of.stored, lanes=index.lanes)
 
-    def _counting(self, place: Number) -> Number:
-        """The address of an element that is the same for all turns; of zeros where no turn counts, and the index may be none."""
-        counts = self.counts()
-        return place if counts is None else self.op("select", "ptr", counts, place, ZEROS)
+    def _counting(self, array: Array, at: Number) -> Number:
+        """The address of an element that is the same for all turns. Where no turn counts, its index may be none: then that of
+        zeros. The comparison is with the array's length, and not the mask, so that LLVM can move the load out of loops."""
+        place = self._place(array, at)
+        if self.mask is None or self.mask.known is not None or self.mask is self.reached:
+            return place
+        if array.steps is not None:
+            counts = self.some(self.mask)
+        else:
+            counts = self.both(self.compare("ge", at, constant(0)), self.compare("lt", at, self.count(array)))
+        return place if counts.known is not None else self.op("select", "ptr", counts, place, ZEROS)
 
     def _places(self, array: Array, at: Number) -> Number:
         """The addresses of elements; of zeros that nobody writes to for turns that do not count."""

@@ -177,13 +177,6 @@ class Expressions(Elements):
             value = self.convert(number, kind)
             self.put(place, self.widened(value) if each > 1 else value)
 
-    def count(self, array: Array) -> Number:
-        """How many elements an array has."""
-        found = array.lengths[0]
-        for each in array.lengths[1:]:
-            found = self.op("mul", INT, found, each)
-        return found
-
     def inverted(self, value: Number) -> Number:
         """Of a condition whether it does not hold, of a number its bits the other way."""
         ones = Number(value.kind, "true" if value.kind == TRUTH else "-1")

@@ -27,8 +27,7 @@ _TINY = _F(1e-12)  # as `vectors.unit`
 _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
 _SLACK = _F(1e-4)  # as `obstacle_clearance`
 _WIDER = _F(1) + _SLACK
-_LOOKS = 1 + 1e-6  # more than rounding makes of a distance
-_LONGER = _F(1) + _F(1e-6)  # more than rounding makes a way shorter
+_LOOKS, _LONGER = 1 + 1e-6, _F(1) + _F(1e-6)  # more than rounding makes of a distance, or a path shorter
 
 
 def slide(world: World, population: Population, step: Vector, up: Columns, radius: NDArray[np.float32]) -> Vector:
@@ -81,14 +80,9 @@ def _where_they_were(population: Population, threads: int) -> bool:
 
 
 def _along(
-    scene: RayScene,
-    place: Vector,
-    step: Vector,
-    up: Columns,
-    radius: NDArray[np.float32],
-    clear: NDArray[np.float32],
+    scene: RayScene, place: Vector, step: Vector, up: Columns, radius: NDArray[np.float32], clear: NDArray[np.float32],
     threads: int,
-) -> Vector:
+) -> Vector:  # fmt: skip
     """Steps (mm) of agents at places, bent along one obstacle; `clear` (mm) of it are they at least."""
     n = len(radius)
     tables = scene.tables()

@@ -33,7 +33,20 @@ from antdsl.machine_code.kernels import (
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.elementary_loops import atan2, cos_sin
-from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, cross, dot, minus, plus, times
+from antdsl.numerics.kernel_vectors import (
+    Vec3,
+    VectorColumns,
+    column64,
+    cross,
+    divide,
+    dot,
+    minus,
+    plus,
+    rotated,
+    row64,
+    times,
+    unit,
+)  # fmt: skip
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.headings import LEANS, STANDS
 from antdsl.runtime.moving.rises import find_walls, reaches
@@ -83,16 +96,6 @@ def _registers(values: dict[str, NDArray[Any]]) -> tuple[Vector, Vector]:
 
 
 @inlined
-def _over(a: Vec3, s: F64) -> Vec3:
-    return a[0] / s, a[1] / s, a[2] / s
-
-
-@inlined
-def _unit(v: Vec3) -> Vec3:
-    return _over(v, max(np.sqrt(dot(v, v)), 1e-300))
-
-
-@inlined
 def _of(vectors: VectorColumns, i: I64) -> Vec3:
     """One of vectors (3, n), in float64."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
@@ -104,22 +107,10 @@ def _across(v: Vec3, up: Vec3) -> Vec3:
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
     if size > 1e-6:
-        return _over(flat, size)
+        return divide(flat, size)
     axis = (0.0, 1.0, 0.0) if abs(up[0]) > _STEEP else (1.0, 0.0, 0.0)
     side = minus(axis, times(up, dot(axis, up)))
     return times(side, 1 / np.sqrt(dot(side, side)))
-
-
-@inlined
-def _row(vectors: Array2[F32], i: I64) -> Vec3:
-    """One of vectors (n, 3), in float64."""
-    return np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
-
-
-@inlined
-def _column(vectors: Strided2[F64], i: I64) -> Vec3:
-    """One of vectors (3, n), in float64."""
-    return np.float64(vectors[0, i]), np.float64(vectors[1, i]), np.float64(vectors[2, i])
 
 
 @inlined
@@ -141,21 +132,15 @@ def _axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
     axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
     if sine > _OPPOSITE or cosine > 0:
-        return _over(axis, max(sine, 1e-300)), cosine, sine
-    return _unit(cross(one, ahead)), cosine, sine
-
-
-@inlined
-def _rotated(v: Vec3, axis: Vec3, c: F64, s: F64) -> Vec3:
-    """A vector turned about a unit axis by an angle of a cosine and a sine (O. Rodrigues, 1840)."""
-    return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))
+        return divide(axis, max(sine, 1e-300)), cosine, sine
+    return unit(cross(one, ahead)), cosine, sine
 
 
 @called
 def _laid(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
     """A heading across one normal, turned as that is turned into another."""
     axis, cosine, sine = _axis(one, other, heading)
-    return _across(_rotated(heading, axis, cosine, sine), other)
+    return _across(rotated(heading, axis, cosine, sine), other)
 
 
 @inlined
@@ -175,10 +160,10 @@ def _tilted(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, g
     least = _F(min(part, left))
     if not (least > 0 and sine > 1e-6):
         return n
-    side = cross(_over(axis, max(sine, 1e-300)), n)
+    side = cross(divide(axis, max(sine, 1e-300)), n)
     c, s = cos_sin(least)
     turned = plus(times(n, np.float64(c)), times(side, np.float64(s)))
-    return _over(turned, np.sqrt(dot(turned, turned)))
+    return divide(turned, np.sqrt(dot(turned, turned)))
 
 
 @inlined
@@ -208,29 +193,22 @@ def stood(
     state[i] = STANDS
     if _leaning(up, normal, i):
         state[i] = LEANS
-        found = _laid(_of(heading, i), _of(up, i), _row(normal, i))
+        found = _laid(_of(heading, i), _of(up, i), row64(normal, i))
         looking[0][i], looking[1][i], looking[2][i] = _F(found[0]), _F(found[1]), _F(found[2])
 
 
 @kernel
 def settled(
-    rows: Array1[I64],
-    state: Array1[I32],
-    normal: Array2[F32],
-    looking: VectorColumns,
-    walls: WallArrays,
-    start_up: VectorColumns,
-    start_heading: VectorColumns,
-    now_up: VectorColumns,
-    now_heading: VectorColumns,
-) -> None:
+    rows: Array1[I64], state: Array1[I32], normal: Array2[F32], looking: VectorColumns, walls: WallArrays,
+    start_up: VectorColumns, start_heading: VectorColumns, now_up: VectorColumns, now_heading: VectorColumns,
+) -> None:  # fmt: skip
     """Let bodies of `rows` that have a wall before them by their `state` stand tilted for it."""
     wall, ahead, angle, far, over = walls
     for i in rows:
         j = state[i]
         if j >= 0:
-            ground = _row(normal, i)
-            up = _tilted(ground, _column(wall, j), _column(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
+            ground = row64(normal, i)
+            up = _tilted(ground, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
             facing = _laid(_of(looking, i), ground, up)
             for k in range(3):
                 start_up[k][i] = _F(up[k])
@@ -259,7 +237,7 @@ def _lay(
     for i in range(begin, end):
         if not _leaning(now_up, normal, i):
             continue
-        found = _laid(_of(start_heading, i), _of(start_up, i), _row(normal, i))
+        found = _laid(_of(start_heading, i), _of(start_up, i), row64(normal, i))
         rows[count] = i
         for k in range(3):
             up[k, count], heading[k, count], along[k, count] = start_up[k][i], start_heading[k][i], _F(found[k])
@@ -317,12 +295,12 @@ def pace(
             continue
         way, stands = _of(step, i), _of(up, i)
         size = np.sqrt(dot(way, way))
-        wanted = _row(normal, i)
+        wanted = row64(normal, i)
         room = np.inf
         if j >= 0:
-            w, a = _column(wall, j), _column(ahead, j)
+            w, a = column64(wall, j), column64(ahead, j)
             wanted = _tilted(wanted, w, a, angle[j], far[j], over[j], zero)
-            towards = _nearer(_over(way, max(size, 1e-300)), w, a)
+            towards = _nearer(divide(way, max(size, 1e-300)), w, a)
             across = cross(stands, w)
             left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stands, w))))
             tilt = angle[j] - left + np.float64(most[i])
@@ -386,7 +364,7 @@ def follow(
         gone = (place[i, 0] - before[i, 0], place[i, 1] - before[i, 1], place[i, 2] - before[i, 2])
         wanted = normal
         if j >= 0:
-            wanted = _tilted(normal, _column(wall, j), _column(ahead, j), angle[j], far[j], over[j], gone)
+            wanted = _tilted(normal, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], gone)
         axis, cosine, sine = _axis(stands, wanted, look)
         whole = atan2(_F(sine), _F(cosine))
         if whole <= most[i]:
@@ -394,8 +372,8 @@ def follow(
         else:
             part = cos_sin(most[i])
             tilt, c, s = most[i], np.float64(part[0]), np.float64(part[1])
-            up = _unit(_rotated(stands, axis, c, s))
-        one = _across(_rotated(look, axis, c, s), up)
+            up = unit(rotated(stands, axis, c, s))
+        one = _across(rotated(look, axis, c, s), up)
         other = _laid(_laid(looking, normal, wanted), wanted, up)
         room = 4.0
         if np.isfinite(max_turn[i]):
@@ -407,9 +385,9 @@ def follow(
         facing = other
         if not abs(yaw) <= most_yaw:
             c32, s32 = cos_sin(most_yaw if yaw > 0 else -most_yaw)
-            facing = _unit(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
+            facing = unit(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
         if j >= 0:
-            w, a = _column(wall, j), _column(ahead, j)
+            w, a = column64(wall, j), column64(ahead, j)
             middle = plus(times(up, 2 * raised * half[j]), times(a, _nearer(gone, w, a) - far[j]))
             with_turn = dot(plus(middle, times(facing, half[j])), w)
             without = dot(plus(middle, times(one, half[j])), w)
