@@ -250,18 +250,6 @@ def sync_file(path: Path) -> None:
         os.close(handle)
 
 
-def drop_cached(path: Path) -> None:
-    """Have the system give back the memory that it keeps a file in, as far as that is on the disk already. It may not."""
-    if not hasattr(os, "posix_fadvise"):
-        return
-    with suppress(OSError):
-        handle = os.open(path, os.O_RDONLY)
-        try:
-            os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
-        finally:
-            os.close(handle)
-
-
 def sync_files(paths: Iterable[Path]) -> None:
     """Bring files that were written before onto the disk, with their names. Raises OSError."""
     folders: dict[Path, None] = {}

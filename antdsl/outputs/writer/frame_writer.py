@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
-from antdsl.limits import KIB
 from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
 from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.cache.zip_parts import Stored
-from antdsl.whole import AppendedFile, drop_cached, sync_files, write_whole
-
-_LARGE = 512 * KIB  # bytes of a file
-_CACHED = 4  # large files, which the disk has meanwhile begun to write
+from antdsl.whole import AppendedFile, sync_files, write_whole
 
 Arrays = Mapping[str, NDArray[Any]]
 Found = dict[str, Any]
@@ -32,7 +27,6 @@ class Scribe:
         self.folder = folder
         self._lines = AppendedFile(folder / HASHES)
         self._unsynced: list[Path] = []
-        self._cached: deque[Path] = deque()  # large files that the system has in memory
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
     def frame(self, frame: int, file: Stored, line: Line) -> Found:
@@ -41,18 +35,8 @@ class Scribe:
         path = frame_path(self.folder, frame)
         write_whole(path, file.parts, sync=False)
         self._unsynced.append(path)
-        self._let_go(path, sum(map(len, file.parts)))
         self._line(frame, line)
         return _spent("write", began)
-
-    def _let_go(self, path: Path, size: int) -> None:
-        """Have the system keep no more than a few large files in memory: new memory for each takes longer than writing it, and
-        other files would lose theirs."""
-        if size < _LARGE:
-            return
-        self._cached.append(path)
-        if len(self._cached) > _CACHED:
-            drop_cached(self._cached.popleft())
 
     def _line(self, frame: int, line: Line) -> None:
         self._last = {frame: line}
@@ -66,9 +50,7 @@ class Scribe:
         lines = self._last or read_lines(self.folder / HASHES)
         self._line(frame, with_checkpoint(frame, lines[frame], file))
         found = self.sync()
-        path = checkpoint_path(self.folder, frame)
-        write_whole(path, file.parts)
-        self._let_go(path, sum(map(len, file.parts)))
+        write_whole(checkpoint_path(self.folder, frame), file.parts)
         found["seconds"] |= {"checkpoint": time.perf_counter() - began - found["seconds"]["sync"]}
         return found
 
