@@ -124,17 +124,15 @@ class RayScene(Nearby):
 
     # ---- rays
 
-    def cast(self, origin: Vectors, direction: Vectors, threads: int = 1, through: bool = False) -> Hits:
-        """First hit of each ray from `origin` [n,3] along `direction` [n,3] (any length). `through`: most are short in the box
-        around all faces, so that the grid names what they meet."""
+    def cast(self, origin: Vectors, direction: Vectors, threads: int = 1) -> Hits:
+        """First hit of each ray from `origin` [n,3] along `direction` [n,3] (any length)."""
         n = len(origin)
         t, mesh, local = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         weights, normal = np.zeros((n, 3)), np.zeros((n, 3), np.float32)
         for start in range(0, n, _CHUNK):
             rays = slice(start, start + _CHUNK)
             way = np.ascontiguousarray(direction[rays], np.float64)
-            first = self._first_through if through else self._first
-            met, here, face, at = first(np.asarray(origin[rays], np.float64) - self.origin, way, np.inf, threads)
+            met, here, face, at = self._first(np.asarray(origin[rays], np.float64) - self.origin, way, np.inf, threads)
             rows = start + met
             t[rows], weights[rows], normal[rows] = here, at, self._towards(face, way[met])
             mesh[rows], local[rows] = self._counted(face)
@@ -176,7 +174,7 @@ class RayScene(Nearby):
         further = np.flatnonzero(face == FURTHER)
         if further.size:
             face[further] = NOTHING
-            rows, part, named, _ = self._first_through(origin[further], way[further], 1.0, threads, most_hit)
+            rows, part, named, _ = self._first(origin[further], way[further], 1.0, threads, most_hit)
             t[further[rows]], face[further[rows]] = part, named
         met = np.flatnonzero(face >= 0)
         return met, t.take(met), face.take(met)
@@ -240,25 +238,6 @@ class RayScene(Nearby):
             return found[0]
         met = np.flatnonzero(near)
         return rows.take(met), here.take(met), named.take(met), weights.take(met, axis=0)
-
-    def _first_through(self, origin: Vectors, way: Vectors, most: float, threads: int, most_hit: bool = False) -> Met:
-        """As `_first`, by the grid for rays that pass few of its cubes."""
-        grid = self._triangles()
-        if grid is None:
-            return self._first(origin, way, most, threads, most_hit)
-        part, named = grid.first_through(origin, way, most, threads)
-        known = np.flatnonzero(named >= 0)
-        here, weights, hit, _ = self._faces.judged(face := named[known], origin[known], way[known], part[known])
-        hit &= here <= most
-        named[known[~hit]] = FURTHER
-        found = known[hit], here[hit], face[hit], weights[hit]
-        left = np.flatnonzero(named == FURTHER)
-        if not left.size:
-            return found
-        rows, *others = self._first(origin[left], way[left], most, threads, most_hit)
-        joined = [np.concatenate(pair) for pair in zip(found, (left[rows], *others), strict=True)]
-        order = np.argsort(joined[0])
-        return tuple(each[order] for each in joined)  # type: ignore[return-value]
 
     def _named(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
         """After about what part of prepared rays Open3D names a face, and which, over all meshes (-1 = none)."""

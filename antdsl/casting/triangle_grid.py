@@ -17,7 +17,7 @@ from antdsl.casting import grid_rays, nearest_faces
 from antdsl.casting.distance_grid import cell_width, sides_and_area
 from antdsl.casting.faces import Faces
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.casting.tolerances import FURTHER, LONGEST, NOTHING, RINGS
+from antdsl.casting.tolerances import LONGEST, RINGS
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
@@ -35,9 +35,6 @@ _CROWDED = 48.0  # faces in the cube of a face, on average: from there on a tree
 _RAYS = 128  # rays or places for which a thread pays
 _MARGIN = 1e-6  # cubes: further than rounding and `CLOSED` move a place off a face
 _THIN = 1e-8  # sine of the corner of a face, below which its plane is noise and rays go through it
-
-
-_PIECE, _PIECES = 15.0, 3  # cubes along the three axes of a piece of a long ray, and the greatest number of pieces
 
 
 class TriangleGrid:
@@ -88,34 +85,6 @@ class TriangleGrid:
         work = partial(grid_rays.firsts, self.tables, origin, way, t, face)
         parallel.in_parts(work, len(origin), threads, _RAYS)
         return t, face
-
-    def first_through(self, origin: Floats, way: Floats, most: float, threads: int = 1) -> tuple[Floats, Index]:
-        """The first face that rays meet within `most` lengths of their way, after about what part of it, piece by piece in the
-        box of all faces. NOTHING where there is none, FURTHER for rays that pass too many cubes there."""
-        low, width = self.tables[0][:3], self.tables[0][3]
-        high = low + self.tables[1] * width
-        with np.errstate(all="ignore"):
-            ends = np.stack([(low - origin) / way, (high - origin) / way])
-        ends = np.where(
-            way == 0.0, np.where((origin >= low) & (origin <= high), [[[-np.inf]], [[np.inf]]], [[[np.inf]], [[-np.inf]]]), ends
-        )
-        begin = np.maximum(np.min(ends, axis=0).max(axis=1), 0.0)
-        end = np.minimum(np.max(ends, axis=0).min(axis=1), most)
-        found, face = np.full(len(origin), np.inf), np.full(len(origin), NOTHING, np.int64)
-        piece = _PIECE * width / np.maximum(np.abs(way).sum(axis=1), 1e-300)
-        face[(end - begin > _PIECES * piece) | ~np.isfinite(origin + way).all(axis=1)] = FURTHER
-        left = np.flatnonzero((face == NOTHING) & (begin <= end))
-        for _ in range(_PIECES + 1):
-            if not left.size:
-                break
-            start, long = np.maximum(begin[left] - 0.01 * piece[left], 0.0), 1.02 * piece[left]
-            part, named = self.first(origin[left] + way[left] * start[:, None], way[left] * long[:, None], threads)
-            met = named != NOTHING
-            rows = left[met]
-            found[rows], face[rows] = (start + long * part)[met], named[met]
-            begin[left] += piece[left]
-            left = left[~met & (begin[left] <= end[left])]
-        return found, face
 
     def faced(
         self, origin: Floats, way: Floats, normals: Floats, named: Index, threads: int = 1

@@ -241,31 +241,3 @@ def test_a_grid_is_made_only_where_it_is_small_and_of_use(monkeypatch: pytest.Mo
     monkeypatch.setattr(triangle_grid, "triangle_cells", lambda *a, **k: listed.append(a) or iter(()))
     monkeypatch.setattr(triangle_grid, "_LISTED", 4000)
     assert RayScene(vertices, faces)._triangles() is None and not listed
-
-
-@pytest.mark.parametrize("name", MESHES)
-def test_rays_through_a_scene_meet_what_open3d_names(name: str) -> None:
-    """Rays from far above and from within, some along an axis, some that miss: by pieces in the grid, or all by Open3D."""
-    scene, rng = RayScene.of(MESHES[name]()), np.random.default_rng(4)
-    corners = scene._faces.corners.reshape(-1, 3) + scene.origin
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    origin = rng.uniform(low - 0.2 * (high - low) - 1.0, high + 0.2 * (high - low) + 1.0, (3_000, 3))
-    way = rng.normal(size=(3_000, 3))
-    way[:1_500] = [0.0, -1.0, 0.0]
-    origin[:1_000, 1] = high[1] + 1_000.0
-    origin[1_500:1_510], way[1_500:1_505], way[1_505:1_510] = low, 0.0, np.nan
-    by_grid, by_tree = (scene.cast(origin, way, through=through) for through in (True, False))
-    same = (by_grid.face == by_tree.face) & (by_grid.mesh == by_tree.mesh) & (by_grid.t == by_tree.t)
-    same &= (by_grid.u == by_tree.u) & (by_grid.v == by_tree.v) & (by_grid.normal == by_tree.normal).all(axis=1)
-    assert same.mean() >= 1 - EXCEPTIONS and by_grid.hit.any()
-
-
-def test_a_ray_that_passes_many_cubes_is_left_to_open3d() -> None:
-    scene = RayScene(*terrain(400, 100))
-    grid = scene._triangles()
-    assert grid is not None
-    low, width = grid.tables[0][:3], grid.tables[0][3]
-    middle = low + grid.tables[1] * width / 2
-    origin = np.array([[middle[0], 1e4, middle[2]], [low[0] - 1.0, middle[1], middle[2]], [0.0, 1e4, 0.0]])
-    _, face = grid.first_through(origin, np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 1e-3], [0.0, 1.0, 0.0]]), np.inf)
-    assert face[0] >= 0 and face[1] == FURTHER and face[2] == NOTHING

@@ -80,7 +80,7 @@ class MeshGround:
         scene, live = self._scene(on)
         middle = (self.low + self.high) / 2
         height = ((middle - points) * up).sum(axis=1) + self.extent * 1.8  # more than the half diagonal above the middle
-        hits = scene.cast(points + up * height[:, None], -up, through=True)
+        hits = scene.cast(points + up * height[:, None], -up)
         found = hits.hit
         face = self._face_of(hits.mesh, hits.face, live)
         place = points + up * (height - np.where(found, hits.t, 0.0))[:, None]

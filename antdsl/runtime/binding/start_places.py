@@ -174,7 +174,7 @@ def inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
         mesh = world.setting.obstacles.get(name)
         if mesh is None or not len(mesh.faces):
             continue
-        hits = mesh_of(world, name).cast(points, up, through=True)
+        hits = mesh_of(world, name).cast(points, up)
         corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges: the origin does not matter
         found |= hits.hit & ((normal * up).sum(axis=1) > 0)
