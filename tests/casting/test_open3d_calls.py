@@ -19,7 +19,7 @@ FORAGING = Path(__file__).parents[2] / "examples" / "foraging" / "scene.yaml"
 
 
 class CountedScene:
-    """An Open3D scene whose calls are counted."""
+    """An Open3D scene that counts its calls."""
 
     def __init__(self, scene: Any, calls: Counter[str]) -> None:
         self._scene, self._calls = scene, calls
@@ -58,9 +58,9 @@ def test_long_rays_go_to_open3d_and_short_ones_to_the_grid(calls: Counter[str]) 
     origin = np.array([[0.0, 500.0, 0.0], [5.0, 500.0, 5.0]])
     down = np.array([[0.0, -1.0, 0.0], [0.0, -1.0, 0.0]])
     assert scene.cast(origin, down).hit.all() and calls["cast_rays"] == 1
-    met, part, _, _ = scene.cast_within(origin, down * 5_000.0, 1)
-    assert len(met) == 2 and calls["cast_rays"] == 2
+    hits, part, _, _ = scene.cast_within(origin, down * 5_000.0, 1)
+    assert len(hits) == 2 and calls["cast_rays"] == 2
     low = np.array([[0.0, 10.0, 0.0], [5.0, 10.0, 5.0]])
-    before = calls.total()
+    total = calls.total()
     scene.cast_within(low, down * 15.0, 1)
-    assert calls.total() == before and part.size == 2
+    assert calls.total() == total and part.size == 2
