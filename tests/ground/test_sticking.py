@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from meshes import box, grid, terrain
+from meshes import ball, box, grid, terrain
 from torture_long import SHAPES, long_walk
 from torture_walks import BODY, crowd, wander
 
+from antdsl.ground.mesh import walk_events
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.sticking import REACH, RISE
+from antdsl.numerics import parallel
 from antdsl.pipeline import Choices, open_scene
 from antdsl.runtime import Options, bind, step
 
@@ -76,6 +79,29 @@ def test_results_are_the_same_bits_for_any_threads() -> None:
         ground, rng = MeshGround({"hill": mesh}, by_rays=True), np.random.default_rng(3)
         *_, (_, at) = wander(ground, crowd(ground, [mesh], 200, rng), 20, rng, threads)
         ends.append(at)
+    for at in ends[1:]:
+        assert np.array_equal(at.position, ends[0].position) and np.array_equal(at.heading, ends[0].heading)
+
+
+def test_agents_near_other_pieces_are_the_same_bits_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each part of the agents that wait for a search of other pieces has room of its own."""
+    monkeypatch.setattr(walk_events, "_WAITING", 1)
+    monkeypatch.setattr(parallel, "cores", lambda: 8)
+    hill, waiting = terrain(60.0, 20), []
+    pieces = {"hill": hill, **{f"ball {k}": ball(4.0, (6.0 * k - 20.0, 0.0, 3.0 * k - 10.0), 12) for k in range(8)}}
+    on = walk_events.CrowdWalk.on
+
+    def counted(self: walk_events.CrowdWalk, some: walk_events.Waiting, *more: Any) -> Any:
+        waiting.append(some.reals.shape[1])
+        return on(self, some, *more)
+
+    monkeypatch.setattr(walk_events.CrowdWalk, "on", counted)
+    ends = []
+    for threads in (1, 2, 7):
+        ground, rng = MeshGround(pieces), np.random.default_rng(3)
+        *_, (_, at) = wander(ground, crowd(ground, list(pieces.values()), 200, rng), 20, rng, threads)
+        ends.append(at)
+    assert max(waiting) > 16, "several parts have agents"
     for at in ends[1:]:
         assert np.array_equal(at.position, ends[0].position) and np.array_equal(at.heading, ends[0].heading)
 

@@ -14,9 +14,8 @@ from antdsl.machine_code import machine
 from antdsl.numerics import parallel
 from antdsl.runtime import Options, bind
 from antdsl.runtime.backends.native import grids
-from antdsl.runtime.backends.native.backend import NativeBackend
-from antdsl.runtime.backends.native.rooms import Rooms
 from antdsl.runtime.world import AXES
+from antdsl.senses import cell_order
 
 pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code here")
 COUNT = 9_003
@@ -24,25 +23,23 @@ COUNT = 9_003
 
 def test_parts_are_sorted_as_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "cores", lambda: 8)
-    monkeypatch.setattr(grids, "cores", lambda: 8)
+    monkeypatch.setattr(cell_order, "cores", lambda: 8)
     shot = case_of("boids").make(COUNT)
-    world = bind(shot.plan, shot.setting, Options(backend="native", wait_for_code=True))
-    world.backend.have_code(world)
-    assert isinstance(world.backend, NativeBackend) and world.backend.ready is not None
+    world = bind(shot.plan, shot.setting, Options())
     (crowd,) = world.populations.values()
     place = [np.random.default_rng(k).choice([0.0, 1.0, 2.5, 40.0], COUNT) for k in range(3)]  # many in one cell, most in none
     for axis, each in zip(AXES, place, strict=True):
         crowd.start[f"position.{axis}"][:] = each
     found: list[dict[str, NDArray[Any]]] = []
     for threads in (1, 2, 3, 7):
-        made = grids.Grids(world.backend.ready.function, Rooms())
+        made = grids.Grids()
         for cell in (2.0, 9.0, 1.0, 2.0):  # fewer cells and more
             made.forget()
             tables = made.of(SimpleNamespace(options=SimpleNamespace(threads=threads)), crowd, cell)  # type: ignore[arg-type]
-            many = int(tables["whole"][7])  # type: ignore[index]
+            cells = int(np.prod(tables["whole"][3:6]))  # type: ignore[index]
             names = ("x", "y", "z", "places", "at")
             own = {name: np.array(tables[name][:COUNT]) for name in names}  # type: ignore[index]
-            found.append(own | {"starts": np.array(tables["starts"][: many - 1])})  # type: ignore[index]
+            found.append(own | {"starts": np.array(tables["starts"][: cells + 1])})  # type: ignore[index]
     for k, own in enumerate(found):
         assert all(np.array_equal(array, found[k % 4][name]) for name, array in own.items())
         rows = own["places"][:, 3].view(np.int32)

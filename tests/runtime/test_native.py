@@ -330,8 +330,8 @@ def test_arrays_of_cells_that_nobody_asks_for_any_more_are_let_go() -> None:
     text = "species a { n = 0\n reach = 5 mm\n state s { reach = reach * 1.06\n n = count(neighbours(reach)) } }"
     seen = play(text, crowd(200, radius=40), steps=60, ways=(NATIVE, NUMPY))
     grids = seen.world.backend._grids  # type: ignore[attr-defined]
-    assert 0 < len(grids._kept) <= 1 + 16 and all(size < np.inf for _, size in grids._kept)
-    assert min(each.asked for each in grids._kept.values()) >= grids._step - 16
+    assert 0 < len(grids._stored) <= 1 + 16 and all(size < np.inf for _, size in grids._stored)
+    assert min(each.used for each in grids._stored.values()) >= grids._step - 16
 
 
 def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:

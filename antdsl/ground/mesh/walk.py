@@ -191,7 +191,7 @@ def walk_on(
 ) -> None:
     """The same for agents that wait, from `begin` to before `end`. Ways end at open borders if they are to be `straight`."""
     table, first, boxes = surface.table, surface.first, known.boxes
-    found = FaceList(known.room, own(begin, known.rooms, known.count) * boxes.order.size)
+    found = FaceList(known.room, own(begin, known.count, known.rooms) * boxes.order.size)
     around = Surroundings(known.sides, boxes, known.lengths, found)
     for k in range(begin, end):
         i = wholes[AGENT, k]

@@ -58,14 +58,14 @@ ROWS = [
     painted("V7 of no dimensions", npz(wind=np.zeros(())), "bad-paint"),
     painted("V1 a shape of 2^32", raw(SHAPE % "65536, 65536"), "bad-paint", "does not fit its size"),
     painted("V1 a shape that overflows", raw(SHAPE % "4294967296, 4294967296, 3"), "bad-paint", "does not fit its size"),
-    painted("V1 a shape below 0", raw(SHAPE % "-4, 3"), "bad-paint", "not understood"),
-    painted("V1 a shape of truth", raw(SHAPE % "True,"), "bad-paint", "not understood"),
-    painted("V1 objects", raw(SHAPE.replace("<f4", "|O") % "4, 3", b"cos\nsystem\n."), "bad-paint", "not understood"),
-    painted("V1 text", raw(SHAPE.replace("<f4", "<U2147483647") % "4,"), "bad-paint", "not understood"),
+    painted("V1 a shape below 0", raw(SHAPE % "-4, 3"), "bad-paint", "an unknown header"),
+    painted("V1 a shape of truth", raw(SHAPE % "True,"), "bad-paint", "an unknown header"),
+    painted("V1 objects", raw(SHAPE.replace("<f4", "|O") % "4, 3", b"cos\nsystem\n."), "bad-paint", "an unknown header"),
+    painted("V1 text", raw(SHAPE.replace("<f4", "<U2147483647") % "4,"), "bad-paint", "an unknown header"),
     painted(
-        "V1 most significant byte first", raw(SHAPE.replace("<f4", ">f4") % "4, 3", bytes(48)), "bad-paint", "not understood"
+        "V1 most significant byte first", raw(SHAPE.replace("<f4", ">f4") % "4, 3", bytes(48)), "bad-paint", "an unknown header"
     ),
-    painted("V1 columns first", raw(SHAPE.replace("False", "True") % "4, 3", bytes(48)), "bad-paint", "not understood"),
+    painted("V1 columns first", raw(SHAPE.replace("False", "True") % "4, 3", bytes(48)), "bad-paint", "an unknown header"),
     painted("V2 compressed", raw(SHAPE % "4, 3", bytes(48), compression=zipfile.ZIP_DEFLATED), "bad-paint", "compressed"),
     painted(
         "V2 a bomb",
