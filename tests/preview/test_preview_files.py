@@ -131,7 +131,7 @@ def test_an_edit_that_is_undone_at_an_earlier_frame_does_not_come_back(folder: P
     session.step()
     session.seek(5)
     edit(folder / "walker.ant", "60 mm/s", "30 mm/s")
-    assert session.reload().line.startswith("the files are again what they were")
+    assert session.reload().line.startswith("the files are again as they were")
     fresh, _ = Session.open(folder / "scene.yaml")
     assert fresh is not None
     for _ in range(14):
