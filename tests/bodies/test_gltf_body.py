@@ -125,7 +125,7 @@ def test_extras_of_an_animation_hold_what_gltf_has_no_place_for(arm: Definition)
     "extras", [7, {"rate": "fast"}, {"rate": 0}, {"stride": -1}, {"loop": 1}, {"marks": [1]}, {"marks": {"a": "b"}}]
 )
 def test_extras_that_are_none_of_ours_are_refused(extras: Any) -> None:
-    with pytest.raises(BodyError, match="clip `bend` whose extras `antdsl`"):
+    with pytest.raises(BodyError, match="unknown extras `antdsl` in the clip `bend`"):
         with_extras(extras)
 
 
