@@ -152,8 +152,8 @@ def test_normals_have_length_1_and_the_material_state_has_no_colour() -> None:
     normals = np.array([[0, 0, 127, 0], [90, 90, 0, 0], [0, -127, 0, 0], [73, 73, 74, 0], [0, 0, 0, 0]], np.int8)
     tree["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": 20, "byteStride": 4})
     view = len(tree["bufferViews"]) - 1
-    made = {"bufferView": view, "componentType": 5120, "normalized": True, "count": 5, "type": "VEC3"}
-    tree["accessors"].append(made)
+    accessor = {"bufferView": view, "componentType": 5120, "normalized": True, "count": 5, "type": "VEC3"}
+    tree["accessors"].append(accessor)
     tree["buffers"][0]["byteLength"] = len(data) + 20
     tree["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = len(tree["accessors"]) - 1
     body = body_of(tree, data + normals.tobytes())

@@ -84,16 +84,16 @@ def test_results_are_the_same_bits_for_any_threads() -> None:
 
 
 def test_agents_near_other_pieces_are_the_same_bits_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each part of the agents that wait for a search of other pieces has room of its own."""
+    """Each part of the agents that wait for a search of other pieces has separate room."""
     monkeypatch.setattr(walk_events, "_WAITING", 1)
     monkeypatch.setattr(parallel, "cores", lambda: 8)
     hill, waiting = terrain(60.0, 20), []
     pieces = {"hill": hill, **{f"ball {k}": ball(4.0, (6.0 * k - 20.0, 0.0, 3.0 * k - 10.0), 12) for k in range(8)}}
     on = walk_events.CrowdWalk.on
 
-    def counted(self: walk_events.CrowdWalk, some: walk_events.Waiting, *more: Any) -> Any:
-        waiting.append(some.reals.shape[1])
-        return on(self, some, *more)
+    def counted(self: walk_events.CrowdWalk, pending: walk_events.Waiting, *arguments: Any) -> Any:
+        waiting.append(pending.reals.shape[1])
+        return on(self, pending, *arguments)
 
     monkeypatch.setattr(walk_events.CrowdWalk, "on", counted)
     ends = []
