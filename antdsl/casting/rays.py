@@ -58,8 +58,8 @@ class RayScene(Nearby):
     `largest` (mm) where what lies beyond it is a backdrop.
 
     Rays with an end, and nearest faces that are requested within a distance, go to a `TriangleGrid` where one is of use: it
-    measures all faces nearby in float64. Longer rays are cut to the box around all faces first, and the grid names the face if
-    they are short there. Open3D answers the rest. What decides is the scene and the ray, so no answer depends on other rays.
+    measures all faces nearby in float64. Open3D answers for longer rays and for places too far from all faces. What decides is
+    the scene and the ray, so no answer depends on other rays.
     Where two faces that do not meet are nearer to each other than float32 tells, it names the nearer and Open3D either.
     """
 
