@@ -11,6 +11,7 @@ import gltf_bodies
 import pytest
 
 from antdsl import limits
+from antdsl.bodies.agents.body_files import BodyFiles
 from antdsl.bodies.agents.clip_document import write_clip
 from antdsl.bodies.agents.definition import Between, Blend, Definition
 from antdsl.bodies.agents.metadata import Typed
@@ -112,6 +113,18 @@ def test_what_a_clip_of_a_file_does_not_key_rests_as_in_the_rig(folder: Path) ->
     for parts in ({}, {"shapes": shapes}):  # whether the file was read before for its shapes or not
         body, _ = read(folder, rig=rig, length=1, clips=[{"file": "arm.glb", "clip": "bend"}], **parts)
         assert body is not None and (body.clips["bend"].translation[:, 0] == (3, 5, 7)).all()
+
+
+def test_a_usd_file_is_read_once_for_shapes_and_clips(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arm, _ = read_definition(folder / "arm.glb")
+    assert arm is not None
+    calls: list[str] = []
+    monkeypatch.setattr(BodyFiles, "_usd", lambda self, full, *_: calls.append(full) or (arm, []))
+    rest = [[1, 0, 0, 3], [0, 1, 0, 5], [0, 0, 1, 7], [0, 0, 0, 1]]
+    rig = {"rig_version": 1, "transforms": {"root": ["elbow"], "elbow": []}, "antdsl_rest": {"elbow": rest}}
+    shapes = [{"file": "arm.usda", "shape": "arm.smile", "name": "mask"}]
+    body, _ = read(folder, rig=rig, length=1, shapes=shapes, clips=[{"file": "arm.usda", "clip": "bend"}])
+    assert body is not None and calls == ["arm.usda"]
 
 
 def test_joints_stay_in_the_order_of_the_text_where_parents_come_first(folder: Path) -> None:

@@ -111,6 +111,7 @@ class BodyFiles:
         """Return the definition in a glTF or USD file, read once. `prim`: of USD, what lies at and below it; `rate`: samples a
         second of its animations, 0 for the file's own; `pose`: for what animations of a glTF file do not key."""
         full = self.full(path)
+        pose = pose if ending(path) in GLTF else None
         plain = self.kept.get((full, prim, rate, False))
         posed = pose is not None and (plain is None or _rests_apart(plain.rig, pose))
         key = (full, prim, rate, posed)
