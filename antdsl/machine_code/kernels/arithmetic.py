@@ -35,11 +35,14 @@ class Arithmetic(Vectors[Number]):
         bits = self.op("lanes", f"i{WIDTH}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 
+    @property
+    def is_reached(self) -> bool:
+        """Whether the text counts for one turn at least, for certain."""
+        return self.mask is None or self.mask.known is not None or self.mask is self.reached
+
     def counts(self) -> Number | None:
         """Whether the text counts for one turn at least; None where it does for certain."""
-        if self.mask is None or self.mask.known is not None or self.mask is self.reached:
-            return None
-        return self.some(self.mask)
+        return None if self.mask is None or self.is_reached else self.some(self.mask)
 
     def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
         return Number(kind, name, known, lanes)

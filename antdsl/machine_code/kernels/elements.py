@@ -135,7 +135,7 @@ class Elements(Arithmetic):
         """The address of an element that is the same for all turns. Where no turn counts, its index may be none: then that of
         zeros. The comparison is with the array's length, and not the mask, so that LLVM can move the load out of loops."""
         place = self._place(array, at)
-        if self.mask is None or self.mask.known is not None or self.mask is self.reached:
+        if self.mask is None or self.is_reached:
             return place
         if array.steps is not None:
             counts = self.some(self.mask)

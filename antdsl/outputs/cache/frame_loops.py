@@ -173,7 +173,7 @@ def feet(
 ) -> None:
     """Feet of agents from `begin` to before `end`, from arrays (.., legs, n) and (.., n): places x, y, z of each leg in scene
     units, which feet stand (`swing` is -1), rises in scene units, and tilts as unit quaternions x, y, z, w."""
-    for low in range(begin, end, 256):
+    for low in range(begin, end, _BLOCK):
         high = min(low + _BLOCK, end)
         for leg in range(swing.shape[0]):
             for i in range(low, high):
