@@ -215,12 +215,12 @@ def index() -> str:
 
 INDEX_HEAD = """# Codes
 
-Every complaint has a code that stays the same for ever, a line that stands alone, its place, and what to write instead.
-Each code has a page: why it matters, a wrong text with what antdsl says of it, and a right one. The tests run both.
+Every message has a code that never changes, a summary line, its place, and what to write instead.
+Each code has a page: why it matters, a wrong example with its message, and a right example. The tests run both.
 `antdsl check --explain CODE` shows the page.
 
-An example is a file, `walker.ant` or `scene.yaml` unless a line above it says another name, in a folder with the files of the
-smallest example, [examples/minimal](../../examples/minimal). Where no command stands, `antdsl check` was asked.
+An example is a file in a folder with the files of the smallest example, [examples/minimal](../../examples/minimal). The file is
+`walker.ant` or `scene.yaml` unless a line above it gives another name. The command is `antdsl check` unless a page shows another.
 """
 
 
