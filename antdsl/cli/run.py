@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.destinations import default_place, file_to_write, folder_to_write, keeping_inputs, put, words_aside
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.failures import report_failures
+from antdsl.cli.exits import Exit, Stop, report_failures
 from antdsl.cli.memory_demand import ANY_MEMORY, demand_memory
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.shots import run_shots
-from antdsl.numerics.cores import cores
+from antdsl.numerics.host import cores
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording

@@ -12,7 +12,7 @@ import numpy as np
 
 from antdsl.plan import ir
 from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, Notes, PartNote
-from antdsl.plan.register_reads import places
+from antdsl.plan.registers import places
 from antdsl.program.tables.senses import SENSES
 from antdsl.runtime.backends.reference import BLOCKS, Agent, Member, with_winnings
 from antdsl.runtime.requests import ClaimEntry, Effects

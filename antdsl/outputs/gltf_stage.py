@@ -12,7 +12,7 @@ from antdsl import __version__
 from antdsl.bodies.agents.gltf_writer import INDICES, VERTICES, GltfWriter
 from antdsl.bodies.agents.transforms import one_sign, rotation_of
 from antdsl.bodies.body import vertex_normals
-from antdsl.bodies.placed import placed
+from antdsl.bodies.shapes import placed
 from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decoded

@@ -13,7 +13,7 @@ from typing import Final
 # Kind of request: the module and the function that answer it in the child. The modules are in higher rooms, so they are named
 # here and imported by the child alone.
 READERS: Final = {
-    "usd-layer": ("antdsl.scene.geometry.usd.child.layer", "read_layer"),
+    "usd-layer": ("antdsl.scene.geometry.usd.child.stage", "read_layer"),
     "usd-stage": ("antdsl.scene.geometry.usd.child.requests", "open_stage"),
     "usd-mesh": ("antdsl.scene.geometry.usd.child.requests", "read_mesh"),
     "usd-points": ("antdsl.scene.geometry.usd.child.requests", "read_points"),

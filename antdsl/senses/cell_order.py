@@ -29,7 +29,7 @@ from antdsl.machine_code.kernels import (
 )
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
-from antdsl.numerics.cores import cores
+from antdsl.numerics.host import cores
 from antdsl.numerics.sorting import place_among, stable_order
 
 Floats = NDArray[np.float32]

@@ -25,8 +25,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from antdsl.bench.machine import machine
-from antdsl.bench.tables import markdown, ratio_text
+from antdsl.bench.tables import machine, markdown, ratio_text
 
 HERE = Path(__file__).parent / "peers"
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ from pathlib import Path
 import commands
 import pytest
 
-import antdsl.numerics.memory as available
+import antdsl.numerics.host as available
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.memory_demand import demand_memory, work_of
 from antdsl.pipeline import Shot, open_scene

@@ -11,15 +11,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from antdsl import limits
-from antdsl.bodies.agents import variation_document
+from antdsl.bodies.agents import definition_parts
 from antdsl.bodies.agents.body_files import GLTF, USD, BodyFiles, ending
 from antdsl.bodies.agents.checked_values import Values
 from antdsl.bodies.agents.clip_document import read_clip, read_marks
 from antdsl.bodies.agents.definition import Clip, Definition, Rig
+from antdsl.bodies.agents.definition_parts import Places, VariationPlaces, read_gaits, read_legs, read_metadata
 from antdsl.bodies.agents.documents import read_group, read_layer, read_rig
 from antdsl.bodies.agents.json_text import Node
-from antdsl.bodies.agents.leg_document import Places, read_gaits, read_legs
-from antdsl.bodies.agents.metadata import read_metadata
 from antdsl.bodies.agents.shape_references import read_includes, read_shapes
 from antdsl.scene.model import UNIT_MM
 from antdsl.source import Span
@@ -64,7 +63,7 @@ class Parts:
     layers: dict[str, Place] = field(default_factory=dict)
     groups: dict[str, Place] = field(default_factory=dict)
     walking: Places = field(default_factory=Places)
-    varied: variation_document.Places = field(default_factory=dict)
+    varied: VariationPlaces = field(default_factory=dict)
     whole: Span | None = None
     measured: bool = True
 
@@ -106,7 +105,7 @@ def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Pa
     length = values.number(entries.get("length"), "a length", 1e-9)
     parts.measured = length is None
     if "variation" in entries:
-        base = replace(base, variation=variation_document.read_variation(values, entries["variation"], parts.varied))
+        base = replace(base, variation=definition_parts.read_variation(values, entries["variation"], parts.varied))
     parts.definition = replace(
         base, shapes=shapes, materials=materials, layers={**base.layers, **layers}, groups={**base.groups, **groups},
         clips=clips, metadata=metadata, length=length or base.length, **_walking(values, entries, parts.walking),

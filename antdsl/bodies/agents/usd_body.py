@@ -20,7 +20,7 @@ from antdsl.bodies.agents.gltf_shapes import rigid, unused
 from antdsl.bodies.agents.packed import packed
 from antdsl.bodies.agents.transforms import followed_by, one_sign, unit_quaternion
 from antdsl.bodies.agents.usd_shapes import Skin, UsdBody, read_usd_shape
-from antdsl.reader.refusal import Refusal
+from antdsl.reader.protocol import Refusal
 from antdsl.scene.geometry.matrices import has_inverse, inverse
 from antdsl.scene.geometry.usd.child.guard import Answer, guarded
 from antdsl.scene.geometry.usd.child.stage import OpenStage, open_stage

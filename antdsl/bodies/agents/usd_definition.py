@@ -6,8 +6,7 @@ from fractions import Fraction
 
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import PARTS, read_packed
-from antdsl.reader.protocol import ProtocolError
-from antdsl.reader.refusal import Refusal, shown
+from antdsl.reader.protocol import ProtocolError, Refusal, shown
 from antdsl.scene.geometry.usd import UsdError, open_stage
 from antdsl.scene.paths import Roots
 

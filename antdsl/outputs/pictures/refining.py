@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from antdsl.casting.picture_rays import Sights
 from antdsl.outputs.pictures.light import SUN_WIDTH, displayed
 from antdsl.outputs.pictures.shading import Lighting, moving_light, shadowed, still_light
-from antdsl.outputs.pictures.shading_rows import Floats
+from antdsl.outputs.pictures.shading_rows import Floats, each, pieces
 from antdsl.outputs.pictures.softness import open_share, sunlit
 from antdsl.outputs.pictures.stage import Samples, Stage, spot
 from antdsl.outputs.pictures.trails import Dyes
-from antdsl.outputs.pictures.work import each, pieces
 
 Rows = NDArray[np.int64]
 

@@ -14,8 +14,8 @@ from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.plan import ir
 from antdsl.runtime.binding.reuse import Built
+from antdsl.scene.field_settings import largest_stable_diffusion
 from antdsl.scene.setting import FieldStart, MeshData
-from antdsl.scene.stability import largest_stable_diffusion
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics.model import printable
-from antdsl.numerics.float64 import to_float64
+from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.polygons import strip_triangles
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
-from antdsl.numerics.cores import EACH, cores
+from antdsl.numerics.host import EACH, cores
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, PAIRS, POPULATION, THREADS, WORLD, Does, Instruction, Scope
 from antdsl.runtime.backends.metering import Metered
