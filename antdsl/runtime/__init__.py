@@ -3,8 +3,8 @@
 `bind` (in `binding`) makes the world at its first frame, `step` runs the tuple `phases.PHASES` once. In a step, senses read
 the world as it was at its start; blocks of the plan run on a backend (`backends`) and fill an `Effects` with what they ask
 for; claims, deposits, digging, births and deaths are then settled in an order that rows do not change; `moving` brings
-everybody from steering forces to places. `world` is all that changes. `checkpoints` gives and takes its whole state, `hashing`
-one number for it."""
+everybody from steering forces to places. `world` is all that changes. `checkpoints` gives and takes its whole state,
+and one number for it."""
 
 from antdsl.runtime.binding.bind_world import BindError, bind, set_flow, set_param
 from antdsl.runtime.binding.reuse import Built

@@ -1,5 +1,5 @@
 """The documented JSON forms of an agent definition's parts, read and written: rig (`rig_version` 1), layer and transform group
-(`version` 2), metadata (`metadata.py`). The forms are those of the page Agent Primitives of Houdini 20.5.
+(`version` 2), metadata (`definition_parts.py`). The forms are those of the page Agent Primitives of Houdini 20.5.
 
 The rest pose of a rig has no documented form: `antdsl_rest`, a matrix a joint, is our own."""
 
