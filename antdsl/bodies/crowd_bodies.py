@@ -13,7 +13,7 @@ from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.definition import Clip, Definition, spoken_names
 from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
-from antdsl.bodies.agents.reading import definition_at
+from antdsl.bodies.files.reading import definition_at
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import COLLISION, own_layer
 from antdsl.diagnostics import Label, Report

@@ -19,7 +19,7 @@ READERS: Final = {
     "usd-points": ("antdsl.scene.geometry.usd.child.requests", "read_points"),
     "usd-curve": ("antdsl.scene.geometry.usd.child.requests", "read_curve"),
     "usd-camera": ("antdsl.scene.geometry.usd.child.requests", "read_camera"),
-    "usd-body": ("antdsl.bodies.agents.usd_body", "read_body"),
+    "usd-body": ("antdsl.bodies.files.usd_body", "read_body"),
     "image": ("antdsl.reader.images", "read_image"),
 }
 # Modules that the child imports before the first request of a format, while the other process does something else.

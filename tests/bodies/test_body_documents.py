@@ -11,8 +11,8 @@ import pytest
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, Channel, Rig, TransformGroup
-from antdsl.bodies.agents.definition_parts import Typed, read_metadata
-from antdsl.bodies.agents.documents import (
+from antdsl.bodies.files.definition_parts import Typed, read_metadata
+from antdsl.bodies.files.documents import (
     read_group,
     read_layer,
     read_part,

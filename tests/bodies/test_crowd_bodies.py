@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.bodies.agents import reading
 from antdsl.bodies.agents.definition import Binding, Layer, spoken_names
-from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.crowd_bodies import clip_data, room_of
+from antdsl.bodies.files import reading
+from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.library import library_body
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot, check_path, check_scene_text, open_scene

@@ -16,8 +16,8 @@ from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.poses import Poses, clip_table
-from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.body import rotation
+from antdsl.bodies.files.reading import read_definition
 
 N = 40
 

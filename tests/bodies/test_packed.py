@@ -18,7 +18,7 @@ from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.packed import PARTS, Arrays, digest, packed
 from antdsl.bodies.agents.poses import clip_table
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.body_arrays import unpacked
 

@@ -11,8 +11,8 @@ import pytest
 from antdsl.bodies.agents.definition import Definition, spoken
 from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.packed import digest, packed
-from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.agents.varied_bodies import Draws
+from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.body_arrays import unpacked

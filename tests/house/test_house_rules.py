@@ -219,7 +219,7 @@ def test_heavy_packages_are_imported_late_below_the_pictures() -> None:
 
 
 # What reads files by a C or C++ library, and runs in the reader's process only: nothing else imports it.
-READ_BY_LIBRARIES = ("antdsl.scene.geometry.usd.child", "antdsl.bodies.agents.usd_body", "antdsl.bodies.agents.usd_shapes",
+READ_BY_LIBRARIES = ("antdsl.scene.geometry.usd.child", "antdsl.bodies.files.usd_body", "antdsl.bodies.files.usd_shapes",
                      "antdsl.reader.images", "antdsl.reader.child")  # fmt: skip
 WRITES_USD = ("antdsl.outputs.", "antdsl.scene.geometry.usd.errors", "antdsl.scene.geometry.usd")
 COMPOSES_USD = frozenset(["FindOrOpen", "OpenMasked", "OpenAsAnonymous", "AddReference", "AddPayload", "subLayerPaths"])

@@ -154,7 +154,7 @@ def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
     """The clips of the example: what is on the ground goes back as far as the body goes ahead."""
     from antdsl.bodies.agents.blending import ClipTree, Playing, posed
     from antdsl.bodies.agents.poses import clip_table
-    from antdsl.bodies.agents.reading import read_definition
+    from antdsl.bodies.files.reading import read_definition
 
     body, _ = read_definition(EXAMPLE / "walker.json")
     assert body is not None

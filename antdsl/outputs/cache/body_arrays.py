@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.definition_checks import whole
-from antdsl.bodies.agents.definition_document import Parts
 from antdsl.bodies.agents.packed import PARTS, digest, packed, read_packed
+from antdsl.bodies.files.definition_checks import whole
+from antdsl.bodies.files.definition_document import Parts
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest
 

@@ -11,15 +11,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from antdsl import limits
-from antdsl.bodies.agents import definition_parts
-from antdsl.bodies.agents.body_files import GLTF, USD, BodyFiles, ending
-from antdsl.bodies.agents.checked_values import Values
-from antdsl.bodies.agents.clip_document import read_clip, read_marks
 from antdsl.bodies.agents.definition import Clip, Definition, Rig
-from antdsl.bodies.agents.definition_parts import Places, VariationPlaces, read_gaits, read_legs, read_metadata
-from antdsl.bodies.agents.documents import read_group, read_layer, read_rig
-from antdsl.bodies.agents.json_text import Node
-from antdsl.bodies.agents.shape_references import read_includes, read_shapes
+from antdsl.bodies.files import definition_parts
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.clip_document import read_clip, read_marks
+from antdsl.bodies.files.definition_parts import Places, VariationPlaces, read_gaits, read_legs, read_metadata
+from antdsl.bodies.files.documents import read_group, read_layer, read_rig
+from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, ending
+from antdsl.bodies.files.shape_references import read_includes, read_shapes
 from antdsl.scene.model import UNIT_MM
 from antdsl.source import Span
 

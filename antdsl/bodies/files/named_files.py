@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from antdsl import limits
-from antdsl.bodies.agents.checked_values import Values
 from antdsl.bodies.agents.definition import BodyError, Definition, Rig
-from antdsl.bodies.agents.documents import read_part
-from antdsl.bodies.agents.gltf_body import read_gltf
-from antdsl.bodies.agents.json_text import Node
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.documents import read_part
+from antdsl.bodies.files.gltf_body import read_gltf
+from antdsl.bodies.files.json_text import Node
 from antdsl.diagnostics import Report
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots, read_named
@@ -148,7 +148,7 @@ class BodyFiles:
 
     def _usd(self, full: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
         """As `read_usd`; of a file that a person named by a link, the file that it leads to."""
-        from antdsl.bodies.agents.usd_definition import read_usd
+        from antdsl.bodies.files.usd_definition import read_usd
 
         roots, text = self.roots, full
         if full in self.named:

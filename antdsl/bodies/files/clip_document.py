@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.checked_values import Values
 from antdsl.bodies.agents.definition import Clip, Rig
-from antdsl.bodies.agents.documents import json_text
-from antdsl.bodies.agents.json_text import Node
 from antdsl.bodies.agents.transforms import ORDERS, angles_of_rotation, one_sign, parts_of, rotation_of_angles
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.documents import json_text
+from antdsl.bodies.files.json_text import Node
 
 Floats = NDArray[np.float64]
 PARTS = ("tx", "ty", "tz", "rx", "ry", "rz", "sx", "sy", "sz", "shear1", "shear2", "shear3")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.json_text import Node, number_place
+from antdsl.bodies.files.json_text import Node, number_place
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from antdsl import __version__
-from antdsl.bodies.agents.clip_document import write_clip
 from antdsl.bodies.agents.definition import Clip, Definition, Shape
-from antdsl.bodies.agents.definition_document import unit_mm
-from antdsl.bodies.agents.documents import json_text, write_group, write_layer, write_metadata, write_rig
-from antdsl.bodies.agents.gltf_writer import GltfWriter, ShapeParts
 from antdsl.bodies.agents.other_axes import in_axes
 from antdsl.bodies.agents.transforms import parts_of
+from antdsl.bodies.files.clip_document import write_clip
+from antdsl.bodies.files.definition_document import unit_mm
+from antdsl.bodies.files.documents import json_text, write_group, write_layer, write_metadata, write_rig
+from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
 from antdsl.scene.model import UNIT_MM
 
 SHAPES = "shapes.glb"

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from antdsl import limits
-from antdsl.bodies.agents.body_files import GLTF, MESHES, USD, BodyFiles, ending
-from antdsl.bodies.agents.checked_values import Values
 from antdsl.bodies.agents.definition import Between, Blend, Shape
-from antdsl.bodies.agents.json_text import Node
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.named_files import GLTF, MESHES, USD, BodyFiles, ending
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import read_mesh
 from antdsl.scene.model import UNIT_MM

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Between, Blend, BodyError, Capture, Channel, Shape
-from antdsl.bodies.agents.gltf_shapes import captured, unused
+from antdsl.bodies.files.gltf_shapes import captured, unused
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import pxr

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Definition, Layer, Rig
-from antdsl.bodies.agents.gltf_clips import read_clips
-from antdsl.bodies.agents.gltf_shapes import GltfBody, read_shape, rigid, unused
 from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
+from antdsl.bodies.files.gltf_clips import read_clips
+from antdsl.bodies.files.gltf_shapes import GltfBody, read_shape, rigid, unused
 from antdsl.scene.geometry.gltf_file import Gltf, GltfError, node_parents, nodes_below, scene_roots
 
 Floats = NDArray[np.float64]

@@ -10,9 +10,9 @@ from itertools import pairwise
 from typing import Any
 
 from antdsl import limits
-from antdsl.bodies.agents.checked_values import Values
 from antdsl.bodies.agents.definition import Colour, Definition, Gait, Leg, Variation
-from antdsl.bodies.agents.json_text import Node
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.json_text import Node
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.checked_values import Values
 from antdsl.bodies.agents.definition import Binding, Channel, Layer, Rig, TransformGroup
-from antdsl.bodies.agents.definition_parts import plain_metadata
-from antdsl.bodies.agents.json_text import Node, read_json
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.definition_parts import plain_metadata
+from antdsl.bodies.files.json_text import Node, read_json
 from antdsl.diagnostics import Report
 from antdsl.scene.document import decode
 from antdsl.source import Span

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Clip, Definition, Layer, Rig
-from antdsl.bodies.agents.gltf_clips import even_times
-from antdsl.bodies.agents.gltf_shapes import rigid, unused
 from antdsl.bodies.agents.packed import packed
 from antdsl.bodies.agents.transforms import followed_by, one_sign, unit_quaternion
-from antdsl.bodies.agents.usd_shapes import Skin, UsdBody, read_usd_shape
+from antdsl.bodies.files.gltf_clips import even_times
+from antdsl.bodies.files.gltf_shapes import rigid, unused
+from antdsl.bodies.files.usd_shapes import Skin, UsdBody, read_usd_shape
 from antdsl.reader.protocol import Refusal
 from antdsl.scene.geometry.matrices import has_inverse, inverse
 from antdsl.scene.geometry.usd.child.guard import Answer, guarded

@@ -10,9 +10,9 @@ import numpy as np
 from antdsl import limits
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
-from antdsl.bodies.agents.definition_document import Parts, Place
-from antdsl.bodies.agents.definition_parts import check_legs, misnamed
-from antdsl.bodies.agents.documents import DEFORMERS, DOCUMENTED_DEFORMERS
+from antdsl.bodies.files.definition_document import Parts, Place
+from antdsl.bodies.files.definition_parts import check_legs, misnamed
+from antdsl.bodies.files.documents import DEFORMERS, DOCUMENTED_DEFORMERS
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from antdsl import __version__
 from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer
-from antdsl.bodies.agents.gltf_clips import write_settings
-from antdsl.bodies.agents.gltf_writer import Entry, GltfWriter, ShapeParts
 from antdsl.bodies.agents.other_axes import in_axes
 from antdsl.bodies.agents.transforms import matrix_of, parts_of
+from antdsl.bodies.files.gltf_clips import write_settings
+from antdsl.bodies.files.gltf_writer import Entry, GltfWriter, ShapeParts
 
 FRONT, UP, METRE = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0
 _PLAIN = (0.3, 0.3, 0.3)  # of what has the colour of a state, which nobody has here

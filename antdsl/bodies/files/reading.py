@@ -9,12 +9,12 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 
-from antdsl.bodies.agents.body_files import GLTF, USD, BodyFiles, ending
-from antdsl.bodies.agents.checked_values import Values
 from antdsl.bodies.agents.definition import Definition, spoken
-from antdsl.bodies.agents.definition_checks import whole
-from antdsl.bodies.agents.definition_document import Parts, read_document
-from antdsl.bodies.agents.json_text import Node
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.definition_checks import whole
+from antdsl.bodies.files.definition_document import Parts, read_document
+from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, ending
 from antdsl.diagnostics import Report
 from antdsl.scene.paths import Roots, Sought, note, open_again, sought
 from antdsl.source import Span
