@@ -95,12 +95,7 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
 
 @standard()
 def open_scene(
-    path: Path | str,
-    choices: Choices | None = None,
-    *,
-    parsed: Parsed | None = None,
-    thorough: bool = True,
-    raw: bool = False,
+    path: Path | str, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True, raw: bool = False
 ) -> tuple[Shot | None, Report]:
     """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`,
     `thorough` as in `passes.optimise`; `raw`: the plan as lowered, before any pass."""

@@ -178,9 +178,7 @@ FILES: tuple[tuple[str, str], ...] = (
 )
 
 
-def new(
-    folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is not there yet, or is empty."),
-) -> None:
+def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is not there yet, or is empty.")) -> None:
     """Write a small project to start from, with its specs and what checks it in CI."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise Stop(Exit.INPUT_OUTPUT, f"error: `{folder}` is there already and not empty", "name another folder")

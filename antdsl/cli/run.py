@@ -116,11 +116,7 @@ def run(
     from antdsl.runtime import Options
 
     options = Options(
-        backend=backend.value,
-        chunk=chunk,
-        threads=at_once(threads, quiet),
-        shuffle_rows=shuffle,
-        on_fault=on_fault.value,
+        backend=backend.value, chunk=chunk, threads=at_once(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
     writing = report_failures("cannot write the cache", f"go on with: {again}")
     with writing, _setting_up(again), keeping_inputs(files, folders):  # another cache too, that the scene begins with
@@ -147,10 +143,7 @@ def at_once(asked: int, quiet: bool = False) -> int:
     other, and libraries complain about it."""
     there = cores()
     if asked > there and not quiet:
-        say(
-            f"`--threads {asked}`: this process may use {there} core{'s' * (there > 1)} here, so {there} at a time",
-            err=True,
-        )
+        say(f"`--threads {asked}`: this process may use {there} core{'s' * (there > 1)} here, so {there} at a time", err=True)
     return min(asked or there, there)
 
 

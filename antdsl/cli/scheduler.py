@@ -61,13 +61,7 @@ def demand_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> Non
 
 @contextmanager
 def cluster(
-    address: str,
-    tls: Path | None,
-    no_tls: bool,
-    workers: int,
-    threads: int,
-    files: Iterable[Path],
-    seen: Seen | None = None,
+    address: str, tls: Path | None, no_tls: bool, workers: int, threads: int, files: Iterable[Path], seen: Seen | None = None
 ) -> Iterator[Cluster]:
     """The cluster of an address, whose workers have got the files, or see `seen` where they are. `workers` with so many `threads`
     each, where it is started here. What is wrong ends the command; Lost where no scheduler answers."""

@@ -111,12 +111,7 @@ class TracedAgent(Agent):
 
 
 def traced(
-    world: World,
-    population: Population,
-    plan: ir.SpeciesPlan,
-    row: int,
-    notes: Notes,
-    became: Mapping[ir.Node, ir.Node],
+    world: World, population: Population, plan: ir.SpeciesPlan, row: int, notes: Notes, became: Mapping[ir.Node, ir.Node]
 ) -> Trace:
     """What the agent of a row does in the step under way, whose blocks have run and whose effects have not.
 

@@ -4,20 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from antdsl.plan.ir import (
-    SENSES,
-    Block,
-    Claim,
-    FieldPlan,
-    Give,
-    If,
-    Node,
-    Plan,
-    Request,
-    SpeciesPlan,
-    Statement,
-    Store,
-)
+from antdsl.plan.ir import SENSES, Block, Claim, FieldPlan, Give, If, Node, Plan, Request, SpeciesPlan, Statement, Store
 
 PHASES = ("born", "decide", "act", "blend")
 

@@ -56,13 +56,7 @@ def widest_gap(world: World, population: Population, rows: Rows, within: Floats,
 
 
 def _others(
-    world: World,
-    population: Population,
-    rows: Rows,
-    within: Floats,
-    most: Floats,
-    own: Vector | None,
-    plane: Plane,
+    world: World, population: Population, rows: Rows, within: Floats, most: Floats, own: Vector | None, plane: Plane
 ) -> Others:
     """The nearest others of all species, at most `most` of each agent; their velocities where its `own` is given."""
     count = np.minimum(np.where(most > 0, most, 0), limits.NEIGHBOURS).astype(np.intp)

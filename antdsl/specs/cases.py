@@ -92,11 +92,7 @@ class Run:
 
 
 def cases(
-    paths: Iterable[Path],
-    *,
-    grants: Mapping[str, Path] | None = None,
-    seeds: int | None = None,
-    named: str = "",
+    paths: Iterable[Path], *, grants: Mapping[str, Path] | None = None, seeds: int | None = None, named: str = ""
 ) -> tuple[list[Run], Report]:
     """What there is to run for programs, scenes and folders, and complaints about files, scenes and specs.
 

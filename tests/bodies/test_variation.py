@@ -18,10 +18,7 @@ from antdsl.diagnostics import Report
 from antdsl.outputs.cache.body_arrays import unpacked
 
 BLOCK = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-VARIATION = {
-    "scale": {"Head": [0.5, 2.0], "half": [1, 3]},
-    "materials": {"fur": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]},
-}
+VARIATION = {"scale": {"Head": [0.5, 2.0], "half": [1, 3]}, "materials": {"fur": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}}
 BODY = {
     "antdsl_body": 1, "name": "bug", "length": 1,
     "rig": {

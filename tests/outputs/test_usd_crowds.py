@@ -11,17 +11,7 @@ import pytest
 
 pxr = pytest.importorskip("pxr")
 
-from antdsl.bodies.agents.definition import (  # noqa: E402  # noqa: E402  # noqa: E402
-    Between,
-    Binding,
-    Blend,
-    Capture,
-    Channel,
-    Definition,
-    Layer,
-    Rig,
-    Shape,
-)
+from antdsl.bodies.agents.definition import Between, Binding, Blend, Capture, Channel, Definition, Layer, Rig, Shape  # noqa: E402  # noqa: E402  # noqa: E402
 from antdsl.bodies.agents.poses import Poses  # noqa: E402
 from antdsl.bodies.body import rotation  # noqa: E402
 from antdsl.bodies.posed_body import PosedBody  # noqa: E402

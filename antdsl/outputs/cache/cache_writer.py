@@ -179,11 +179,7 @@ class CacheWriter:
     so far, `surface_error` (None where that of the frames before is not known) once it is written; `seconds` by name."""
 
     def __init__(
-        self,
-        folder: Path,
-        manifest: Manifest,
-        made_with: Callable[[], Provenance],
-        told: Callable[[Mapping[str, Any]], None],
+        self, folder: Path, manifest: Manifest, made_with: Callable[[], Provenance], told: Callable[[Mapping[str, Any]], None]
     ) -> None:
         self.folder, self.manifest, self._made_with = folder, manifest, made_with
         self._told = told

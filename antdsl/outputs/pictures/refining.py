@@ -40,15 +40,7 @@ def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
     if cast.size > 0:
         reach = 1.1 * cast.size
         shadowed, around = cast.shading(seen.point, lighting.sun, (SUN_WIDTH * cast.throw, reach))
-        visible = sunlit(
-            still.grid,
-            seen.sun,
-            lighting.sun,
-            cast.rays[:: 1 + (len(cast.rays) > 4)],
-            cast.tall,
-            threads,
-            shadowed,
-        )
+        visible = sunlit(still.grid, seen.sun, lighting.sun, cast.rays[:: 1 + (len(cast.rays) > 4)], cast.tall, threads, shadowed)
         contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS, threads, around)
         opened = opened * contact
     albedo = dyes.coloured(seen)

@@ -210,13 +210,7 @@ def _opened(
 
 
 def _filled(
-    grid: Grid,
-    small: Grid,
-    shade: Floats,
-    rays: PictureRays,
-    reach: float,
-    threads: int,
-    within: NDArray[np.bool_] | None = None,
+    grid: Grid, small: Grid, shade: Floats, rays: PictureRays, reach: float, threads: int, within: NDArray[np.bool_] | None = None
 ) -> Floats:
     """The shade of all pixels from that of every second one; where none of its neighbours has the same surface, by own rays."""
     high, wide = grid.view.height, grid.view.width

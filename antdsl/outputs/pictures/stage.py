@@ -101,13 +101,7 @@ def stage(setting: Setting, view: View, sun: Sun, scales: Scales, threads: int) 
 
 
 def _looked(
-    setting: Setting,
-    view: View,
-    pixels: NDArray[np.int64],
-    place: tuple[float, float],
-    sun: Sun,
-    scales: Scales,
-    threads: int,
+    setting: Setting, view: View, pixels: NDArray[np.int64], place: tuple[float, float], sun: Sun, scales: Scales, threads: int
 ) -> Samples:
     """Samples of `pixels` at one place in each; the sun is not hidden yet."""
     n = len(pixels)

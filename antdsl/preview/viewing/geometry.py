@@ -165,11 +165,7 @@ class Solids:
         slope = np.asarray(volume.gradient(vertices), np.float64) if len(vertices) else np.empty((0, 3))
         normal = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
         slot = f"solid:{name}:{piece}"
-        arrays = {
-            "position": vertices.astype(np.float32),
-            "normal": normal.astype(np.float32),
-            "face": faces.astype(np.uint32),
-        }
+        arrays = {"position": vertices.astype(np.float32), "normal": normal.astype(np.float32), "face": faces.astype(np.uint32)}
         yield slot, pack(slot, arrays, solid=name)
 
 

@@ -150,10 +150,7 @@ def _sensible(scope: Scope, clip: str, argument: str, found: Expr) -> bool:
     text = " ".join(found.span.text.split())
     words, help = "", ""
     if argument == "add" and known is None:
-        words, help = (
-            f"`add` of `play` is one value for all agents, but `{text}` may differ",
-            f"write `play {clip}(add: true)`",
-        )
+        words, help = (f"`add` of `play` is one value for all agents, but `{text}` may differ", f"write `play {clip}(add: true)`")
     elif argument == "weight" and known is not None and not 0 <= known.number <= 1:
         words, help = f"`{text}` is no share of a pose, which is from 0 to 1", f"write `play {clip}(weight: 0.5)`"
     elif argument == "speed" and known is not None and known.number < 0:

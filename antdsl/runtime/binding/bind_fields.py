@@ -47,11 +47,7 @@ def bind_fields(
                 report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
                 continue
         field = PheromoneField(
-            cells[key],
-            "max" if plan.combine == "max" else "add",
-            limit,
-            plan.stencil,
-            deposits_first=plan.deposits == "first",
+            cells[key], "max" if plan.combine == "max" else "add", limit, plan.stencil, deposits_first=plan.deposits == "first"
         )
         start = world.setting.field_start.get(plan.name)
         if start is not None:

@@ -8,17 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl.ground.mesh.stretches import finish
-from antdsl.ground.mesh.walk import (
-    DONE,
-    LEFT_OUT,
-    ROWS_AHEAD,
-    WAITS,
-    bring_near,
-    counted,
-    keep,
-    put_down,
-    walked,
-)  # fmt: skip
+from antdsl.ground.mesh.walk import DONE, LEFT_OUT, ROWS_AHEAD, WAITS, bring_near, counted, keep, put_down, walked  # fmt: skip
 from antdsl.ground.mesh.walkers import Clearances, Placed, Surface
 from antdsl.ground.plane import straight
 from antdsl.machine_code.kernels import (
