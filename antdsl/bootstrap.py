@@ -147,10 +147,7 @@ def run_example(python: Path, out: Path) -> int:
     """The main job on an example: simulate foraging, then a still and a contact sheet of it."""
     scene = ROOT / "examples" / "foraging" / "scene.yaml"
     antdsl = [str(python), "-P", "-m", "antdsl"]
-    for command in (
-        [*antdsl, "run", str(scene), "--out", str(out)],
-        [*antdsl, "render", str(out), "--sheet"],
-    ):
+    for command in ([*antdsl, "run", str(scene), "--out", str(out)], [*antdsl, "render", str(out), "--sheet"]):
         code = subprocess.run(command, cwd=ROOT).returncode
         if code:
             return code

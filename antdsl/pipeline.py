@@ -95,19 +95,14 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
 
 @standard()
 def open_scene(
-    path: Path | str,
-    choices: Choices | None = None,
-    *,
-    parsed: Parsed | None = None,
-    thorough: bool = True,
-    raw: bool = False,
+    path: Path | str, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True, raw: bool = False
 ) -> tuple[Shot | None, Report]:
     """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`,
     `thorough` as in `passes.optimise`; `raw`: the plan as lowered, before any pass."""
     path = Path(path)
     from antdsl import passes, plan
     from antdsl.bodies.crowd_bodies import crowd_bodies
-    from antdsl.scene.adjusting import with_fields
+    from antdsl.scene.field_settings import with_fields
     from antdsl.scene.matching import layer_order
     from antdsl.scene.overriding import overrides, with_changed_fields, with_changed_params
     from antdsl.scene.staging.stage_scene import stage
@@ -233,7 +228,7 @@ def check_path(
     """All that can be known about one file without running it: a program by itself, or a scene with its programs and meshes.
     With one `parsed` for many files, what is wrong with a program is at the same place whoever names it. `specs`: also whether
     the scenes are there that its specs run on."""
-    from antdsl.scene.spec_scenes import spec_scenes
+    from antdsl.scene.existence_checks import spec_scenes
 
     choices = choices or Choices()
     if path.suffix == ".ant":

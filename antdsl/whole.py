@@ -286,3 +286,22 @@ def make_folder(folder: Path) -> None:
         sync_folder(each.parent)
     if not missing and not folder.is_dir():
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(folder))
+
+
+def is_link(path: Path) -> bool:
+    """Whether a path is a link itself, on Windows a junction too; false where nothing is there."""
+    try:
+        status = os.lstat(path)
+    except OSError:
+        return False
+    return os.path.islink(path) or bool(getattr(status, "st_reparse_tag", False))
+
+
+def first_link(base: Path, *names: str) -> Path | None:
+    """The first of `base/NAME`, `base/NAME/NAME`, … that is a link, or None. Links in `base` are those of whoever named it."""
+    path = base
+    for name in names:
+        path /= name
+        if is_link(path):
+            return path
+    return None

@@ -15,7 +15,7 @@ from explained import Fact, differences, fact_of
 from antdsl.numerics import randomness
 from antdsl.preview import Session
 from antdsl.preview.observing.explainer import Explainer
-from antdsl.runtime import World, stepping
+from antdsl.runtime import World, phases
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -42,9 +42,9 @@ class Notes:
             return found
 
         monkeypatch.setattr(randomness, "words", noted)
-        at = [name for name, _ in stepping.PHASES].index("effects")
-        phases = (*stepping.PHASES[:at], ("noted", self._note), *stepping.PHASES[at:])
-        monkeypatch.setattr(stepping, "PHASES", phases)
+        at = [name for name, _ in phases.PHASES].index("effects")
+        observed = (*phases.PHASES[:at], ("noted", self._note), *phases.PHASES[at:])
+        monkeypatch.setattr(phases, "PHASES", observed)
 
     def _note(self, world: World) -> None:
         if world is self.session.world:  # and not one in which something is explained

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from antdsl.plan import ir
-from antdsl.plan.floats import ARITHMETIC, COMPARISONS, f32
 from antdsl.plan.ir import Block, Node
+from antdsl.plan.simplify import ARITHMETIC, COMPARISONS, f32
 
 KERNELS: dict[str, Callable[..., float]] = {
     "sin": math.sin, "cos": math.cos, "exp": math.exp, "atan2": math.atan2, "pow": math.pow,

@@ -6,8 +6,7 @@ memory and start-up are nobody else's. `ratios` holds the statistics, `counting`
 for a page. Nothing here changes a result."""
 
 from antdsl.bench.cases import CASES, Case
-from antdsl.bench.costs import Cost, Job, Measured
-from antdsl.bench.processes import measured
+from antdsl.bench.costs import Cost, Job, Measured, measured
 from antdsl.bench.ratios import Ratio, in_turn, interval
 
 __all__ = ["CASES", "Case", "Cost", "Job", "Measured", "Ratio", "in_turn", "interval", "measured"]

@@ -1,11 +1,16 @@
-"""What is asked of a process that measures, and what it tells: plain values that go through JSON."""
+"""What a process that measures is asked, and what it answers, as plain values that go through JSON; and a job in a process of
+its own: its memory and its start-up are nobody else's."""
 
 from __future__ import annotations
 
+import json
+import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from statistics import median
 from typing import Any
+
+from antdsl.child_processes import module_command, module_environment
 
 BOUND = "bound"  # the name under which the frame written by hand is told beside backends
 
@@ -131,3 +136,16 @@ class Measured:
     def ratios(self, name: str, other: str) -> list[float]:
         """CPU time of a step on one of `costs` over that on another, turn by turn."""
         return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]
+
+
+class Failed(Exception):
+    """The process ended without a result; the message is what it said last."""
+
+
+def measured(job: Job) -> Measured:
+    """What the process finds out. Raises Failed."""
+    command = module_command("antdsl.bench", json.dumps(job.as_json()))
+    done = subprocess.run(command, capture_output=True, text=True, env=module_environment())
+    if done.returncode:
+        raise Failed((done.stderr.strip() or f"the process ended with {done.returncode}").splitlines()[-1])
+    return Measured.from_json(json.loads(done.stdout.splitlines()[-1]))

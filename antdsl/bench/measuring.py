@@ -23,7 +23,7 @@ from antdsl.bench.ratios import in_turn
 from antdsl.machine_code import machine
 from antdsl.machine_code.object_cache import VARIABLE
 from antdsl.numerics import stored_tables
-from antdsl.outputs.writer.process_memory import memory
+from antdsl.numerics.host import memory
 from antdsl.pipeline import Shot
 from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.resources import benchmark_file

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import datetime
+import os
+import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from statistics import mean
 from typing import Any
 
+from antdsl import __version__
 from antdsl.bench.cases import CASES
 from antdsl.bench.costs import BOUND, Measured
-from antdsl.bench.machine import machine
 from antdsl.bench.ratios import LEAST_PAIRS, interval
+from antdsl.numerics.host import processor
+
+PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,3 +163,20 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     lines += ["| " + " | ".join(row) + " |" for row in rows]
     return "\n".join(lines) + "\n"
+
+
+def machine() -> dict[str, str]:
+    """Names to words: date, machine, system, versions."""
+    found = {
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{processor()}, {os.cpu_count()} cores",
+        "system": f"{platform.system()} {platform.machine()}",
+        "antdsl": __version__,
+        "python": platform.python_version(),
+    }
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

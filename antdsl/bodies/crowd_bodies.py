@@ -10,11 +10,10 @@ from functools import cached_property
 import numpy as np
 
 from antdsl.bodies.agents.boxes import rest_box
-from antdsl.bodies.agents.definition import Clip, Definition
+from antdsl.bodies.agents.definition import Clip, Definition, spoken_names
 from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.packed import digest
-from antdsl.bodies.agents.spoken import spoken_names
-from antdsl.bodies.kept_definitions import definition_at
+from antdsl.bodies.files.reading import definition_at
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import COLLISION, own_layer
 from antdsl.diagnostics import Label, Report

@@ -6,7 +6,7 @@ from functools import cache
 
 from antdsl import resources
 from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.files.reading import read_definition
 from antdsl.scene.library_bodies import BODY_WORDS
 
 

@@ -1,13 +1,186 @@
-"""Small meshes made from numbers: spheres, stones, food, a nest mound, marks for agents without a body of their own.
+"""Small meshes made from numbers: spheres and stones; and bodies of what is placed: an apple, a ring (a donut), a crumb of
+bread, a lump of sugar, a nest mound, a plain ball.
 
-Every shape is `(vertices float64 (n, 3), faces int32 (m, 3))`, y up, counter-clockwise seen from outside."""
+Every shape is `(vertices float64 (n, 3), faces int32 (m, 3))`, y up, counter-clockwise seen from outside. Bodies have the
+radius 1 and rest at y = 0 or are sunk a little."""
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+
+Painted = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32]]  # vertices, faces, display colour per vertex
+
+
+def _apple() -> Painted:
+    vertices, faces = sphere(4)
+    flat = np.hypot(vertices[:, 0], vertices[:, 2])
+    turn = np.arctan2(vertices[:, 2], vertices[:, 0])
+    high = vertices[:, 1]
+    top = np.exp(-((flat / 0.32) ** 2)) * np.where(high > 0, 0.42, 0.22) * np.sign(high)
+    shoulder = 1 + 0.05 * np.cos(5 * turn) * (1 - high) / 2
+    body = np.stack([vertices[:, 0] * shoulder, high * 0.9 - top, vertices[:, 2] * shoulder], axis=1)
+    blush = np.clip(0.5 + 0.55 * waves(vertices, 41, 1.5, 2), 0, 1)[:, None]
+    streak = np.clip(0.5 + 0.5 * np.sin(17 * turn + 4 * waves(vertices, 42, 1.2, 1)), 0, 1)[:, None] * 0.25
+    red, gold = np.array([0.74, 0.11, 0.10]), np.array([0.90, 0.68, 0.22])
+    near_top = np.exp(-(((flat - 0.05) / 0.34) ** 2))[:, None] * (high > 0)[:, None]
+    colour = red + (gold - red) * np.clip(0.55 * (1 - blush) + streak * 0.5 + 0.8 * near_top, 0, 1)
+    stem_points, stem_faces = sphere(1)
+    bend = 0.10 * (stem_points[:, 1] + 1) ** 2
+    stem = np.stack([stem_points[:, 0] * 0.045 + bend * 0.5, 0.72 + 0.22 * stem_points[:, 1], stem_points[:, 2] * 0.045], axis=1)
+    points, triangles = joined([(body, faces), (stem, stem_faces)])
+    shade = np.concatenate([colour, np.full((len(stem), 3), (0.33, 0.22, 0.13))])
+    points[:, 1] += 0.78
+    return points, triangles, shade.astype(np.float32)
+
+
+def _ring() -> Painted:
+    """A glazed ring: outer radius 1, tube 0.38, icing on the upper half with a wavy border, and sprinkles."""
+    around, across = 48, 20
+    u = np.arange(around) * 2 * np.pi / around
+    v = np.arange(across) * 2 * np.pi / across
+    big, small = np.meshgrid(u, v, indexing="ij")
+    radius = 0.62 + 0.38 * np.cos(small)
+    points = np.stack([radius * np.cos(big), 0.36 * np.sin(small), radius * np.sin(big)], axis=2).reshape(-1, 3)
+    border = 0.02 + 0.10 * np.sin(7 * big) * 0.5 + 0.05 * np.sin(11 * big + 1)
+    iced = (points[:, 1] > border.reshape(-1)).astype(np.float64)[:, None]
+    points *= 1 + 0.035 * iced
+    row, column = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+    a = (row * across + column).reshape(-1)
+    b = (row * across + (column + 1) % across).reshape(-1)
+    c, d = (a + across) % (around * across), (b + across) % (around * across)
+    faces = np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)]).astype(np.int32)
+    dough, icing = np.array([0.80, 0.56, 0.30]), np.array([0.93, 0.52, 0.64])
+    parts: list[Mesh] = [(points, faces)]
+    shades = [dough + (icing - dough) * iced]
+    draw = np.random.Generator(np.random.Philox(51))
+    hues = np.array([(0.98, 0.96, 0.92), (0.97, 0.83, 0.25), (0.36, 0.68, 0.86), (0.45, 0.76, 0.42), (0.85, 0.26, 0.24)])
+    for k in range(34):
+        turn, side, own = draw.uniform(0, 2 * np.pi), draw.uniform(0.35, np.pi - 0.35), draw.uniform(0, np.pi)
+        grain, triangles = sphere(0)
+        grain = grain * np.array([0.075, 0.022, 0.022])
+        grain = np.stack(
+            [
+                grain[:, 0] * np.cos(own) - grain[:, 2] * np.sin(own),
+                grain[:, 1],
+                grain[:, 0] * np.sin(own) + grain[:, 2] * np.cos(own),
+            ],
+            1,
+        )
+        reach = 0.62 + 0.40 * np.cos(side)
+        parts.append((grain + np.array([reach * np.cos(turn), 0.385 * np.sin(side), reach * np.sin(turn)]), triangles))
+        shades.append(np.tile(hues[k % len(hues)], (len(grain), 1)))
+    vertices, triangles = joined(parts)
+    vertices[:, 1] += 0.30
+    return vertices, triangles, np.concatenate(shades).astype(np.float32)
+
+
+def _mound() -> Painted:
+    """A low ring of loose soil with a dark hole, as ants throw it up around their door; lower than an ant: none is buried."""
+    rings, around = 22, 40
+    reach = np.linspace(0, 1.25, rings)
+    turn = np.arange(around) * 2 * np.pi / around
+    r, t = np.meshgrid(reach, turn, indexing="ij")
+    crest = 0.52
+    outside = 0.07 * np.exp(-(((r - crest) / 0.34) ** 2))
+    inside = 0.07 * np.exp(-(((r - crest) / 0.22) ** 2)) - 0.07 * np.exp(-((r / 0.20) ** 2))
+    high = np.where(r > crest, outside, np.maximum(inside, 0.012))  # the ground goes on below: a hole in it would not be seen
+    points = np.stack([r * np.cos(t), high, r * np.sin(t)], axis=2).reshape(-1, 3)
+    soft = np.clip(r.reshape(-1) / 0.25, 0, 1)
+    points[:, 1] += 0.012 * waves(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft
+    points[:, 1] -= np.clip(r.reshape(-1) - 0.9, 0, None) * 0.35
+    row, column = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
+    a, b = (row * around + column).reshape(-1), (row * around + (column + 1) % around).reshape(-1)
+    faces = np.concatenate([np.stack([a, b, b + around], 1), np.stack([a, b + around, a + around], 1)]).astype(np.int32)
+    depth = np.clip((r.reshape(-1) - 0.10) / 0.22, 0.0, 1.0)[:, None]
+    soil, dark = np.array([0.60, 0.46, 0.33]), np.array([0.07, 0.05, 0.04])
+    tone = 1 + 0.10 * waves(points, 62, 0.22, 2)[:, None]
+    return points, faces, np.clip((dark + (soil - dark) * depth) * tone, 0, 1).astype(np.float32)
+
+
+def _crumb() -> Painted:
+    """A crumb of bread: broken faces, pores, and crust on one side."""
+    vertices, faces = sphere(5)
+    draw = np.random.Generator(np.random.Philox(71))
+    ways = draw.normal(size=(13, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    # Broken off by planes whose edges are worn.
+    cut = (vertices @ ways.T) / draw.uniform(0.66, 0.92, 13)
+    size = np.minimum(1.0, 1 / np.maximum((np.maximum(cut, 0) ** 14).sum(axis=1) ** (1 / 14), 1e-9))
+    rough = waves(vertices, 72, 0.75, 3)
+    pore = np.clip(waves(vertices, 73, 0.34, 1) - 0.25, 0, 1) + 0.6 * np.clip(waves(vertices, 74, 0.17, 1) - 0.3, 0, 1)
+    points = vertices * (size * (1 + 0.03 * rough - 0.075 * pore))[:, None]
+    points *= 1.06 / np.hypot(points[:, 0], points[:, 2]).max()
+    points[:, 1] -= points[:, 1].min() + 0.06
+    crust = np.clip(4 * (vertices @ ways[0] - 0.45) + 0.5 * rough, 0, 1)[:, None]
+    white, brown, dark = np.array([0.90, 0.76, 0.52]), np.array([0.56, 0.30, 0.12]), np.array([0.66, 0.46, 0.25])
+    inside = white + (dark - white) * np.clip(1.6 * pore + 0.15 * rough, 0, 1)[:, None]
+    return points, faces, np.clip(inside + (brown - inside) * crust, 0, 1).astype(np.float32)
+
+
+def _cube() -> Painted:
+    """A lump of sugar: a block with worn edges, of grains."""
+    vertices, faces = sphere(5)
+    norm = (np.abs(vertices) ** 9).sum(axis=1) ** (1 / 9)
+    grain = waves(vertices, 81, 0.09, 2)
+    points = vertices / norm[:, None] * (1 + 0.018 * grain)[:, None] * np.array([0.78, 0.66, 0.72])
+    points[:, 1] -= points[:, 1].min()
+    tone = 0.93 + 0.06 * grain
+    return points, faces, np.clip(tone[:, None] * np.array([1.0, 0.985, 0.95]), 0, 1).astype(np.float32)
+
+
+def _ball() -> Painted:
+    vertices, faces = sphere(3)
+    vertices[:, 1] += 0.85
+    return vertices, faces, np.full((len(vertices), 3), (0.86, 0.80, 0.62), np.float32)
+
+
+PLACED: dict[str, Callable[[], Painted]] = {
+    "apple": _apple,
+    "ring": _ring,
+    "crumb": _crumb,
+    "cube": _cube,
+    "mound": _mound,
+    "sphere": _ball,
+}
+
+# Words in an item's name that tell its shape; the first that is found decides.
+_WORDS: tuple[tuple[str, str], ...] = (
+    ("apple", "apple"),
+    ("fruit", "apple"),
+    ("donut", "ring"),
+    ("doughnut", "ring"),
+    ("ring", "ring"),
+    ("sugar", "cube"),
+    ("crumb", "crumb"),
+    ("bread", "crumb"),
+    ("food", "crumb"),  # whatever it is called
+    ("nest", "mound"),
+    ("home", "mound"),
+    ("camp", "mound"),
+    ("hill", "mound"),
+    ("heap", "mound"),
+    ("door", "none"),  # places that are meant, not things
+    ("room", "none"),
+)
+
+
+@cache
+def placed(shape: str) -> Painted:
+    """Vertices, faces and display colours 0..1 of the named shape."""
+    made = PLACED[shape]()
+    for array in made:
+        array.setflags(write=False)
+    return made
+
+
+def shape_of(kind: str, name: str) -> str:
+    """The shape that suits items called `kind` (`food`, `nest`) of this `name` (`apple`)."""
+    return next((shape for text in (name, kind) for word, shape in _WORDS if word in text.lower()), "sphere")
 
 
 @lru_cache(maxsize=8)

@@ -275,12 +275,7 @@ def hits(
 
 @kernel
 def nearest(
-    table: Table,
-    corners: Array3[F64],
-    points: Strided2[F64],
-    face: Array1[I64],
-    place: Array2[F64],
-    square: Array1[F64],
+    table: Table, corners: Array3[F64], points: Strided2[F64], face: Array1[I64], place: Array2[F64], square: Array1[F64]
 ) -> None:
     """As `Faces.nearest`, into the last three arrays; `face` holds what Open3D names."""
     planes, rims, weld, first, faces = table

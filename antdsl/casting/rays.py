@@ -68,12 +68,7 @@ class RayScene(Nearby):
     _largest: float | None = None
 
     def __init__(
-        self,
-        vertices: Vectors,
-        faces: NDArray[np.int32],
-        brief: bool = False,
-        largest: float | None = None,
-        lasting: bool = True,
+        self, vertices: Vectors, faces: NDArray[np.int32], brief: bool = False, largest: float | None = None, lasting: bool = True
     ) -> None:
         self._brief, self._largest, self._lasting = brief, largest, lasting
         self._fill([(vertices, faces)])

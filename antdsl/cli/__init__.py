@@ -10,12 +10,13 @@ import shlex  # noqa: E402
 import sys  # noqa: E402
 import warnings  # noqa: E402
 from collections.abc import Callable  # noqa: E402
-from typing import NamedTuple  # noqa: E402
+from typing import Any, NamedTuple  # noqa: E402
 
 # What starting and checking allocate stays until the end; looking through it for garbage every 700 objects is a tenth of a check.
 gc.set_threshold(100_000, 50, 50)
 
 import typer  # noqa: E402
+from typer.core import TyperGroup  # noqa: E402
 
 from antdsl.cli import (  # noqa: E402
     bench,
@@ -38,10 +39,27 @@ from antdsl.cli import (  # noqa: E402
     sweep,
     test,
 )
-from antdsl.cli.exits import Exit, Stop  # noqa: E402
-from antdsl.cli.failures import failure, limit_threads, machine_failure  # noqa: E402
-from antdsl.cli.help_layout import GroupedHelp  # noqa: E402
+from antdsl.cli.exits import Exit, Stop, failure, limit_threads, machine_failure  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
+
+
+class GroupedHelp(TyperGroup):
+    """A group of commands that lists them under the headings (`rich_help_panel`) that they name. No line is cut."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands of each heading."""
+        width = max(map(len, self.commands))
+        rows: dict[str, list[tuple[str, str]]] = {}
+        for name, command in self.commands.items():
+            rows.setdefault(command.rich_help_panel, []).append((name.ljust(width), _first_sentence(command)))  # type: ignore[attr-defined]
+        for heading, commands in rows.items():
+            with formatter.section(heading):
+                formatter.write_dl(commands)
+
+
+def _first_sentence(command: Any) -> str:
+    text = " ".join((command.help or "").split())
+    return text.partition(". ")[0].rstrip(".") + "."
 
 
 class Command(NamedTuple):

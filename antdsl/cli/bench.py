@@ -112,7 +112,7 @@ def _measured(name: str, count: int | None, backends: list[str], turns: int, ste
 
 
 def _done(job: Job) -> Measured:
-    from antdsl.bench.processes import Failed, measured
+    from antdsl.bench.costs import Failed, measured
 
     try:
         return measured(job)

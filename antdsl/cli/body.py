@@ -42,7 +42,7 @@ def body(
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
-    from antdsl.bodies.agents.reading import read_definition
+    from antdsl.bodies.files.reading import read_definition
     from antdsl.bodies.library import library_body
     from antdsl.cli.arguments import grants
     from antdsl.cli.printing.body_tables import body_document, body_lines
@@ -73,8 +73,8 @@ def body(
 
 def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
     """Write a definition as another kind of file, and say what is left out."""
-    from antdsl.bodies.agents.definition_written import definition_files
-    from antdsl.bodies.agents.gltf_written import write_gltf
+    from antdsl.bodies.files.definition_written import definition_files
+    from antdsl.bodies.files.gltf_written import write_gltf
     from antdsl.bodies.posed_body import own_layer
     from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
     from antdsl.whole import make_folder, write_whole

@@ -66,7 +66,7 @@ def check(
     from antdsl.diagnostics import Report
     from antdsl.diagnostics.ignoring import judged, without_ignored
     from antdsl.files import find_files
-    from antdsl.numerics.cores import cores
+    from antdsl.numerics.host import cores
     from antdsl.pipeline import Choices, open_scene
 
     choices = Choices(grants(root))

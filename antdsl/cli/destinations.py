@@ -60,7 +60,7 @@ def put(path: Path | None, data: bytes, output: TextIO) -> None:
 def default_place(base: Path, *names: str, flag: str = "--out") -> Path:
     """Where results go below `base` if the user names no place with `flag`. Leave where one of `names` is a link: it could lead
     anywhere, and only the user may choose that."""
-    from antdsl.outputs.links import first_link
+    from antdsl.whole import first_link
 
     link = first_link(base, *names)
     if link is not None:

@@ -7,8 +7,7 @@ from pathlib import Path
 import typer
 
 from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.failures import report_failures
+from antdsl.cli.exits import Exit, Stop, report_failures
 from antdsl.cli.printing.messages import say
 
 
@@ -59,7 +58,7 @@ def edit(
 
 def _width(text: str) -> int:
     """Over how many frames `orient:9` smooths."""
-    from antdsl.outputs.smoothing import LEAST, MOST
+    from antdsl.outputs.editing import LEAST, MOST
 
     name, _, number = text.partition(":")
     if name != "orient":

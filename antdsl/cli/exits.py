@@ -1,9 +1,27 @@
-"""Exit codes, and the one exception that ends a command with words instead of a traceback."""
+"""Exit codes, the one exception that ends a command with words instead of a traceback, and failures of the disk and of memory:
+what could not be done, with which file, and how to continue."""
 
 from __future__ import annotations
 
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 from errno import EAGAIN, ENOMEM
+from math import inf
+
+from antdsl import limits
+
+AGAIN = "run the same command again"
+_FIRST = {
+    errno.ENOSPC: "make room, then",
+    errno.EDQUOT: "make room, then",
+    errno.EACCES: "allow writing there, then",
+    errno.EPERM: "allow writing there, then",
+    errno.ENOLCK: "name a folder on a disk that has file locks, then",
+    errno.EROFS: "make the disk writable, then",
+}
 
 
 class Exit(IntEnum):
@@ -66,3 +84,64 @@ def _has_no_process(problem: OSError) -> bool:
     while place is not None and place.tb_next is not None:
         place = place.tb_next
     return place is not None and place.tb_frame.f_globals.get("__name__") in _STARTS
+
+
+@contextmanager
+def report_failures(what: str, again: str = AGAIN) -> Iterator[None]:
+    """End the command with exit code 3 where the disk or memory fails. `what` could not be done; `again`: how to continue."""
+    try:
+        yield
+    except (BrokenPipeError, Stop):  # the reader of standard output is gone: that is not the disk
+        raise
+    except Exception as problem:
+        found = machine_failure(problem)
+        if found is None:
+            raise
+        raise failure(found, what, again) from None
+
+
+def machine_failure(problem: Exception) -> OSError | MemoryError | None:
+    """The error as one of the disk or of memory, whatever library reports it; None where it is of neither."""
+    if is_out_of_memory(problem):
+        return MemoryError()
+    return problem if isinstance(problem, OSError) else None
+
+
+def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) -> Stop:
+    """The end of a command for a failure of the disk or of memory."""
+    if isinstance(problem, MemoryError):
+        words = "error: out of memory; fewer agents, larger cells or a lighter mesh need less"
+        return Stop(Exit.INPUT_OUTPUT, words, f"once there is more, {again}")
+    if problem.errno == errno.ENOENT and not problem.filename and not _has_working_directory():
+        return Stop(Exit.INPUT_OUTPUT, "error: the working directory was removed", f"change to another folder, then {again}")
+    place = f": `{problem.filename}`" if problem.filename else ""
+    words = f"error: {what}{': ' if what else ''}{(problem.strerror or str(problem)).lower()}{place}"
+    return Stop(Exit.INPUT_OUTPUT, words, f"{advice(problem)} {again}")
+
+
+def limit_threads() -> None:
+    """Where the address space of this process is limited, keep NumPy's library of linear algebra, which is not loaded yet, from
+    threads that take some of it each: it ends the process when it gets none. Stop where one thread would not find room."""
+    from antdsl.numerics.host import address_space
+
+    most = address_space()
+    if most == inf:
+        return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if most < limits.COMMAND_MEMORY:
+        needed, have = (f"{size / limits.MIB:,.0f} MiB" for size in (limits.COMMAND_MEMORY, most))
+        words = f"error: out of memory: this process may have {have} of address space, and needs {needed}"
+        raise Stop(Exit.INPUT_OUTPUT, words, f"allow more (`ulimit -v`), then {AGAIN}")
+
+
+def _has_working_directory() -> bool:
+    try:
+        os.getcwd()
+    except OSError:
+        return False
+    return True
+
+
+def advice(problem: OSError) -> str:
+    """What to do before a command continues: the beginning of a sentence."""
+    return _FIRST.get(problem.errno or 0, "once that is mended,")

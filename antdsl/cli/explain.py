@@ -24,7 +24,7 @@ def explain(
     from antdsl.cli.printing.reports import demand, show
     from antdsl.explain import ExplainError, as_json, tell
     from antdsl.explain import explain as explained
-    from antdsl.numerics.cores import cores
+    from antdsl.numerics.host import cores
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.provenance import resume_command

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.cache_tasks import answers
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.failures import report_failures
+from antdsl.cli.exits import Exit, Stop, report_failures
 from antdsl.cli.printing.messages import say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, answers, demand_scheduler
 from antdsl.whole import make_folder, sync_files
 
 if TYPE_CHECKING:
@@ -105,11 +103,10 @@ def export(
     from antdsl.cli.arguments import frame_range, number_set, open_time
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.exports import EXPORTS, export_for
+    from antdsl.outputs.exports import EXPORTS, SomeAgents, export_for
     from antdsl.outputs.gallery import Gallery, NoPicture
     from antdsl.outputs.numbered_files import NoExport
     from antdsl.outputs.provenance import resume_command
-    from antdsl.outputs.some_agents import SomeAgents
     from antdsl.scene.geometry.usd import UsdError
     from antdsl.shots.exports import tasks
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.arguments import STDIN, standard_input
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.failures import AGAIN, advice
+from antdsl.cli.exits import AGAIN, Exit, Stop, advice
 from antdsl.cli.printing.messages import print_result, say
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ class _Work:
 
     def files(self, paths: list[Path]) -> None:
         from antdsl.files import find_files
-        from antdsl.outputs.links import is_link
+        from antdsl.whole import is_link
 
         found, report = find_files(paths)
         self.report.extend(report)

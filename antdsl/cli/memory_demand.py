@@ -21,7 +21,7 @@ _NAMED = 3  # things that a message names
 
 def work_of(shot: Shot) -> list[Work]:
     """What the world of a shot and its crowd have to allocate."""
-    from antdsl.plan.register_bytes import memory
+    from antdsl.plan.registers import memory
     from antdsl.program.model import Const
     from antdsl.runtime.binding.world_work import world_work
     from antdsl.scene.matching import const_base
@@ -38,7 +38,7 @@ def work_of(shot: Shot) -> list[Work]:
 def demand_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> None:
     """End the command where the `at_once` largest runs need more than 80 % of the memory that is available; each shot is run
     `runs` times. Stop names the largest things, at the place of the largest in its scene."""
-    from antdsl.numerics.memory import available_memory
+    from antdsl.numerics.host import available_memory
 
     there = available_memory()
     works = sorted(((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(work_of, shots))), reverse=True)

@@ -103,9 +103,8 @@ def _only_by(choices: Choices, live: Live) -> bool:
 
 def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, others: bool, again: bool) -> None:
     """`again`: it may be started again on this port, and pages that are open now come back to it."""
-    from antdsl.preview.serving.guard import Guard
+    from antdsl.preview.serving.guard import Guard, Returning
     from antdsl.preview.serving.pages import pages
-    from antdsl.preview.serving.returning import Returning
     from antdsl.preview.serving.server import Server, serve_here
 
     # what goes over a network is not encrypted: who reads a key there could come back with it

@@ -9,20 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.cache_tasks import Where, answers
 from antdsl.cli.destinations import default_place, folder_to_write
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.failures import report_failures
+from antdsl.cli.exits import Exit, Stop, report_failures
 from antdsl.cli.printing.messages import say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
-from antdsl.cli.stopping import code_of, stoppable
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, Where, answers, code_of, demand_scheduler, stoppable
 from antdsl.whole import make_folder, sync_files
 
 if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
-    from antdsl.outputs.drawing import Drawn
+    from antdsl.outputs.drawing import Drawn, Stills
     from antdsl.outputs.gallery import Gallery
-    from antdsl.outputs.kept_stills import Stills
     from antdsl.outputs.paths import Window
 
 SHEET = 9  # pictures on a contact sheet where no frames are named
@@ -112,8 +108,7 @@ def render(
     """Draw frames of a cache."""
     from antdsl.cli.arguments import frame_range
     from antdsl.cli.run import at_once
-    from antdsl.outputs.drawing import Drawn
-    from antdsl.outputs.kept_stills import Stills
+    from antdsl.outputs.drawing import Drawn, Stills
 
     demand_scheduler(scheduler, tls, no_tls)
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
@@ -272,7 +267,7 @@ def _by_cluster(
     where: Where, cache: Path, wanted: Drawn, frames: list[int], together: list[int], folder: Path, fps: float | None
 ) -> None:
     """Stills that workers draw, or, with `fps`, a film of them."""
-    from antdsl.outputs.kept_stills import still_path
+    from antdsl.outputs.drawing import still_path
     from antdsl.shots.stills import tasks
 
     stills = folder if fps is None else default_place(folder, "film.frames")
@@ -291,7 +286,7 @@ def _film_of_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> N
     """Put pictures of so many pixels into a film, and remove them."""
     from antdsl.bounded import read_bounded
     from antdsl.cli.printing.reports import demand
-    from antdsl.outputs.kept_stills import STILL_BYTES
+    from antdsl.outputs.drawing import STILL_BYTES
     from antdsl.outputs.pictures import film
     from antdsl.reader.image_request import ImageError, read_image_file
 

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.destinations import default_place, file_to_write, folder_to_write, keeping_inputs, put, words_aside
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.failures import report_failures
+from antdsl.cli.exits import Exit, Stop, report_failures
 from antdsl.cli.memory_demand import ANY_MEMORY, demand_memory
 from antdsl.cli.printing.messages import say
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
 from antdsl.cli.shots import run_shots
-from antdsl.numerics.cores import cores
+from antdsl.numerics.host import cores
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording
@@ -117,11 +116,7 @@ def run(
     from antdsl.runtime import Options
 
     options = Options(
-        backend=backend.value,
-        chunk=chunk,
-        threads=at_once(threads, quiet),
-        shuffle_rows=shuffle,
-        on_fault=on_fault.value,
+        backend=backend.value, chunk=chunk, threads=at_once(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
     writing = report_failures("cannot write the cache", f"go on with: {again}")
     with writing, _setting_up(again), keeping_inputs(files, folders):  # another cache too, that the scene begins with
@@ -148,10 +143,7 @@ def at_once(asked: int, quiet: bool = False) -> int:
     other, and libraries complain about it."""
     there = cores()
     if asked > there and not quiet:
-        say(
-            f"`--threads {asked}`: this process may use {there} core{'s' * (there > 1)} here, so {there} at a time",
-            err=True,
-        )
+        say(f"`--threads {asked}`: this process may use {there} core{'s' * (there > 1)} here, so {there} at a time", err=True)
     return min(asked or there, there)
 
 

@@ -1,10 +1,14 @@
-"""Where the tasks of a command run: on processes of this machine, or on a Dask cluster, one of its own or one that is there."""
+"""Where the tasks of a command run: on processes of this machine, or on a Dask cluster, one of its own or one that is there;
+and how a command that is long at work is stopped.
+
+Workers of a cluster that read a cache see the folder that it lies in, or are sent its files."""
 
 from __future__ import annotations
 
 import ipaddress
 import re
-from collections.abc import Iterable, Iterator
+import signal
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +16,16 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import say
+from antdsl.numerics.host import cores
 
 if TYPE_CHECKING:
+    from antdsl.executors import Answered, Task
     from antdsl.executors.cluster import Cluster
     from antdsl.executors.parcel import Seen
+    from antdsl.shots.placing import Destination
 
+Where = tuple[str, Path | None, bool]
 SCHEDULER: Any = typer.Option(
     None,
     "--scheduler",
@@ -52,13 +61,7 @@ def demand_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> Non
 
 @contextmanager
 def cluster(
-    address: str,
-    tls: Path | None,
-    no_tls: bool,
-    workers: int,
-    threads: int,
-    files: Iterable[Path],
-    seen: Seen | None = None,
+    address: str, tls: Path | None, no_tls: bool, workers: int, threads: int, files: Iterable[Path], seen: Seen | None = None
 ) -> Iterator[Cluster]:
     """The cluster of an address, whose workers have got the files, or see `seen` where they are. `workers` with so many `threads`
     each, where it is started here. What is wrong ends the command; Lost where no scheduler answers."""
@@ -87,7 +90,7 @@ def cluster(
 
 def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
     """The folder of certificates for an address, or None where none are needed."""
-    from antdsl.executors.addresses import TLS_FILES
+    from antdsl.executors.tasks import TLS_FILES
 
     found = re.fullmatch(r"(tls|tcp)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9_.-]{1,253}):([0-9]{1,5})", address)
     if address == "local":
@@ -123,7 +126,7 @@ def _demand_certificates(folder: Path) -> None:
     """That the files of a folder are certificates, and the key that of the second: Dask would only say that nobody answers."""
     import ssl
 
-    from antdsl.executors.addresses import TLS_FILES
+    from antdsl.executors.tasks import TLS_FILES
 
     authority, certificate, key = (folder / name for name in TLS_FILES)
     for made, words in ((authority, "is no certificate"), (certificate, "and `key.pem` are no certificate and its key")):
@@ -144,3 +147,57 @@ def _loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM: as good as Ctrl-C, with an exit code of its own."""
+
+
+def code_of(why: BaseException) -> Exit:
+    """The exit code of a command that was stopped by Ctrl-C or by SIGTERM."""
+    return Exit.TERMINATED if isinstance(why, Terminated) else Exit.INTERRUPTED
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Being asked to end by SIGTERM raises too, as Ctrl-C does."""
+
+    def stop(number: int, frame: object) -> None:
+        raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def answers(where: Where, cache: Path, to: Path, tasks: Callable[[Path, Destination], Iterable[Task]]) -> Iterator[Answered]:
+    """What became of tasks on the cluster `where` (its address, certificates, and whether it may go without), each once its files
+    are in the folder `to`. `tasks` is given the cache, whole and without links, and where files go. Ends the command where one
+    fails, once all are through, and where the scheduler is lost."""
+    from antdsl.bounded import real_path
+    from antdsl.executors import Lost
+    from antdsl.executors.parcel import Seen
+    from antdsl.outputs.cache.cache_reader import STATIC, frame_path, open_cache
+    from antdsl.outputs.cache.hashes import HASHES
+    from antdsl.outputs.cache.manifest import MANIFEST
+    from antdsl.shots.placing import destination, fetched
+
+    cache = real_path(cache)
+    files = [*(cache / name for name in (MANIFEST, STATIC, HASHES)), *(frame_path(cache, f) for f in open_cache(cache).frames())]
+    failed = 0
+    try:
+        with cluster(*where, cores(), 1, files, Seen.of(cache / HASHES)) as executors, destination(to) as place:
+            for answered in fetched(tasks(cache, place), executors, lambda task: to, noted=lambda words: say(words, err=True)):
+                if answered.answer is None:
+                    failed += 1
+                    first, last = (answered.task.document["frames"][number] for number in (0, -1))
+                    say(f"failed: frames {first}..{last}: {answered.problem}", err=True)
+                else:
+                    yield answered
+    except Lost as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "the same command makes all frames again") from None
+    if failed:
+        raise Stop(Exit.FINDINGS, "error: the frames that failed are not written")

@@ -13,9 +13,8 @@ from antdsl.cli.destinations import default_place, folder_to_write, keeping_inpu
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.memory_demand import demand_memory
 from antdsl.cli.printing.messages import say
-from antdsl.cli.scheduler import cluster
-from antdsl.cli.stopping import code_of, stoppable
-from antdsl.numerics.cores import cores
+from antdsl.cli.scheduler import cluster, code_of, stoppable
+from antdsl.numerics.host import cores
 
 if TYPE_CHECKING:
     from antdsl.executors import Executors, Task

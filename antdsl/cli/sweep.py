@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.failures import report_failures
+from antdsl.cli.exits import Exit, Stop, report_failures
 from antdsl.cli.memory_demand import ANY_MEMORY, demand_memory
 from antdsl.cli.printing.messages import notes, say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster, demand_scheduler
-from antdsl.cli.stopping import code_of, stoppable
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster, code_of, demand_scheduler, stoppable
 from antdsl.whole import write_whole
 
 if TYPE_CHECKING:
@@ -104,11 +102,11 @@ def sweep(
     from antdsl.cli.printing.reports import demand
     from antdsl.cli.sweep_words import asked_before, nothing, scene_shots, study_of, widths_of
     from antdsl.executors import Lost, Processes
-    from antdsl.numerics.cores import cores
+    from antdsl.numerics.host import cores
     from antdsl.scene.paths import sought
     from antdsl.sweep import Chooser, Keeper, run_all
-    from antdsl.sweep.asked import Asked
     from antdsl.sweep.finished_runs import OtherFiles
+    from antdsl.sweep.study import Asked
 
     demand_scheduler(scheduler, tls, no_tls)
     for scene in scenes or ():

@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from antdsl.diagnostics import Report
     from antdsl.pipeline import Shot
     from antdsl.sweep import Job
-    from antdsl.sweep.asked import Asked
     from antdsl.sweep.stopping import Width
-    from antdsl.sweep.study import Study
+    from antdsl.sweep.study import Asked, Study
 
 
 def nothing() -> list[str]:
@@ -42,7 +41,7 @@ _DECIDES = {
 
 def asked_before(context: typer.Context, out: Path | None) -> Asked:
     """What the sweep in a folder was asked for, where nothing is asked besides."""
-    from antdsl.sweep.asked import NotAsked, kept
+    from antdsl.sweep.study import NotAsked, kept
 
     for name, words in _DECIDES.items():
         source = context.get_parameter_source(name)
@@ -104,8 +103,7 @@ def _demand_words(report: Report) -> None:
 def widths_of(asked: Asked) -> list[Width]:
     """The widths of `NAME=WIDTH` words, where there are seeds enough for any."""
     from antdsl.cli.arguments import pairs
-    from antdsl.sweep.median_interval import least_runs
-    from antdsl.sweep.stopping import Width
+    from antdsl.sweep.stopping import Width, least_runs
 
     found = []
     for name, text in pairs(asked.until_known, "--until-known").items():

@@ -49,12 +49,12 @@ def test(
     from antdsl.files import find_files
     from antdsl.runtime import Options
     from antdsl.specs import Work, cases, run_cases
+    from antdsl.specs.cases import settle
     from antdsl.specs.failure_cache import Keeper
     from antdsl.specs.golden.comparing import Goldens
     from antdsl.specs.golden.recorded import golden_path
     from antdsl.specs.reports import as_json, as_junit
     from antdsl.specs.text_report import counted, covered, failed, golden, one_line, settled, uncovered
-    from antdsl.specs.verdicts import settle
 
     file_to_write(junit, "--junit")
     file_to_write(json, "--json")

@@ -196,15 +196,6 @@ CODES: dict[str, str] = {
 # Warnings that not every look at a file can find, so that a comment which ignores one may have nothing to ignore there.
 STRICT_CODES = frozenset(("per-step",))  # only `check --strict` looks for them
 MESH_CODES = frozenset(  # a scene's meshes have to be read for them
-    (
-        "crossing-face",
-        "degenerate-faces",
-        "far-away",
-        "inside-out",
-        "odd-scale",
-        "off-surface",
-        "unread-content",
-        "usd-left-out",
-    )
+    ("crossing-face", "degenerate-faces", "far-away", "inside-out", "odd-scale", "off-surface", "unread-content", "usd-left-out")
 )
 RUN_CODES = frozenset(("no-room", "unreachable-target"))  # the agents have to be placed for them

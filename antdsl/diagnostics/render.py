@@ -5,13 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from antdsl import limits
-from antdsl.diagnostics.concise import concise
 from antdsl.diagnostics.document import document
 from antdsl.diagnostics.full import full
 from antdsl.diagnostics.github import github
 from antdsl.diagnostics.junit import junit
 from antdsl.diagnostics.model import Diagnostic, Report
+from antdsl.diagnostics.places import area, safe
 from antdsl.diagnostics.sarif import sarif
+
+
+def concise(diagnostics: Sequence[Diagnostic], more: int) -> str:
+    lines = [_line(diagnostic) for diagnostic in diagnostics]
+    if more:
+        lines.append(f"… and {more:,} more")
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _line(diagnostic: Diagnostic) -> str:
+    text = f"{diagnostic.severity}[{diagnostic.code}]: {safe(diagnostic.message)}"
+    if diagnostic.span is None:
+        return text
+    place = area(diagnostic.span)
+    return f"{safe(place.path)}:{place.line}:{place.column}: {text}"
+
 
 # Each takes the complaints to show, in order, and the number of those that are left out.
 FORMATS: dict[str, Callable[[Sequence[Diagnostic], int], str]] = {

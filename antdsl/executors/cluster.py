@@ -20,10 +20,9 @@ import dask
 from distributed import Client, KilledWorker, LocalCluster, Security
 
 from antdsl.child_processes import isolate
-from antdsl.executors.addresses import LOOPBACK, TLS_FILES
 from antdsl.executors.cluster_worker import Project, forget, identity, other_sources, perform_there, read_part, sees
 from antdsl.executors.parcel import Parcel, Seen, pack
-from antdsl.executors.tasks import LOOK, Lost, Refused, Task
+from antdsl.executors.tasks import LOOK, LOOPBACK, TLS_FILES, Lost, Refused, Task
 from antdsl.outputs.provenance import sources
 
 _ROLES = ("scheduler", "worker", "nanny")

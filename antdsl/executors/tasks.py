@@ -13,6 +13,8 @@ from typing import Any, Protocol
 
 from antdsl.limits import ANSWER_BYTES
 
+TLS_FILES = ("ca.pem", "cert.pem", "key.pem")  # in a folder of certificates: the authority's, one's own, and its key
+LOOPBACK = "127.0.0.1"  # where a cluster of this machine listens
 LOOK = 0.5  # seconds between looks at how far tasks are
 
 Answer = dict[str, Any]

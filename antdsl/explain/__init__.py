@@ -1,9 +1,8 @@
 """Why did this agent do that: its step is done again from a checkpoint, with an eye on it. Data first, telling apart."""
 
 from antdsl.explain.account import Account, accounts, placed_accounts
-from antdsl.explain.history import CacheHistory, History
+from antdsl.explain.history import CacheHistory, ExplainError, History, open_shot
 from antdsl.explain.model import Explanation, as_json
-from antdsl.explain.opening import ExplainError, open_shot
 from antdsl.explain.queries import absent, explain
 from antdsl.explain.replaying import Replay
 from antdsl.explain.strip import stretches

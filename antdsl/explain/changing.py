@@ -11,7 +11,7 @@ from antdsl.explain.model import Changed, Value
 from antdsl.explain.tracing import Trace
 from antdsl.explain.value_text import in_unit, said, triple, value
 from antdsl.plan.ir import Register
-from antdsl.plan.pair_registers import pair_values
+from antdsl.plan.registers import pair_values
 from antdsl.program.model import Dim, Kind, Species, Type
 from antdsl.program.tables.effects import EFFECTS, Effect, phrase
 from antdsl.program.tables.units import unit_of

@@ -10,9 +10,8 @@ import numpy as np
 
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.explain.account import accounts
-from antdsl.explain.history import CacheHistory
+from antdsl.explain.history import CacheHistory, ExplainError, open_shot
 from antdsl.explain.model import Explanation, Stretch
-from antdsl.explain.opening import ExplainError, open_shot
 from antdsl.explain.replaying import Replay
 from antdsl.explain.strip import strip
 from antdsl.outputs.cache.cache_reader import Cache

@@ -12,7 +12,7 @@ import numpy as np
 
 from antdsl.plan import ir
 from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, Notes, PartNote
-from antdsl.plan.register_reads import places
+from antdsl.plan.registers import places
 from antdsl.program.tables.senses import SENSES
 from antdsl.runtime.backends.reference import BLOCKS, Agent, Member, with_winnings
 from antdsl.runtime.requests import ClaimEntry, Effects
@@ -111,12 +111,7 @@ class TracedAgent(Agent):
 
 
 def traced(
-    world: World,
-    population: Population,
-    plan: ir.SpeciesPlan,
-    row: int,
-    notes: Notes,
-    became: Mapping[ir.Node, ir.Node],
+    world: World, population: Population, plan: ir.SpeciesPlan, row: int, notes: Notes, became: Mapping[ir.Node, ir.Node]
 ) -> Trace:
     """What the agent of a row does in the step under way, whose blocks have run and whose effects have not.
 

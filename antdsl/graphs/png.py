@@ -44,10 +44,7 @@ def png(drawing: Drawing) -> bytes:
 
 
 def _rectangle(brush: ImageDraw, shape: Rectangle, scale: float) -> None:
-    corners = [
-        (shape.left * scale, shape.top * scale),
-        ((shape.left + shape.width) * scale, (shape.top + shape.height) * scale),
-    ]
+    corners = [(shape.left * scale, shape.top * scale), ((shape.left + shape.width) * scale, (shape.top + shape.height) * scale)]
     thick = max(1, round(shape.thick * scale))
     edge = _ink(shape.edge) if shape.edge is not None else None
     fill = _ink(shape.fill) if shape.fill is not None else None

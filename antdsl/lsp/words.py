@@ -161,10 +161,7 @@ TYPE_HELP = {
     **{row.word: row.typed for row in KINDS_OF_THINGS.values() if row.typed},
 }
 # What is asked of all in a spec.
-WHOLE_HELP = {
-    "total": "the sum over all items, agents or cells",
-    "share": "for which part of them it holds, from 0 to 1",
-}
+WHOLE_HELP = {"total": "the sum over all items, agents or cells", "share": "for which part of them it holds, from 0 to 1"}
 # Keys of a scene.
 SCENE_HELP = {
     "antdsl": "the edition of the scene format, `1`",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.numerics import elementary_loops, parallel
-from antdsl.numerics.coefficients import (
+from antdsl.numerics.elementary_loops import (
     ATAN,
     COS,
     EXP,

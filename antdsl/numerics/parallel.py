@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import I64, inlined
-from antdsl.numerics.cores import cores
+from antdsl.numerics.host import cores
 
 T = TypeVar("T")
 PART = 1_024  # agents for whom a thread pays

@@ -15,8 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, I64, U64, Array1, independent, inlined, kernel
-from antdsl.numerics.philox import HALF, LOW, M0, M1, ROUNDS, SPREAD, UNIT, W0, W1
 
+M0, M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+W0, W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+LOW = np.uint64(0xFFFFFFFF)
+HALF = np.uint64(32)
+ROUNDS = 10
+UNIT = np.float32(2.0**-24)
+SPREAD = np.uint64(0x9E3779B1)  # moves the high half of an id to other counters; odd, so no two ids of one half meet
 Kernel = Callable[..., Any]
 Shared = tuple[U64, U64, U64, U64, U64]  # first, third and last word of the counters, and the two of the key
 Counters = tuple[tuple[int, int, int], tuple[int, int]]

@@ -16,7 +16,7 @@ from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
 from antdsl.machine_code.module import Module
 from antdsl.numerics import parallel
-from antdsl.numerics.cores import EACH
+from antdsl.numerics.host import EACH
 
 Pairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # to which array, and of which
 _SIZES = (1, 4, 8)  # bytes of a row that have a loop of their own when rows are picked

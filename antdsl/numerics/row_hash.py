@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.memory import address
 from antdsl.numerics import parallel
-from antdsl.numerics.cores import EACH
+from antdsl.numerics.host import EACH
 from antdsl.numerics.row_hash_text import HALVES, HEAD, NUMBERS, STRIDED, WHOLE, WORDS, text
 
 _HALF = 0xFFFFFFFF

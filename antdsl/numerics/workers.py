@@ -24,8 +24,8 @@ from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct_text import PARTS
 from antdsl.machine_code.memory import address
-from antdsl.numerics.cores import EACH
 from antdsl.numerics.float_environment import be_standard
+from antdsl.numerics.host import EACH
 
 T = TypeVar("T")
 _LOCKS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")

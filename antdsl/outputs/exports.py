@@ -1,4 +1,4 @@
-"""What a cache is written as for other programs: by the ending of a file, and in which forms."""
+"""What a cache is written as for other programs: by the ending of a file, in which forms, and of which agents."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.cache_reader import Arrays, Cache
 from antdsl.outputs.csv_export import export_csv
 from antdsl.outputs.events_export import export_csv_events, export_npz_events
 from antdsl.outputs.geo_export import export_geo
@@ -16,6 +20,9 @@ from antdsl.outputs.numbered_files import numbered
 from antdsl.outputs.poses_export import export_poses
 from antdsl.outputs.solid_export import export_solids, export_volumes
 from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances, export_xforms
+
+_OF_AGENTS = ("v_ground",)  # beside the attributes of the manifest
+_OF_SPECIES = ("clips", "feet", "wears", "channels", "looks", "leans")  # arrays of the agents of a species, `WORD.SPECIES…`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,3 +75,38 @@ INSTEAD = {
 def export_for(path: Path) -> Export | None:
     """The one whose endings the file's is among, in capitals or not."""
     return next((export for export in EXPORTS if path.suffix.lower() in export.endings), None)
+
+
+@dataclass(frozen=True, eq=False)
+class SomeAgents(Cache):
+    """Another cache's agents of some `ids`, in all species; all else as it is there."""
+
+    ids: frozenset[int] = frozenset()
+
+    def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
+        """The arrays of a frame, with the rows of the chosen agents."""
+        arrays = super().frame(number, None if only is None else only | {"id", "species"} | self._beside(only))
+        if "id" not in arrays:
+            return arrays
+        ids = np.asarray(arrays["id"], np.int64)
+        chosen = np.isin(ids, sorted(self.ids))
+        which = np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(ids), np.int64)
+        by_species = {entry.name: chosen[which == k] for k, entry in enumerate(self.manifest.species)}
+        named = {*self.manifest.attributes, *_OF_AGENTS}
+        found = {}
+        for name, array in arrays.items():
+            rows = chosen if name in named else self._rows(name, arrays, by_species)
+            found[name] = array if rows is None or array.ndim == 0 or len(array) != len(rows) else array[rows]
+        return found if only is None else {name: array for name, array in found.items() if name in only or name == "frame"}
+
+    def _beside(self, only: frozenset[str]) -> set[str]:
+        """The ids that say whose some arrays are."""
+        return {f"{name.rpartition('.')[0]}.id" for name in only if name.startswith(("pairs.", "events."))}
+
+    def _rows(self, name: str, arrays: Arrays, by_species: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
+        """The rows of an array of one species that are chosen; None for one that is of no agents."""
+        word, _, rest = name.partition(".")
+        if word in ("pairs", "events"):
+            whose = arrays.get(f"{name.rpartition('.')[0]}.id")
+            return None if whose is None else np.isin(np.asarray(whose), sorted(self.ids))
+        return by_species.get(rest.partition(".")[0]) if word in _OF_SPECIES else None

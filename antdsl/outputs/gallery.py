@@ -14,20 +14,17 @@ from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.machine_clips import Played
 from antdsl.bodies.body import turned
 from antdsl.bodies.library import library_body
-from antdsl.bodies.placed import shape_of
 from antdsl.bodies.posed_body import PosedBody
+from antdsl.bodies.shapes import shape_of
 from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
-from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.outputs.cache.foot_arrays import feet_of
 from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, MeshEntry, SpeciesEntry
-from antdsl.outputs.cache.shown_arrays import driven, layers_of, worn_masks
+from antdsl.outputs.cache.pose_arrays import driven, feet_of, layers_of, machines_of, worn_masks
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
-from antdsl.outputs.following import followed
-from antdsl.outputs.paths import Walks, Window
+from antdsl.outputs.paths import Walks, Window, followed
 from antdsl.outputs.pictures.camera import three
 from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 from antdsl.outputs.pictures.trails import robust_full

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.transforms import product, unit_quaternion
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
-from antdsl.outputs.cache.clip_arrays import machines_of
 from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.outputs.cache.pose_arrays import machines_of
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import numbered
 from antdsl.scene.model import UNIT_MM

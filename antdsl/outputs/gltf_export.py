@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import STATE
-from antdsl.bodies.agents.gltf_writer import GltfWriter, ShapeParts
 from antdsl.bodies.agents.poses import square
 from antdsl.bodies.agents.transforms import parts_of
 from antdsl.bodies.body import vertex_normals
+from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.gltf_stage import Stage

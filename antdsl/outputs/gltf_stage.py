@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import __version__
-from antdsl.bodies.agents.gltf_writer import INDICES, VERTICES, GltfWriter
 from antdsl.bodies.agents.transforms import one_sign, rotation_of
 from antdsl.bodies.body import vertex_normals
-from antdsl.bodies.placed import placed
+from antdsl.bodies.files.gltf_writer import INDICES, VERTICES, GltfWriter
+from antdsl.bodies.shapes import placed
 from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decoded

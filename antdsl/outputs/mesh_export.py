@@ -15,8 +15,7 @@ from antdsl.outputs.numbered_files import NoExport, numbered
 from antdsl.outputs.pictures.light import decoded, encoded
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.poses_export import FEWER, NONE, Worn, worn_crowds
-from antdsl.outputs.usd.disk_failures import disk_failures
-from antdsl.outputs.usd.values import ROOT, Out, Samples, box, identifier, mesh, root, vectors
+from antdsl.outputs.usd.values import ROOT, Out, Samples, box, disk_failures, identifier, mesh, root, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import whole

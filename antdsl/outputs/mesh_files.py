@@ -46,11 +46,7 @@ def write_mesh(path: Path, parts: Sequence[Part], origin: NDArray[np.float64]) -
 
 
 def _write_ply(
-    file: IO[bytes],
-    parts: Sequence[Part],
-    starts: NDArray[np.int64],
-    points: Floats,
-    normals: NDArray[np.float32] | None,
+    file: IO[bytes], parts: Sequence[Part], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
 ) -> None:
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(part.faces + s for part, s in zip(parts, starts, strict=False))])
     some = [part.colours for part in parts if part.colours is not None]
@@ -71,11 +67,7 @@ def _write_ply(
 
 
 def _write_obj(
-    file: IO[bytes],
-    parts: Sequence[Part],
-    starts: NDArray[np.int64],
-    points: Floats,
-    normals: NDArray[np.float32] | None,
+    file: IO[bytes], parts: Sequence[Part], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
 ) -> None:
     """Numbers of points go on from object to object, as the format has it."""
     vertex = "v %.15g %.15g %.15g\n" if points.dtype == np.float64 else "v %.9g %.9g %.9g\n"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +17,16 @@ from antdsl.outputs.cache.cache_reader import Cache, CacheError, checkpoint_path
 from antdsl.outputs.cache.cache_writer import CacheWriter, DifferentInputs, Whole, prepare_folder, read_checkpoint, whole_part
 from antdsl.outputs.cache.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.cache.hashes import Line
-from antdsl.outputs.cache.manifest import CameraEntry, way_to
+from antdsl.outputs.cache.manifest import CameraEntry, Look, way_to
 from antdsl.outputs.cache.places import scene_origin
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.feelers import feelers_of
-from antdsl.outputs.looks_of_scene import looks_of
 from antdsl.outputs.provenance import provenance
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, emitted_since, feet_hash, restore, state_hash, step
 from antdsl.runtime.profiling import Meter
-from antdsl.scene.model import Camera, millimetres
+from antdsl.scene.model import Camera, HeightThing, MeshThing, SceneModel, UsdThing, millimetres
 from antdsl.scene.setting import CameraData
 from antdsl.scene.values import FrameRange
 
@@ -289,3 +288,16 @@ def _file_camera(camera: CameraData, origin: NDArray[np.float64], scale: float) 
     rows = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
     at, look_at, up = (tuple(float(v) for v in row) for row in rows)
     return CameraEntry(at=at, look_at=look_at, focal=float(camera.focal[0]), up=up, moves=len(camera.at) > 1)  # type: ignore[arg-type]
+
+
+def looks_of(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
+    """By name, the look of each mesh, and of all items from a USD file; of items with entries of their own by the name of
+    each."""
+    found: dict[str, Look | Mapping[str, Look]] = {}
+    for name, thing in model.world.items():
+        if isinstance(thing, dict):
+            own = {item: cast(Look, placed.look) for item, placed in thing.items() if placed.look is not None}
+            found |= {name: own} if own else {}
+        elif isinstance(thing, MeshThing | HeightThing | UsdThing) and thing.look is not None:
+            found[name] = cast(Look, thing.look)
+    return found

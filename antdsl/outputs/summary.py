@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from antdsl.numerics.host import peak_memory
 from antdsl.outputs.recording import Recording
-from antdsl.outputs.writer.process_memory import peak_memory
 
 
 def summary(recording: Recording) -> dict[str, Any]:

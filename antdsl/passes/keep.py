@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from antdsl.plan.ir import Plan
-from antdsl.plan.lowering.lazy import lazy
+from antdsl.plan.traverse import lazy
 
 
 def keep(plan: Plan) -> Plan:

@@ -7,20 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from antdsl.plan.builder import Builder
-from antdsl.plan.ir import (
-    Block,
-    Claim,
-    FieldPlan,
-    Give,
-    If,
-    Node,
-    ParamPlan,
-    Plan,
-    Request,
-    SpeciesPlan,
-    Statement,
-    Store,
-)
+from antdsl.plan.ir import Block, Claim, FieldPlan, Give, If, Node, ParamPlan, Plan, Request, SpeciesPlan, Statement, Store
 from antdsl.plan.traverse import PHASES, needed, roots
 
 Make = Callable[[Builder, str, tuple[Node, ...], tuple[Any, ...]], Node | None]

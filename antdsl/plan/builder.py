@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from antdsl.plan import simplify
-from antdsl.plan.floats import f32
 from antdsl.plan.ir import LETTERS, OPS, TUPLES, Kind, Node, Rate
+from antdsl.plan.simplify import f32
 from antdsl.source import Span
 
 _OF_REGISTER = frozenset(("snap", "load", "other", "agent.get", "item.get"))

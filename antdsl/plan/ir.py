@@ -270,7 +270,7 @@ Statement = If | Store | Claim | Give | Request
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
     """A value per agent. role: attribute (the author's or given), memory (keep, latch, held, machines' bookkeeping), pair (a slot of a value
-    per pair: `pair_registers`), temp (this step only, starts each step at `zero`). All but temp are kept from step to step and hashed. `holds` is the type behind it, where the language
+    per pair: `registers`), temp (this step only, starts each step at `zero`). All but temp are kept from step to step and hashed. `holds` is the type behind it, where the language
     has one: what an edited program declares under this name is the same value only if that is the same."""
 
     name: str

@@ -5,22 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 
-from antdsl.plan.ir import (
-    OPS,
-    SENSES,
-    Block,
-    Claim,
-    Give,
-    If,
-    Kind,
-    Node,
-    Plan,
-    Rate,
-    Request,
-    SpeciesPlan,
-    Statement,
-    Store,
-)
+from antdsl.plan.ir import OPS, SENSES, Block, Claim, Give, If, Kind, Node, Plan, Rate, Request, SpeciesPlan, Statement, Store
 from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.program.tables.effects import EFFECTS, phrase
 

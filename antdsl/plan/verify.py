@@ -5,21 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 
 from antdsl.plan.builder import PlanError, fitting, result_kind, result_rate
-from antdsl.plan.ir import (
-    Block,
-    Claim,
-    Give,
-    If,
-    ItemsPlan,
-    Kind,
-    Node,
-    Plan,
-    Rate,
-    Request,
-    SpeciesPlan,
-    Statement,
-    Store,
-)
+from antdsl.plan.ir import Block, Claim, Give, If, ItemsPlan, Kind, Node, Plan, Rate, Request, SpeciesPlan, Statement, Store
 from antdsl.plan.traverse import blocks, field_nodes, needed, operands, roots, statements
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.senses import SENSES

@@ -12,16 +12,17 @@ from pathlib import Path
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices, Shot
-from antdsl.preview.binding_params import asked_before_the_first_step
+from antdsl.plan.ir import Plan
+from antdsl.plan.traverse import field_nodes, needed, operands, statements
 from antdsl.preview.compiling import Compiler
-from antdsl.preview.differing import differing
 from antdsl.preview.layer_order import Off, texts_without
+from antdsl.preview.speculative import differing
 from antdsl.preview.timeline import Light, Stretch, Timeline, nearest_checkpoint
 from antdsl.reload import migration_line
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
 from antdsl.runtime.binding.start_findings import start_findings
 from antdsl.runtime.profiling import Meter
-from antdsl.scene.adjusting import settable
+from antdsl.scene.field_settings import settable
 from antdsl.scene.matching import check_param
 from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
 
@@ -354,3 +355,12 @@ def _unknown(message: str) -> Outcome:
     report = Report()
     report.error("unknown-thing", message, None)
     return Outcome(report)
+
+
+def asked_before_the_first_step(plan: Plan) -> frozenset[str]:
+    """Params that fields, other params or newborn agents are made with. All others may change between two steps."""
+    nodes = [node for made in plan.fields.values() for node in field_nodes(made)]
+    nodes += [param.default for param in plan.params.values()]
+    for species in plan.species.values():
+        nodes += [node for _, statement in statements(species.born) for node in operands(statement)]
+    return frozenset(str(node.attrs[0]) for node in needed(nodes) if node.op == "param")

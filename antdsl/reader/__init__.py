@@ -13,13 +13,13 @@ from typing import Final
 # Kind of request: the module and the function that answer it in the child. The modules are in higher rooms, so they are named
 # here and imported by the child alone.
 READERS: Final = {
-    "usd-layer": ("antdsl.scene.geometry.usd.child.layer", "read_layer"),
+    "usd-layer": ("antdsl.scene.geometry.usd.child.stage", "read_layer"),
     "usd-stage": ("antdsl.scene.geometry.usd.child.requests", "open_stage"),
     "usd-mesh": ("antdsl.scene.geometry.usd.child.requests", "read_mesh"),
     "usd-points": ("antdsl.scene.geometry.usd.child.requests", "read_points"),
     "usd-curve": ("antdsl.scene.geometry.usd.child.requests", "read_curve"),
     "usd-camera": ("antdsl.scene.geometry.usd.child.requests", "read_camera"),
-    "usd-body": ("antdsl.bodies.agents.usd_body", "read_body"),
+    "usd-body": ("antdsl.bodies.files.usd_body", "read_body"),
     "image": ("antdsl.reader.images", "read_image"),
 }
 # Modules that the child imports before the first request of a format, while the other process does something else.

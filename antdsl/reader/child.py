@@ -49,7 +49,7 @@ def main() -> None:
 def _answer(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]:
     """The answer to a request, its arrays, and whether it is the last one."""
     from antdsl.reader import READERS
-    from antdsl.reader.refusal import Refusal
+    from antdsl.reader.protocol import Refusal
 
     try:
         module, function = READERS[request.document["kind"]]

@@ -20,11 +20,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from antdsl import cpu_budget, limits
-from antdsl.numerics.memory import address_space
+from antdsl.numerics.host import address_space
 from antdsl.reader import PREPARED, READERS, confinement
 from antdsl.reader.private_folder import PrivateFolder
-from antdsl.reader.protocol import Arrays, EndOfMessages, Message, ProtocolError, read_message, write_message
-from antdsl.reader.refusal import Refusal
+from antdsl.reader.protocol import Arrays, EndOfMessages, Message, ProtocolError, Refusal, read_message, write_message
 
 _PROGRAM = Path(__file__).with_name("child.py")
 _REMEMBERED = 256  # failures that are not repeated

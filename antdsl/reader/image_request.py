@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.reader import client
-from antdsl.reader.protocol import Message, ProtocolError
-from antdsl.reader.refusal import Refusal
+from antdsl.reader.protocol import Message, ProtocolError, Refusal
 
 # Modes of Pillow that can be requested: type of a sample, channels (0: one, without an axis of its own).
 MODES = {"F": ("f4", 0), "I;16": ("u2", 0), "I;16L": ("u2", 0), "I;16B": ("u2", 0), "I;16N": ("u2", 0), "RGB": ("u1", 3)}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.reader.refusal import Refusal
+from antdsl.reader.protocol import Refusal
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import Message

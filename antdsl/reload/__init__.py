@@ -5,7 +5,6 @@ changed: an error leaves it as it was. Agents keep their rows, attributes and st
 (`agents`); they stand where they stood, or at the nearest place of a ground that changed (`footing`). What was kept, moved and
 begun anew is said in one line (`summary`)."""
 
-from antdsl.reload.migrate import Migration, take_over
-from antdsl.reload.summary import migration_line
+from antdsl.reload.migrate import Migration, migration_line, take_over
 
 __all__ = ["Migration", "migration_line", "take_over"]

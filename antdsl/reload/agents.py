@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,10 +11,10 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.vector_rows import length
 from antdsl.plan import ir
-from antdsl.plan.pair_registers import pair_values
+from antdsl.plan.registers import pair_values
+from antdsl.plan.traverse import needed
 from antdsl.reload.footing import TOLD, stand, turn
 from antdsl.runtime.binding.bind_world import run_value
-from antdsl.runtime.binding.birth_values import birth_values, params_at_birth
 from antdsl.runtime.binding.placing import give_at_birth
 from antdsl.runtime.binding.reuse import digest
 from antdsl.runtime.lifecycle import come_alive
@@ -21,6 +22,7 @@ from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import Population, World, add_rows, stored_registers
 from antdsl.scene.setting import Setting
 
+_PLACE = frozenset(("snap", "load"))
 Rows = NDArray[np.intp]
 _ALWAYS = frozenset(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in "xyz") | {"group"}
 
@@ -216,3 +218,39 @@ def _items(old: World, world: World, after: ir.SpeciesPlan, values: dict[str, ND
             rows = {item: k for k, item in enumerate(world.items[of].names)}
             number = np.array([*(rows.get(item, -1) for item in old.items[of].names), -1], np.int64)
             values[name] = number[values[name]].astype(values[name].dtype)
+
+
+def birth_values(plan: ir.SpeciesPlan, params: Mapping[str, float]) -> dict[str, int]:
+    """By register what is stored in it at birth: a hash of the operations, through other registers that these read, and of the
+    params they use."""
+    found: dict[str, int] = {}
+    _block(plan.born, (), found, params)
+    return found
+
+
+def params_at_birth(world: World) -> dict[str, float]:
+    """The params as the scene and the program say them, whatever was set since."""
+    given = world.setting.params
+    return {name: given[name] if name in given else run_value(world, p.default) for name, p in world.plan.params.items()}
+
+
+def _block(block: ir.Block, where: tuple[int, ...], found: dict[str, int], params: Mapping[str, float]) -> None:
+    for statement in block.statements:
+        if isinstance(statement, ir.If):
+            _block(statement.then, (*where, _value(statement.condition, found, params)), found, params)
+        elif isinstance(statement, ir.Store):
+            value = _value(statement.value, found, params)
+            before = found.get(statement.register, 0) if where else 0
+            found[statement.register] = hash((where, before, value))
+
+
+def _value(node: ir.Node, found: Mapping[str, int], params: Mapping[str, float]) -> int:
+    made: dict[ir.Node, int] = {}
+    for each in needed([node]):
+        attrs: tuple[object, ...] = each.attrs
+        if each.op in _PLACE:
+            attrs = (each.attrs[0], found.get(each.attrs[0], 0))
+        elif each.op == "param":
+            attrs = (each.attrs[0], params.get(each.attrs[0]))
+        made[each] = hash((each.op, each.kind.value, repr(attrs), *(made[a] for a in each.args)))
+    return made[node]

@@ -3,18 +3,17 @@
 `bind` (in `binding`) makes the world at its first frame, `step` runs the tuple `phases.PHASES` once. In a step, senses read
 the world as it was at its start; blocks of the plan run on a backend (`backends`) and fill an `Effects` with what they ask
 for; claims, deposits, digging, births and deaths are then settled in an order that rows do not change; `moving` brings
-everybody from steering forces to places. `world` is all that changes. `checkpoints` gives and takes its whole state, `hashing`
-one number for it."""
+everybody from steering forces to places. `world` is all that changes. `checkpoints` gives and takes its whole state,
+and one number for it."""
 
 from antdsl.runtime.binding.bind_world import BindError, bind, set_flow, set_param
 from antdsl.runtime.binding.reuse import Built
-from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore
+from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, state_hash
 from antdsl.runtime.digging import dug_since
-from antdsl.runtime.emitted import emitted_since, event_names
 from antdsl.runtime.faults import Fault, FaultStop, LimitStop
 from antdsl.runtime.feet.state import feet_hash
-from antdsl.runtime.hashing import state_hash
-from antdsl.runtime.stepping import step
+from antdsl.runtime.lifecycle import emitted_since, event_names
+from antdsl.runtime.phases import step
 from antdsl.runtime.world import Items, Options, Population, World
 from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting
 

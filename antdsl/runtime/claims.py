@@ -73,12 +73,7 @@ def _joined(arrays: list[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _settle_one(
-    world: World,
-    rest: NDArray[np.float64],
-    item: NDArray[np.integer],
-    amount: NDArray[np.float32],
-    unit: float,
-    entries: Entries,
+    world: World, rest: NDArray[np.float64], item: NDArray[np.integer], amount: NDArray[np.float32], unit: float, entries: Entries
 ) -> None:
     """Settle the claims of `entries`, `amount` (inf: all) of the places `item` in `rest` (-1: none); of all, whole units."""
     draw = _joined([_draws(world, p, e) for p, e in entries])
@@ -148,11 +143,7 @@ def _serve(
 
 
 def _receive(
-    population: Population,
-    entry: ClaimEntry,
-    rows: NDArray[np.intp],
-    amount: NDArray[np.float32],
-    got: NDArray[np.float64],
+    population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32], got: NDArray[np.float64]
 ) -> None:
     """Add what was won to the agents' own registers; `got` is what that adds in full."""
     assert entry.statement.own is not None
@@ -180,12 +171,7 @@ class _Asks:
         self.change, self.everything, self.had, self.kept, self.unit = change, everything, had, kept, unit
 
     def fill(
-        self,
-        population: Population,
-        entry: ClaimEntry,
-        at: NDArray[np.intp],
-        rows: NDArray[np.intp],
-        amount: NDArray[np.float32],
+        self, population: Population, entry: ClaimEntry, at: NDArray[np.intp], rows: NDArray[np.intp], amount: NDArray[np.float32]
     ) -> None:
         """Put in the claims of one statement, at their places in the order."""
         if entry.statement.own is None:

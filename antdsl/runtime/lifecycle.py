@@ -1,4 +1,6 @@
-"""Events, deaths and births: what agents do to the number of agents and to each other's next step."""
+"""Events, deaths and births: what agents do to the number of agents and to each other's next step.
+
+What agents emitted is kept for whoever writes it down: no state, and nothing in a step reads it."""
 
 from __future__ import annotations
 
@@ -12,13 +14,14 @@ from antdsl.fields.cells import Cells
 from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed, operands, placed
-from antdsl.runtime import emitted
 from antdsl.runtime.claims import give
 from antdsl.runtime.digging import dig
 from antdsl.runtime.moving.moving_geometry import rest_places
 from antdsl.runtime.requests import Asked
-from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
+from antdsl.runtime.world import AXES, Emitted, Population, World, add_rows, select_rows, shares_start, stored_registers
 
+_KINDS = (("species", np.int16, ()), ("id", np.int64, ()), ("event", np.int16, ()), ("place", np.float64, (3,)),
+          ("normal", np.float32, (3,)))  # fmt: skip
 _BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
 _CARRIED = (*(f"{vector}.{axis}" for vector in ("up", "heading", "velocity") for axis in AXES), "group")  # from parent to child
 
@@ -69,7 +72,7 @@ def raise_events(world: World) -> None:
     for population in world.populations.values():
         for entry in population.effects.drained("emit"):
             event = entry.request.of
-            emitted.note(world, population, entry.rows, event)
+            note(world, population, entry.rows, event)
             if entry.args[1] is not None:
                 _tell(world, population, entry)
                 continue
@@ -211,3 +214,39 @@ def forget_the_dead(world: World, population: Population, *, between_steps: bool
                 gone = (held >= 0) & (world.populations[register.of].rows_of(held) < 0)
                 if gone.any():
                     held[gone] = -1
+
+
+def event_names(world: World) -> tuple[str, ...]:
+    """The events that some species may hear or emit, by name; `Emitted.event` counts these."""
+    plans = [population.plan for population in world.populations.values()]
+    found = {name for plan in plans for name in plan.handles}
+    for plan in plans:
+        for block in (plan.decide, plan.act, plan.blend, plan.born):
+            found.update(each.of for _, each in placed(block) if isinstance(each, ir.Request) and each.op == "emit")
+    return tuple(sorted(found))
+
+
+def note(world: World, population: Population, rows: NDArray[np.intp], event: str) -> None:
+    """Keep who emitted an event, where it was."""
+    if world.emitted is None:
+        return
+    names = event_names(world)
+    species = sorted(world.populations).index(population.name)
+    count = len(rows)
+    world.emitted.append(
+        Emitted(
+            np.full(count, species, np.int16), population.ids[rows], np.full(count, names.index(event), np.int16),
+            population.position[rows], population.normal[rows],
+        )
+    )  # fmt: skip
+
+
+def emitted_since(world: World) -> Emitted:
+    """What was emitted since this was asked last, by species, id and event."""
+    found, world.emitted = world.emitted or [], None if world.emitted is None else []
+    arrays = {
+        name: np.concatenate([np.empty((0, *wide), kind), *(getattr(each, name) for each in found)])
+        for name, kind, wide in _KINDS
+    }
+    order = np.lexsort((arrays["event"], arrays["id"], arrays["species"]))
+    return Emitted(*(array[order] for array in arrays.values()))

@@ -17,10 +17,10 @@ from antdsl import limits
 from antdsl.numerics import exact_sums
 from antdsl.plan import ir
 from antdsl.plan.traverse import blocks, needed, operands, statements
-from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.faults import Fault, LimitStop
 from antdsl.runtime.item_pairs import items_within
 from antdsl.runtime.nearest_pairs import nearest_of_all
+from antdsl.runtime.neighbourhood import grid_for
 from antdsl.runtime.world import AXES, Items, Population, World
 from antdsl.senses.neighbours import TooManyWithin, View
 from antdsl.source import Span

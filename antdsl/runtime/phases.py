@@ -1,20 +1,23 @@
-"""The phases of one step, in order. The tuple PHASES is the definition of the order; the language reference draws it.
+"""One step: its phases in order, each with the time that passed and that of the processors. The tuple PHASES is the definition
+of the order; the language reference draws it.
 
-Others, items and fields are read as they were when the step began (`start`, `seen`); what is written shows in the next step.
-"""
+Others, items and fields are read as they were when the step began (`start`, `seen`); what is written shows in the next step."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from time import perf_counter, process_time
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.float_environment import is_standard, standard
 from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
 from antdsl.runtime import claims, digging, faults, lifecycle
+from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.feet import walking
 from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, walks
 from antdsl.runtime.world import PUSHED, Population, World, begin_anew
@@ -186,3 +189,34 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("feet", walking.walk),  # once all are there who are seen in the frame, and all that feet stand on is where it is
     ("commit", commit),
 )
+
+
+_SHORT = 200e-6  # s
+_LAST = PHASES[-1][0]
+
+
+def step(world: World) -> None:
+    """Go on by one frame. Raises FaultStop after a whole step in which a value was at fault, if the options say `stop`,
+    and LimitStop in the middle of one that would take more than the limits allow."""
+    if is_standard():
+        _step(world)
+        return
+    with standard():
+        _step(world)
+
+
+def _step(world: World) -> None:
+    started, worked = perf_counter(), process_time()
+    timings, spent = world.timings, world.worked
+    for name, phase in PHASES:
+        phase(world)
+        ended = perf_counter()
+        passed = ended - started
+        # The processors' clock takes longer to read than many a phase of a small crowd: those have what passed, and the next that
+        # takes longer the rest.
+        done = worked + passed if passed < _SHORT and name != _LAST else process_time()
+        timings[name] = timings.get(name, 0.0) + passed
+        spent[name] = spent.get(name, 0.0) + done - worked
+        started, worked = ended, done
+    if world.faults.latest is not None and world.options.on_fault == "stop":
+        raise FaultStop(world.faults.latest)

@@ -20,11 +20,11 @@ from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
-from antdsl.runtime.about import clear_velocity, widest_gap
 from antdsl.runtime.clip_values import clip_value
 from antdsl.runtime.collisions import contact
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
+from antdsl.runtime.neighbourhood import clear_velocity, widest_gap
 from antdsl.runtime.world import AXES, Population, World
 
 Value = Any

@@ -9,11 +9,12 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from antdsl import limits
 from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene.library_bodies import BODY_WORDS
-from antdsl.scene.parts import Part, PointOrName
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     FilePath,
     Name,
+    Part,
+    PointOrName,
     PositiveLength,
     PositiveSpeed,
     Word,

@@ -13,16 +13,15 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, shown, unit_of, with_unit
-from antdsl.scene import adjusting
-from antdsl.scene.absent_species import absent_species
-from antdsl.scene.body_files import bodies
+from antdsl.scene import field_settings
 from antdsl.scene.crowd_model import Placement, UsdPlaces
 from antdsl.scene.document import Key
+from antdsl.scene.existence_checks import absent_species, bodies
+from antdsl.scene.field_settings import spreading
 from antdsl.scene.load import Scene
 from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, UsdThing
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.stability import spreading
 
 # What a frame of a cache can hold besides the attributes of the species themselves.
 FRAME_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group")
@@ -279,15 +278,15 @@ def _params(scene: Scene, program: Program, report: Report) -> None:
 
 def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: Key) -> None:
     """One param's value, or that of a field's setting, against its declaration: name, dimension, range."""
-    dim = adjusting.dimension(program, name)
+    dim = field_settings.dimension(program, name)
     if dim is not None:
-        advice = adjusting.refused(name, value)
+        advice = field_settings.refused(name, value)
         if _dimension(scene, report, value, dim, name, *(path or ("antdsl",))) and advice:
             place = scene.span(*path) if path else None
             report.error("out-of-range", f"`{name}` cannot be {value.text}", place, advice)
         return
     if name not in program.params:
-        known = [*program.params, *adjusting.settable(program)]
+        known = [*program.params, *field_settings.settable(program)]
         if path:
             _unknown(report, scene, path, "no program has a param", known)
         else:

@@ -12,10 +12,6 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene.crowd_model import CrowdLine as CrowdLine
 from antdsl.scene.crowd_model import Placement as Placement
 from antdsl.scene.crowd_model import Walk as Walk
-from antdsl.scene.parts import Keys, PointOrName
-from antdsl.scene.parts import Part as Part
-from antdsl.scene.parts import PlaceKey as PlaceKey
-from antdsl.scene.parts import Point as Point
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     Angle,
@@ -24,8 +20,10 @@ from antdsl.scene.values import (
     Fps,
     FrameRange,
     Frames,
+    Keys,
     Length,
     Name,
+    PointOrName,
     PositiveLength,
     PositiveTime,
     Word,
@@ -34,6 +32,9 @@ from antdsl.scene.values import (
     refuse,
     whole,
 )
+from antdsl.scene.values import Part as Part
+from antdsl.scene.values import PlaceKey as PlaceKey
+from antdsl.scene.values import Point as Point
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 

@@ -10,7 +10,7 @@ from antdsl.diagnostics import Report
 from antdsl.program.expectations import Changed
 from antdsl.program.model import Program
 from antdsl.program.types.folding import constant_behind
-from antdsl.scene.adjusting import with_field
+from antdsl.scene.field_settings import with_field
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import check_param, const_base
 from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity

@@ -17,6 +17,9 @@ from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.staging.moves import Moves
 from antdsl.source import Span
 
+_NEAR = 1e5  # mm: a world whose middle is no farther out keeps the zero point
+
+
 Point = tuple[float, float, float]
 Contacts = Literal["off", "soft", "hard"]
 
@@ -300,3 +303,16 @@ class Setting:
         for crowd in self.crowds:
             found[crowd.species] = found.get(crowd.species, frozenset()) | crowd.place.values.keys()
         return found
+
+
+def world_origin(setting: Setting) -> NDArray[np.float64]:
+    """The point (3), in mm, that positions are relative to: the middle of the world in whole metres, or 0 near the zero point."""
+    meshes = setting.surfaces or {name: solid.mesh for name, solid in setting.solids.items()}
+    meshes = meshes or setting.obstacles  # one more stone moves nothing
+    places = [m.vertices for m in meshes.values() if len(m.vertices)]
+    places = places or [np.array([i.position for items in setting.items.values() for i in items], np.float64).reshape(-1, 3)]
+    if not len(places[0]):
+        return np.zeros(3)
+    low, high = (np.min([p.min(axis=0) for p in places], axis=0), np.max([p.max(axis=0) for p in places], axis=0))
+    middle = (low + high) / 2
+    return np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > _NEAR else np.zeros(3)

@@ -1,4 +1,5 @@
-"""The kinds of scalar that a scene has, as pydantic types over text: whole numbers, quantities, lengths, rates of frames, names.
+"""The kinds of scalar that a scene has, as pydantic types over text: whole numbers, quantities, lengths, rates of frames,
+names; and mappings that several models share: points, and places at frames.
 
 Each turns text into a value by one exact routine, or refuses with a code, words and what to write instead."""
 
@@ -9,7 +10,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BeforeValidator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag
 from pydantic_core import PydanticCustomError
 
 from antdsl import limits
@@ -248,3 +249,31 @@ PositiveTime = Annotated[Quantity, BeforeValidator(positive(TIME))]
 Angle = Annotated[Quantity, BeforeValidator(of_dim(ANGLE))]
 Fps = Annotated[Fraction, BeforeValidator(_fps)]
 Frames = Annotated[FrameRange, BeforeValidator(_frames)]
+
+
+Point = tuple[Length, Length, Length]
+
+
+class Part(BaseModel):
+    """A mapping of the scene: keys that are not listed are refused."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, populate_by_name=False, arbitrary_types_allowed=True, hide_input_in_errors=True
+    )
+
+
+class PlaceKey(Part):
+    """Where a thing is at one frame; between keys it goes evenly, before the first and after the last it rests."""
+
+    at: Point | None = None
+    rotate: tuple[Angle, Angle, Angle] | None = None
+
+
+Keys = dict[Annotated[int, BeforeValidator(whole(-limits.FRAMES, limits.FRAMES * 1000))], PlaceKey]
+
+
+def _point_or_name(value: Any) -> str:
+    return "point" if isinstance(value, list) else "named"
+
+
+PointOrName = Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)]

@@ -13,23 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I32,
-    I64,
-    Array1,
-    Array2,
-    consecutive,
-    independent,
-    inlined,
-    kernel,
-    whole,
-)
+from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, consecutive, independent, inlined, kernel, whole
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
-from antdsl.numerics.cores import cores
+from antdsl.numerics.host import cores
 from antdsl.numerics.sorting import place_among, stable_order
 
 Floats = NDArray[np.float32]

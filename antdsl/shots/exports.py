@@ -11,10 +11,9 @@ from typing import Any
 from antdsl.executors import Refused, Task, Worker
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
-from antdsl.outputs.exports import export_for
+from antdsl.outputs.exports import SomeAgents, export_for
 from antdsl.outputs.gallery import Gallery, NoPicture
 from antdsl.outputs.numbered_files import NoExport
-from antdsl.outputs.some_agents import SomeAgents
 from antdsl.shots.placing import Destination
 
 CHUNK = 8  # frames of a task

@@ -11,9 +11,8 @@ from typing import Any
 from antdsl.executors import Refused, Task, Worker
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
-from antdsl.outputs.drawing import Drawer, Drawn, NoAgent
+from antdsl.outputs.drawing import Drawer, Drawn, NoAgent, Stills
 from antdsl.outputs.gallery import NoPicture
-from antdsl.outputs.kept_stills import Stills
 from antdsl.shots.placing import Destination
 
 CHUNK = 4  # frames of a task

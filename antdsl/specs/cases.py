@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -92,11 +92,7 @@ class Run:
 
 
 def cases(
-    paths: Iterable[Path],
-    *,
-    grants: Mapping[str, Path] | None = None,
-    seeds: int | None = None,
-    named: str = "",
+    paths: Iterable[Path], *, grants: Mapping[str, Path] | None = None, seeds: int | None = None, named: str = ""
 ) -> tuple[list[Run], Report]:
     """What there is to run for programs, scenes and folders, and complaints about files, scenes and specs.
 
@@ -218,3 +214,33 @@ def _head(spec: Spec) -> Span:
     source, start = spec.span.source, spec.span.start
     end = source.text.find("\n", start)
     return Span(source, start, min(spec.span.end, end if end >= 0 else spec.span.end))
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A spec that asks for a share of its seeds: how many of how many passed. `holds` is None while some are waiting."""
+
+    spec: Spec
+    passed: int
+    cases: int
+    holds: bool | None
+
+
+def settle(cases: Sequence[Case]) -> list[Verdict]:
+    """The verdicts, once everything has run. What failed in a spec of which enough passed is `allowed` from here on."""
+    groups: dict[tuple[str, int, str], list[Case]] = {}
+    for case in cases:
+        if case.spec.share < 1:
+            groups.setdefault((case.spec.span.source.path, case.spec.span.start, str(case.scene)), []).append(case)
+    return [_settled(group) for group in groups.values()]
+
+
+def _settled(group: list[Case]) -> Verdict:
+    passed = sum(case.outcome == "passed" for case in group)
+    if any(case.outcome == "waiting" for case in group):
+        return Verdict(group[0].spec, passed, len(group), None)
+    holds = passed >= group[0].spec.share * len(group) * (1 - 1e-9)
+    for case in group:
+        if holds and case.outcome == "failed":
+            case.outcome = "allowed"
+    return Verdict(group[0].spec, passed, len(group), holds)

@@ -15,7 +15,6 @@ from pathlib import Path
 from antdsl.loading import shown
 from antdsl.outputs.cache.cache_writer import ForeignFolder, InTheWay, prepare_folder
 from antdsl.outputs.cache.frames import static_arrays
-from antdsl.outputs.links import first_link
 from antdsl.outputs.recording import Recording, record
 from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
@@ -29,6 +28,7 @@ from antdsl.scene.quantities import BadQuantity, parse_quantity
 from antdsl.scene.setting import Setting
 from antdsl.scene.values import FrameRange
 from antdsl.specs.cases import Case, Run, SavedFrames
+from antdsl.whole import first_link
 
 EVERY = 12  # frames between two copies of the state
 MOST = 5  # cases kept of one `antdsl test`

@@ -196,8 +196,4 @@ _KINDS: Mapping[str, Callable[[Line, Seen], Ids]] = {
     "eventually": _eventually,
     "within": _eventually,
 }
-_SINCE: Mapping[str, Callable[[Line, Seen], Ids]] = {
-    "within": _since_within,
-    "eventually": _since_within,
-    "for": _since_for,
-}
+_SINCE: Mapping[str, Callable[[Line, Seen], Ids]] = {"within": _since_within, "eventually": _since_within, "for": _since_for}

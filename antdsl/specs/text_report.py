@@ -7,10 +7,9 @@ from collections.abc import Sequence
 
 from antdsl.diagnostics.places import safe
 from antdsl.loading import shown
-from antdsl.specs.cases import Case, Failure, SavedFrames
+from antdsl.specs.cases import Case, Failure, SavedFrames, Verdict
 from antdsl.specs.coverage import Counted, Coverage
 from antdsl.specs.golden.recorded import GoldenResult
-from antdsl.specs.verdicts import Verdict
 
 _MOST_TOLD = 20  # states and changes that nobody met, in words
 _MOST_DIFFERENCES = 6

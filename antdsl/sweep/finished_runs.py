@@ -10,9 +10,8 @@ from typing import Any
 
 from antdsl import __version__, limits
 from antdsl.bounded import read_bounded
-from antdsl.outputs.links import is_link
 from antdsl.sweep.jobs import Job
-from antdsl.whole import make_folder, write_whole
+from antdsl.whole import is_link, make_folder, write_whole
 
 _BYTES = limits.ANSWER_BYTES + 64 * limits.KIB  # of what is kept of one run
 

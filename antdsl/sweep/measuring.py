@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from antdsl import __version__
-from antdsl.executors.machine import processor
+from antdsl.numerics.host import processor
 from antdsl.outputs.provenance import sources
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.starting import start_from_cache

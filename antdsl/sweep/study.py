@@ -1,16 +1,26 @@
-"""A design and the variations that are run of it: what was asked, to be held against what came out."""
+"""What a sweep was asked for: a design and its variations, to be held against what came out. It is kept in the sweep's folder
+as `asked.json`, so that it can go on without being asked again."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from antdsl.sweep.designs import Chosen
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from antdsl import limits
+from antdsl.bounded import read_bounded
+from antdsl.sweep.designs import DESIGNS, Chosen
 from antdsl.sweep.factors import Factor
 from antdsl.sweep.jobs import Variation
 from antdsl.sweep.sensitivity import Effect, effects
 from antdsl.sweep.table import Row
+from antdsl.whole import write_whole
+
+NAME = "asked.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,3 +51,70 @@ class Study:
         scenes = {str(scene): [labels[(scene, *point.values())] for point in self.chosen.points] for scene in self.scenes}
         medians = {(row.label, row.measure): row.median for row in table}
         return effects(design.analysis, [f.name for f in self.chosen.factors], shares, scenes, medians, measures)
+
+
+class NotAsked(Exception):
+    """A folder has no sweep to go on with; the message says why."""
+
+
+class Asked(BaseModel):
+    """The words of the command line that decide which runs there are, and which the table counts."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    scenes: list[str] = Field(min_length=1, max_length=limits.SWEEP_POINTS)
+    vary: list[str] = []
+    design: str = "grid"
+    points: int | None = Field(default=None, ge=2, le=1_000_000)
+    design_seed: int = Field(default=1, ge=1, le=2**31 - 1)
+    seeds: str = "5"
+    frames: str | None = None
+    until_empty: list[str] = []
+    until_known: list[str] = []
+    root: list[str] = []
+
+    @field_validator("design")
+    @classmethod
+    def _there(cls, word: str) -> str:
+        if all(word != design.word for design in DESIGNS):
+            raise ValueError(f"there is no design `{word}`")
+        return word
+
+    @field_validator("scenes", "root")
+    @classmethod
+    def _paths(cls, words: list[str]) -> list[str]:
+        if any("\0" in word for word in words):
+            raise ValueError("no path has a null character")
+        return words
+
+    def keep(self, folder: Path) -> None:
+        """Write it, with paths as they are seen from the folder, so that all may be moved together."""
+        there = self.model_copy(update={"scenes": [_seen(path, folder) for path in self.scenes], "root": self._roots(folder)})
+        write_whole(folder / NAME, (there.model_dump_json(indent=1) + "\n").encode())
+
+    def _roots(self, folder: Path) -> list[str]:
+        return [f"{name}={_seen(path.strip(), folder)}" for name, _, path in (word.partition("=") for word in self.root)]
+
+
+def kept(folder: Path) -> Asked:
+    """What was asked for in a folder, with paths as they are seen from here. NotAsked where nothing was."""
+    try:
+        asked = Asked.model_validate_json(read_bounded(folder / NAME, limits.MIB))
+    except OSError:
+        raise NotAsked(f"`{folder}` has no sweep to go on with") from None
+    except ValidationError:
+        raise NotAsked(f"`{folder / NAME}` is damaged") from None
+    roots = [f"{name}={_from(path, folder)}" for name, _, path in (word.partition("=") for word in asked.root)]
+    changed: dict[str, Any] = {"scenes": [_from(path, folder) for path in asked.scenes], "root": roots}
+    return asked.model_copy(update=changed)
+
+
+def _seen(path: str, folder: Path) -> str:
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # on another drive
+        return os.path.abspath(path)
+
+
+def _from(path: str, folder: Path) -> str:
+    return os.path.relpath(folder / path) if not os.path.isabs(path) else path

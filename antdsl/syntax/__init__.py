@@ -10,7 +10,7 @@ from pathlib import Path
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source
 from antdsl.syntax.parser import parse
-from antdsl.syntax.reading import read, read_bytes
+from antdsl.syntax.text_files import read, read_bytes
 
 __all__ = ["format", "parse", "read", "read_bytes", "write"]
 
@@ -26,6 +26,6 @@ def format(source: Source) -> tuple[str | None, Report]:
 
 def write(path: Path, text: str) -> None:
     """As `writing.write`."""
-    from antdsl.syntax import writing
+    from antdsl.syntax import text_files
 
-    writing.write(path, text)
+    text_files.write(path, text)

@@ -1,10 +1,14 @@
-"""Counts what a file holds, before the costly work of parsing and checking it."""
+"""Counts what a file holds, before the costly work of parsing and checking it; and how deep a tree is, without recursion:
+whoever walks a tree afterwards may recurse."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 from antdsl import limits
+from antdsl.source import Source, Span
 from antdsl.syntax.blocks import Line
 from antdsl.syntax.brackets import text_of
 from antdsl.syntax.scan import Scan, Token
@@ -54,3 +58,17 @@ def _statements(lines: list[Line]) -> Iterator[Line]:
         yield line
         for group in line.groups:
             yield from _statements(group.lines)
+
+
+def deep_places(node: Any) -> Iterator[Span]:
+    """The spans of the nodes that lie deeper than allowed."""
+    stack: list[tuple[Any, int]] = [(node, 0)]
+    while stack:
+        part, depth = stack.pop()
+        if isinstance(part, tuple):
+            stack.extend((each, depth) for each in part)
+        elif is_dataclass(part) and not isinstance(part, (Span, Source, type)):
+            if depth > limits.EXPRESSION_DEPTH:
+                yield getattr(part, "span")  # noqa: B009 - every node has one
+                return
+            stack.extend((getattr(part, each.name), depth + 1) for each in fields(part))

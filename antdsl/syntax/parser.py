@@ -21,8 +21,7 @@ from antdsl.syntax import nodes as n
 from antdsl.syntax.blocks import Group, Line, Lookup, cut, lookup
 from antdsl.syntax.brackets import pair, text_of
 from antdsl.syntax.builder import Builder, Header, Result
-from antdsl.syntax.depth import deep_places
-from antdsl.syntax.file_limits import NOTHING, Sizes, has_too_many, is_within, sizes_of
+from antdsl.syntax.file_limits import NOTHING, Sizes, deep_places, has_too_many, is_within, sizes_of
 from antdsl.syntax.mistakes.unexpected_tokens import (
     UnexpectedToken,
     begins_line,

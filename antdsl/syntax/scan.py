@@ -11,9 +11,16 @@ from dataclasses import dataclass, field
 from antdsl import limits
 from antdsl.diagnostics.model import Fix, Report
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.lookalikes import DOUBLE_QUOTES, SINGLE_QUOTES, WRONG_SIGNS, ascii_for, word_instead
 from antdsl.syntax.mistakes.number_slips import NO_SECOND, WITH_COMMAS, comma_in_number, number_problem, unit_help
-from antdsl.syntax.mistakes.stray_text import blank_lines, look_over
+from antdsl.syntax.mistakes.stray_text import (
+    DOUBLE_QUOTES,
+    SINGLE_QUOTES,
+    WRONG_SIGNS,
+    ascii_for,
+    blank_lines,
+    look_over,
+    word_instead,
+)
 from antdsl.syntax.nodes import Comment
 from antdsl.syntax.words import NUMBER, UNIT, UNIT_SLIPS, UNITS
 

@@ -15,9 +15,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.clip_document import write_clip
 from antdsl.bodies.agents.definition import Clip, Rig
-from antdsl.bodies.agents.documents import write_rig
+from antdsl.bodies.files.clip_document import write_clip
+from antdsl.bodies.files.documents import write_rig
 from antdsl.bodies.shapes import sheet
 
 FOLDER = Path(__file__).parent

@@ -20,7 +20,7 @@ from counts import RECORDED, grown
 from antdsl.bench.cases import case_of
 from antdsl.bench.counting import SETTLED, count_step, counts_of
 from antdsl.machine_code.kernels import sources
-from antdsl.runtime import Options, World, bind, state_hash, step, stepping
+from antdsl.runtime import Options, World, bind, phases, state_hash, step
 from antdsl.senses.overlaps import worst
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -70,7 +70,7 @@ def test_a_kernel_that_is_made_in_a_step_that_is_counted_is_the_usual_one(
 ) -> None:
     plain, made = (sources.key(worst.part, []), worst.text()), []
     monkeypatch.setattr(
-        stepping, "PHASES", (*stepping.PHASES, ("made", lambda world: made.append((sources.key(worst.part, []), worst.text()))))
+        phases, "PHASES", (*phases.PHASES, ("made", lambda world: made.append((sources.key(worst.part, []), worst.text()))))
     )
     count_step(worlds[0])
     assert made == [plain] and plain[0] is not None
@@ -83,7 +83,7 @@ def test_one_more_call_of_numpy_is_counted_with_its_bytes(worlds: tuple[World, W
     def more(world: World) -> None:
         np.add.reduce(np.negative(np.zeros(1000)))
 
-    monkeypatch.setattr(stepping, "PHASES", (*stepping.PHASES, ("more", more)))
+    monkeypatch.setattr(phases, "PHASES", (*phases.PHASES, ("more", more)))
     after = count_step(other)
     assert after["numpy_calls"] - before["numpy_calls"] == 3
     assert after["numpy_bytes"] - before["numpy_bytes"] == 8000 + (8000 + 8000) + 8000

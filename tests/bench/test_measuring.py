@@ -18,12 +18,10 @@ from compilers import need_llvmlite, need_numba
 from antdsl import resources
 from antdsl.bench import CASES, Job
 from antdsl.bench.cases import NoCase, case_of, opened
-from antdsl.bench.costs import BOUND, Measured
-from antdsl.bench.machine import machine
+from antdsl.bench.costs import BOUND, Failed, Measured, measured
 from antdsl.bench.measuring import hand_written, measure
-from antdsl.bench.processes import Failed, measured
 from antdsl.bench.programs import BOIDS, NODE
-from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, phases, ratio_text, told, whole_step
+from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, machine, phases, ratio_text, told, whole_step
 from antdsl.cli.printing.bench_tables import show
 from antdsl.machine_code import machine as native_machine
 from antdsl.machine_code.object_cache import VARIABLE

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import stick_bodies
 
 from antdsl.bodies.agents.leg_chains import legs_of
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.files.reading import read_definition
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.feet.state import NOTHING
 

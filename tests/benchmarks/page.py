@@ -67,16 +67,7 @@ def results(kept: Kept) -> list[Result]:
 
 def steps_table(found: Iterable[Result]) -> str:
     """The whole step."""
-    heads = (
-        "case",
-        "agents",
-        "backend",
-        "CPU ms",
-        "wall ms",
-        "frames a second",
-        "µs per agent",
-        "of the bound",
-    )
+    heads = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "µs per agent", "of the bound")
     rows = []
     for result in found:
         for each in result.alone:

@@ -25,8 +25,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from antdsl.bench.machine import machine
-from antdsl.bench.tables import markdown, ratio_text
+from antdsl.bench.tables import machine, markdown, ratio_text
 
 HERE = Path(__file__).parent / "peers"
 ROOT = Path(__file__).resolve().parents[2]
@@ -107,11 +106,7 @@ PEERS = (
     Peer("krabmaga", "krABMaga 0.5.3 (Rust)", "boids", _cargo("flockers")),
     Peer("mason", "MASON 22 (Java)", "boids", _java("boids")),
     Peer(
-        "mesa",
-        "Mesa 3.3 (Python)",
-        "boids",
-        _python("boids_mesa.py", "mesa.examples", "mesa==3.3.1 networkx scipy"),
-        slow=True,
+        "mesa", "Mesa 3.3 (Python)", "boids", _python("boids_mesa.py", "mesa.examples", "mesa==3.3.1 networkx scipy"), slow=True
     ),
     Peer("rvo2", "RVO2 (C++)", "crowd", _python("crowd_rvo2.py", "pyrvo, scipy", "--no-deps pyrvo==0.4.3 numpy scipy")),
     Peer("jupedsim", "JuPedSim 1.4 (C++)", "crowd", _python("crowd_jupedsim.py", "jupedsim, scipy", "jupedsim==1.4.2 scipy")),

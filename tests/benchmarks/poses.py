@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from antdsl.bench.ratios import LEAST_PAIRS, in_turn, interval
 from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-from antdsl.bodies.agents.clip_table import ClipTable, clip_table
 from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
 from antdsl.bodies.agents.deformers import DEFORMERS, bound
+from antdsl.bodies.agents.poses import ClipTable, clip_table
 
 Floats = NDArray[np.float32]
 JOINTS = 20

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, ClipTree, Playing, posed
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Binding, Blend, Capture, Channel, Clip, Definition, Rig, Shape, TransformGroup
 from antdsl.bodies.agents.deformers import bound
+from antdsl.bodies.agents.poses import clip_table
 
 JOINTS, POINTS, AGENTS = 11, 70, 300
 

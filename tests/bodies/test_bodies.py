@@ -9,7 +9,7 @@ import trimesh
 
 from antdsl.bodies.body import orientation, turned
 from antdsl.bodies.library import library_body
-from antdsl.bodies.placed import PLACED, placed, shape_of
+from antdsl.bodies.shapes import PLACED, placed, shape_of
 from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
 from antdsl.scene.library_bodies import BODY_WORDS, CAPSULES, body_of
 

@@ -11,7 +11,8 @@ import pytest
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, Channel, Rig, TransformGroup
-from antdsl.bodies.agents.documents import (
+from antdsl.bodies.files.definition_parts import Typed, read_metadata
+from antdsl.bodies.files.documents import (
     read_group,
     read_layer,
     read_part,
@@ -21,7 +22,6 @@ from antdsl.bodies.agents.documents import (
     write_metadata,
     write_rig,
 )
-from antdsl.bodies.agents.metadata import Typed, read_metadata
 
 RIG = """{
     "rig_version": 1,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from antdsl import limits
-from antdsl.bodies.agents.clip_document import read_clip, write_clip
 from antdsl.bodies.agents.definition import Channel, Clip, Rig
-from antdsl.bodies.agents.documents import read_part
 from antdsl.bodies.agents.transforms import matrix_of, rotation_of_angles
+from antdsl.bodies.files.clip_document import read_clip, write_clip
+from antdsl.bodies.files.documents import read_part
 from antdsl.diagnostics import Report
 
 ARM = np.eye(4)

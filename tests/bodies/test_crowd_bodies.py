@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.bodies.agents.definition import Binding, Layer
-from antdsl.bodies.agents.reading import read_definition
-from antdsl.bodies.agents.spoken import spoken_names
+from antdsl.bodies.agents.definition import Binding, Layer, spoken_names
 from antdsl.bodies.crowd_bodies import clip_data, room_of
+from antdsl.bodies.files import reading
+from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.library import library_body
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot, check_path, check_scene_text, open_scene
@@ -146,11 +146,10 @@ def test_lists_of_what_is_worn_say_what_to_write(folder: Path, wear: str, help: 
 
 
 def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.bodies import kept_definitions
     from antdsl.scene.paths import sought
 
     times = []
-    monkeypatch.setattr(kept_definitions, "read_definition", lambda *given: times.append(given) or read_definition(*given))
+    monkeypatch.setattr(reading, "read_definition", lambda *given: times.append(given) or read_definition(*given))
     scene = written(folder)
     first = opened(scene)
     with sought() as files:

@@ -11,11 +11,11 @@ import gltf_bodies
 import pytest
 
 from antdsl import limits
-from antdsl.bodies.agents.body_files import BodyFiles
-from antdsl.bodies.agents.clip_document import write_clip
 from antdsl.bodies.agents.definition import Between, Blend, Definition
-from antdsl.bodies.agents.metadata import Typed
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.files.clip_document import write_clip
+from antdsl.bodies.files.definition_parts import Typed
+from antdsl.bodies.files.named_files import BodyFiles
+from antdsl.bodies.files.reading import read_definition
 from antdsl.diagnostics import Diagnostic
 from antdsl.scene.paths import Roots
 

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import FRONT, UP, Definition
-from antdsl.bodies.agents.definition_written import definition_files
 from antdsl.bodies.agents.deformers import bound
-from antdsl.bodies.agents.gltf_written import write_gltf
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.agents.metadata import Typed
 from antdsl.bodies.agents.other_axes import in_axes
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.agents.poses import clip_table
+from antdsl.bodies.files.definition_parts import Typed
+from antdsl.bodies.files.definition_written import definition_files
+from antdsl.bodies.files.gltf_written import write_gltf
+from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody, own_layer
 from tests.commands import run

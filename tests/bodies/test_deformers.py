@@ -13,10 +13,9 @@ from rigs import definition, matrix, still, turn, wild
 
 from antdsl.bodies.agents import deformers
 from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Between, Binding, Blend, Capture, Channel, Definition, Shape
 from antdsl.bodies.agents.deformers import DEFORMERS, bound, register, steps
-from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.poses import Poses, clip_table
 from antdsl.bodies.agents.skinning import Deformed
 
 FACES = np.zeros((0, 3), np.int32)

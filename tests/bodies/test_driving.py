@@ -7,10 +7,10 @@ import pytest
 from rigs import definition, matrix
 
 from antdsl.bodies.agents.blending import posed
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.driving import with_looks
 from antdsl.bodies.agents.machine_clips import machines_playing
+from antdsl.bodies.agents.poses import clip_table
 
 JOINTS = {"root": "", "neck": "root", "head": "neck", "jaw": "head", "tail": "root"}
 REST = {"neck": matrix((1, 0, 0)), "head": matrix((1, 0, 0)), "jaw": matrix((1, 0, 0)), "tail": matrix((-1, 0, 0))}

@@ -16,8 +16,8 @@ import pytest
 from antdsl import limits
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.definition import Binding, BodyError, Definition
-from antdsl.bodies.agents.gltf_body import read_gltf
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.files.gltf_body import read_gltf
+from antdsl.bodies.files.reading import read_definition
 from antdsl.scene.paths import PathRefused
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from antdsl import limits
-from antdsl.bodies.agents.json_text import Node, read_json
+from antdsl.bodies.files.json_text import Node, read_json
 from antdsl.source import Source
 
 

@@ -11,14 +11,13 @@ import stick_bodies
 from rigs import still
 
 from antdsl.bodies.agents.blending import posed
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.leg_chains import legs_of
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
-from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.agents.poses import Poses, clip_table
 from antdsl.bodies.body import rotation
+from antdsl.bodies.files.reading import read_definition
 
 N = 40
 

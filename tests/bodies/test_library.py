@@ -9,10 +9,10 @@ import pytest
 
 from antdsl import resources
 from antdsl.bodies.agents.definition import Definition, Shape
-from antdsl.bodies.agents.definition_checks import whole
-from antdsl.bodies.agents.definition_document import Parts
 from antdsl.bodies.agents.deformers import DEFORMERS
 from antdsl.bodies.agents.machine_clips import MachineClips
+from antdsl.bodies.files.definition_checks import whole
+from antdsl.bodies.files.definition_document import Parts
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report
@@ -115,7 +115,7 @@ def test_every_body_has_its_files_and_nothing_else_is_there() -> None:
 def feet_in(body: Definition, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Where the feet are over a clip [samples, legs, 3], and how far the body has gone."""
     from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-    from antdsl.bodies.agents.clip_table import clip_table
+    from antdsl.bodies.agents.poses import clip_table
 
     table = clip_table(replace(body, shapes={}, layers={}))
     clip = body.clips[name]

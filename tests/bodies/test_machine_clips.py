@@ -9,9 +9,9 @@ import pytest
 from rigs import definition, matrix, still, turn
 
 from antdsl.bodies.agents.blending import OVER, posed
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
+from antdsl.bodies.agents.poses import clip_table
 
 # A trunk, an arm and a leg beside each other; clips put them at heights: rest 0, low 1, high 3.
 JOINTS = {"trunk": "", "arm": "", "leg": ""}

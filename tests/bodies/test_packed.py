@@ -13,14 +13,14 @@ import pytest
 import usd_bodies
 
 from antdsl.bodies.agents.blending import posed
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import BodyError, Definition, Gait, Leg
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
 from antdsl.bodies.agents.packed import PARTS, Arrays, digest, packed
-from antdsl.bodies.agents.reading import read_definition
-from antdsl.bodies.agents.unpacked import unpacked
+from antdsl.bodies.agents.poses import clip_table
+from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.posed_body import PosedBody
+from antdsl.outputs.cache.body_arrays import unpacked
 
 
 @pytest.fixture(scope="module")

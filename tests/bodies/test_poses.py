@@ -8,9 +8,8 @@ from rigs import definition, matrix, still, turn, wild
 
 from antdsl.bodies.agents import affine, blending
 from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Channel, Clip, Definition, Rig
-from antdsl.bodies.agents.poses import Poses, local_transforms, sampled, square, world_transforms
+from antdsl.bodies.agents.poses import Poses, clip_table, local_transforms, sampled, square, world_transforms
 
 
 def alone(definition: Definition, clips: list[int], times: list[float]) -> Poses:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from rigs import matrix, wild
 
 from antdsl.bodies.agents.blending import posed
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Binding, Capture, Definition, Layer, Shape
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.poses import clip_table
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.skinned_mesh import SkinnedMesh
 

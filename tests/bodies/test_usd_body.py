@@ -12,8 +12,8 @@ pytest.importorskip("pxr")
 import usd_bodies
 
 from antdsl.bodies.agents.definition import Binding, Channel, Definition
-from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.agents.transforms import matrix_of, world_matrices
+from antdsl.bodies.files.reading import read_definition
 
 
 @pytest.fixture(scope="module")

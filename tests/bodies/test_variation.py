@@ -8,21 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.definition import Definition, spoken
 from antdsl.bodies.agents.driving import Driven
 from antdsl.bodies.agents.packed import digest, packed
-from antdsl.bodies.agents.reading import read_definition
-from antdsl.bodies.agents.spoken import spoken
-from antdsl.bodies.agents.unpacked import unpacked
 from antdsl.bodies.agents.varied_bodies import Draws
+from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report
+from antdsl.outputs.cache.body_arrays import unpacked
 
 BLOCK = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-VARIATION = {
-    "scale": {"Head": [0.5, 2.0], "half": [1, 3]},
-    "materials": {"fur": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]},
-}
+VARIATION = {"scale": {"Head": [0.5, 2.0], "half": [1, 3]}, "materials": {"fur": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}}
 BODY = {
     "antdsl_body": 1, "name": "bug", "length": 1,
     "rig": {

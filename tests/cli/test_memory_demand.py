@@ -7,15 +7,12 @@ from pathlib import Path
 import commands
 import pytest
 
-import antdsl.numerics.memory as available
+import antdsl.numerics.host as available
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.memory_demand import demand_memory, work_of
 from antdsl.pipeline import Shot, open_scene
 
-SCENES = {
-    "species walker": ("count: 200", "count: 4000000"),
-    "surface ground": ("count: 200", "count: 1"),
-}
+SCENES = {"species walker": ("count: 200", "count: 4000000"), "surface ground": ("count: 200", "count: 1")}
 
 
 def shot_of(folder: Path, *change: str) -> Shot:

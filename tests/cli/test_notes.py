@@ -10,7 +10,7 @@ import commands
 import pytest
 from executed import InThisProcess
 
-from antdsl.preview.observing.notes import Notes
+from antdsl.preview.observing.observers import Notes
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import ready
 

@@ -17,8 +17,7 @@ from cases.hostile.usd import GOOD
 from children import child_environment
 
 from antdsl.cli import app
-from antdsl.cli.exits import Stop, is_out_of_memory
-from antdsl.cli.failures import report_failures
+from antdsl.cli.exits import Stop, is_out_of_memory, report_failures
 
 
 class ArrayMemoryError(MemoryError):

@@ -71,12 +71,7 @@ USES = {
     "doctor": Use("doctor", is_result=True),
     "lsp": Use("lsp", is_result=True, stdin=LSP),
 }
-SAMPLE = (
-    ("run", "stdout", "closed"),
-    ("run", "stderr", "full"),
-    ("check", "stdout", "full"),
-    ("graph", "stdout", "slow"),
-)
+SAMPLE = (("run", "stdout", "closed"), ("run", "stderr", "full"), ("check", "stdout", "full"), ("graph", "stdout", "slow"))
 
 
 @pytest.fixture(scope="module")

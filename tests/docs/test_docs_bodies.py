@@ -11,12 +11,12 @@ from typing import Any
 import commands
 import pytest
 
-from antdsl.bodies.agents.body_files import _CLOSED
-from antdsl.bodies.agents.clip_document import PARTS, read_clip
-from antdsl.bodies.agents.definition_document import KNOWN
-from antdsl.bodies.agents.documents import DOCUMENTED_DEFORMERS, read_group, read_layer, read_part, read_rig
-from antdsl.bodies.agents.metadata import read_metadata
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.files.clip_document import PARTS, read_clip
+from antdsl.bodies.files.definition_document import KNOWN
+from antdsl.bodies.files.definition_parts import read_metadata
+from antdsl.bodies.files.documents import DOCUMENTED_DEFORMERS, read_group, read_layer, read_part, read_rig
+from antdsl.bodies.files.named_files import _CLOSED
+from antdsl.bodies.files.reading import read_definition
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "bodies.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+) ?(\w*)(?: file=(\S+))?\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)

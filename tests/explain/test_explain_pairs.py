@@ -11,7 +11,7 @@ from explained import cached
 
 from antdsl.explain import CacheHistory, Replay, accounts, open_shot, tell
 from antdsl.outputs.cache.cache_reader import Cache
-from antdsl.plan.pair_registers import slot_names
+from antdsl.plan.registers import slot_names
 from antdsl.runtime import Options, bind, step
 
 ROOT = Path(__file__).resolve().parents[2]

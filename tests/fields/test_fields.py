@@ -9,7 +9,7 @@ import pytest
 
 from antdsl.fields.cells import FieldTooFine, SurfaceCells, compatible, facing
 from antdsl.fields.pheromone import LARGEST_DEPOSIT, UNIT, PheromoneField
-from antdsl.scene.stability import largest_stable_diffusion
+from antdsl.scene.field_settings import largest_stable_diffusion
 from tests.meshes import Mesh, ball, box, grid, terrain
 
 

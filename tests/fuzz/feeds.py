@@ -12,7 +12,7 @@ from cases.hostile.rows import PROJECT, SCENE
 from fuzz.oracle import Feed, Violation
 
 from antdsl import passes, plan, syntax
-from antdsl.bodies.agents.reading import read_definition
+from antdsl.bodies.files.reading import read_definition
 from antdsl.diagnostics import Diagnostic, Report
 from antdsl.limits import MIB
 from antdsl.pipeline import check_path, open_scene

@@ -21,11 +21,10 @@ from preview_served import Noted
 
 from antdsl.preview import live as live_module
 from antdsl.preview.live import Live
-from antdsl.preview.serving import inbound
 from antdsl.preview.serving.addresses import Listening
 from antdsl.preview.serving.guard import Guard
 from antdsl.preview.serving.pages import pages
-from antdsl.preview.serving.server import Server
+from antdsl.preview.serving.server import Refused, Server, read
 from antdsl.runtime import Options
 
 TOKEN = "t" * 43
@@ -188,8 +187,8 @@ def feed_page(folder: Path) -> Feed:
             live = Live.open(folder / "scene.yaml", None, Options(backend="numpy"), watch=False)
             live._do("join", page)
             for line in data.split(b"\n")[:MESSAGES]:
-                asked = inbound.read(line.decode("utf-8", "replace"))
-                if isinstance(asked, inbound.Refused):
+                asked = read(line.decode("utf-8", "replace"))
+                if isinstance(asked, Refused):
                     page.tell(asked.message_out())
                     continue
                 live._do(asked, page)

@@ -301,7 +301,7 @@ def _legged() -> list[bytes]:
 
 
 def body_words() -> tuple[Mutator, ...]:
-    from antdsl.bodies.agents.definition_document import KNOWN
+    from antdsl.bodies.files.definition_document import KNOWN
 
     more = (
         "null",

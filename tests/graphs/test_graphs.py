@@ -352,12 +352,7 @@ def test_the_command_writes_what_the_ending_says(
     ],
 )
 def test_mistakes_end_in_words(
-    odd_file: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-    words: list[str],
-    code: int,
-    message: str,
+    odd_file: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: list[str], code: int, message: str
 ) -> None:
     (odd_file.parent / "broken.ant").write_text(ODD.replace("-> roam", "-> roan"), encoding="utf-8")
     (odd_file.parent / "still.ant").write_text('ant 1\nbehaviour b() -> number {\n  "One."\n  1\n}\n', encoding="utf-8")

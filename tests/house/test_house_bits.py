@@ -18,7 +18,7 @@ ROOMS = (
 )  # what they give is, or becomes, a state
 # of bodies/agents: so do they
 POSING = (
-    "affine", "blend_shapes", "blending", "clip_table", "deformers", "driving", "leg_chains", "machine_clips", "poses",
+    "affine", "blend_shapes", "blending", "deformers", "driving", "leg_chains", "machine_clips", "poses",
     "skinning", "varied_bodies",
 )  # fmt: skip
 # Of NumPy and math: their last bits depend on the processor, by what the library was compiled for or chooses when it runs.
@@ -35,12 +35,10 @@ ALLOWED = {
     "senses/overlaps.py": {"scipy": "a measure beside the state"},
     "runtime/binding/spacing.py": {"scipy": "a tree that says which places to measure"},
     "ground/mesh/creases.py": {"scipy": "a tree of places, compiled for all x86-64 processors alike"},
-    "runtime/binding/crowding.py": {"log10": "digits of a radius that is proposed in a message"},
+    "runtime/binding/start_findings.py": {"log10": "digits of a radius that is proposed in a message"},
     "runtime/motion_measures.py": {"arcsin": "a measure beside the state, counted in bins"},
-    "runtime/cell_grids.py": {"log2": "the width of cells: which pairs are found does not depend on it"},
-    "runtime/pairs.py": {
-        "scipy": "a tree that says how far to look: which pairs are the nearest does not depend on it",
-    },
+    "runtime/neighbourhood.py": {"log2": "the width of cells: which pairs are found does not depend on it"},
+    "runtime/pairs.py": {"scipy": "a tree that says how far to look: which pairs are the nearest does not depend on it"},
     "runtime/backends/native/grids.py": {"log2": "the same"},
     "fields/pheromone.py": {"scipy": "a sparse matrix, compiled for all processors alike"},
     "fields/path_cost.py": {"scipy": "Dijkstra's search, compiled alike for all x86-64; only a beginning"},
@@ -52,10 +50,10 @@ ALLOWED = {
     },
     "ground/solid_feelers.py": {"scipy": "a tree that says which places to measure"},
     "runtime/nearest_pairs.py": {"scipy": "a tree that says which pairs to measure"},
-    "ground/solid/meshing.py": {"skimage": "a mesh to look at; its vertices are rounded to a 4096th of a voxel"},
+    "ground/solid/volume.py": {"skimage": "a mesh to look at; its vertices are rounded to a 4096th of a voxel"},
     "ground/solid/voxelising.py": {"log10": "digits of a size of voxels that is proposed in a message"},
     "scene/staging/stage_things.py": {"interp": "of curves and moves: products and sums of single numbers"},
-    "scene/geometry/welding.py": {"scipy": "a tree of vertices to weld, compiled for all x86-64 processors alike"},
+    "scene/staging/mesh_imports.py": {"scipy": "a tree of vertices to weld, compiled for all x86-64 processors alike"},
     "scene/geometry/closed.py": {"log2": "how many digits a mesh's places keep while it is told whether it is closed"},
 }
 

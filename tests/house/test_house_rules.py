@@ -117,7 +117,6 @@ def test_no_file_runs_text_or_reads_what_could() -> None:
 
 # Who else opens files to read them, and which.
 OWN_FILES = {
-    "executors/machine.py": "what the system tells about the processor",
     "bench/cases.py": "examples that come with antdsl",
     "bootstrap.py": "what antdsl needs, and which system this is",
     "cli/__init__.py": "the null device",
@@ -125,10 +124,8 @@ OWN_FILES = {
     "diagnostics/sarif.py": "pages that come with antdsl",
     "lsp/features/tokens.py": "the grammar",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
-    "outputs/writer/process_memory.py": "what the system tells about memory",
     "preview/serving/pages.py": "the page that comes with antdsl",
-    "numerics/cores.py": "what the system tells about processor time",
-    "numerics/memory.py": "what the system tells about memory",
+    "numerics/host.py": "what the system tells about processors and memory",
     "cli/printing/messages.py": "the null device",
     "scene/paths.py": "folders, part by part",
     "scene/library_bodies.py": "the list of the bodies that come with the package",
@@ -155,7 +152,7 @@ def test_files_that_a_person_can_name_are_opened_by_one_module() -> None:
             called = ast.unparse(node.func)
             other = called.endswith(".open") and called not in ("os.open", "io.open")  # a session, a solid's bricks
             written = any(getattr(each, "value", None) in ("ab", "wb", "xb") for each in node.args)
-            if other or written or called in ("read_bytes", "syntax.read_bytes", "reading.read_bytes"):
+            if other or written or called in ("read_bytes", "syntax.read_bytes", "text_files.read_bytes"):
                 continue
             raise AssertionError(f"{path}:{node.lineno} opens a file by `{called}`, not by antdsl/bounded.py")
 
@@ -222,7 +219,7 @@ def test_heavy_packages_are_imported_late_below_the_pictures() -> None:
 
 
 # What reads files by a C or C++ library, and runs in the reader's process only: nothing else imports it.
-READ_BY_LIBRARIES = ("antdsl.scene.geometry.usd.child", "antdsl.bodies.agents.usd_body", "antdsl.bodies.agents.usd_shapes",
+READ_BY_LIBRARIES = ("antdsl.scene.geometry.usd.child", "antdsl.bodies.files.usd_body", "antdsl.bodies.files.usd_shapes",
                      "antdsl.reader.images", "antdsl.reader.child")  # fmt: skip
 WRITES_USD = ("antdsl.outputs.", "antdsl.scene.geometry.usd.errors", "antdsl.scene.geometry.usd")
 COMPOSES_USD = frozenset(["FindOrOpen", "OpenMasked", "OpenAsAnonymous", "AddReference", "AddPayload", "subLayerPaths"])

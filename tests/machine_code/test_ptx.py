@@ -7,7 +7,7 @@ import re
 import pytest
 from compilers import need_llvmlite
 
-from antdsl.fields.pheromone_step import stepped
+from antdsl.fields.pheromone import stepped
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.numerics.elementary_loops import cosines

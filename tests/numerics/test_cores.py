@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.numerics import cores as module
+from antdsl.numerics import host as module
 
 
 @pytest.fixture

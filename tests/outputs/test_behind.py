@@ -18,15 +18,14 @@ import stick_bodies
 from children import child_environment
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache import lock
+from antdsl.outputs.cache import frame_writer, lock
 from antdsl.outputs.cache.cache_reader import open_cache
+from antdsl.outputs.cache.frame_writer import Behind, Found
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, read_lines
 from antdsl.outputs.cache.lock import FolderLock, Locked
 from antdsl.outputs.recording import Recording, begin, record
 from antdsl.outputs.summary import summary
-from antdsl.outputs.writer import frame_writer
-from antdsl.outputs.writer.background import Behind, Found
 from antdsl.pipeline import Choices, open_scene
 from antdsl.runtime import Options, World
 from antdsl.whole import Parts

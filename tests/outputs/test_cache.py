@@ -37,8 +37,7 @@ from antdsl.outputs.cache.npz import ArrayFileError, parse_npy, read_npz, to_byt
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import open_scene
 from antdsl.runtime import CheckpointError, Options, bind, checkpoint, restore
-from antdsl.runtime.checkpoints import Arrays
-from antdsl.runtime.hashing import STATE_HASH
+from antdsl.runtime.checkpoints import STATE_HASH, Arrays
 from antdsl.whole import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from commands import run
 
-from antdsl.outputs.links import first_link
 from antdsl.sweep.finished_runs import Keeper, OtherFiles
+from antdsl.whole import first_link
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="links need a right there")

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import frame_path, open_cache
-from antdsl.outputs.smoothing import Oriented, smoothed
+from antdsl.outputs.editing import Oriented, smoothed
 
 RUN = CliRunner()
 PROGRAM = """ant 1

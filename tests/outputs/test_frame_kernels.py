@@ -13,10 +13,8 @@ from plans import bare, block, crowd
 
 from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS
 from antdsl.outputs.cache.agent_arrays import write_colours, write_numbers, write_placed
-from antdsl.outputs.cache.clip_arrays import _REGISTERS, clips_playing
-from antdsl.outputs.cache.foot_arrays import placed_feet
 from antdsl.outputs.cache.frames import _not_zero
-from antdsl.outputs.cache.shown_arrays import _put_on
+from antdsl.outputs.cache.pose_arrays import _REGISTERS, _put_on, clips_playing, placed_feet
 from antdsl.outputs.surface_error import _worst, surface_error
 from antdsl.runtime import Options, Population, World, bind
 from antdsl.runtime.feet.state import Feet

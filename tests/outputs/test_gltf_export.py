@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from antdsl.bodies.agents.reading import read_definition
 from antdsl.bodies.body import turned
+from antdsl.bodies.files.reading import read_definition
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery

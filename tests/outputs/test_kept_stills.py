@@ -106,20 +106,20 @@ def test_a_film_is_made_of_the_pictures_that_are_there(cache: Path, tmp_path: Pa
 def test_a_termination_leaves_whole_pictures_and_its_own_exit_code(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from antdsl.outputs import kept_stills
+    from antdsl.outputs import drawing
     from antdsl.whole import whole_file
 
-    put, count = kept_stills.Stills.put, []
+    put, count = drawing.Stills.put, []
 
-    def ended(self: kept_stills.Stills, frame: int, image: object) -> Path:
+    def ended(self: drawing.Stills, frame: int, image: object) -> Path:
         count.append(frame)
         if len(count) == 3:
-            with whole_file(kept_stills.still_path(self.folder, frame)) as file:
+            with whole_file(drawing.still_path(self.folder, frame)) as file:
                 file.write(b"half")
                 signal.raise_signal(signal.SIGTERM)
         return put(self, frame, image)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(kept_stills.Stills, "put", ended)
+    monkeypatch.setattr(drawing.Stills, "put", ended)
     monkeypatch.setattr("sys.argv", ["antdsl", "render", str(cache), "--out", str(tmp_path), "--frames", "1..6", *SMALL])
     assert run_in_process() == 75 and "--resume" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == name(1, 2)

@@ -20,8 +20,8 @@ from antdsl.bodies.body import rotation
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
-from antdsl.outputs.following import followed
 from antdsl.outputs.gallery import Gallery, NoPicture
+from antdsl.outputs.paths import followed
 from antdsl.outputs.pictures.actors import actors
 from antdsl.outputs.pictures.camera import view
 from antdsl.outputs.pictures.model import Camera, Crowd
@@ -153,8 +153,8 @@ def test_small_bodies_have_fewer_triangles_and_the_same_pose(cache: Cache) -> No
 def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
     """The clips of the example: what is on the ground goes back as far as the body goes ahead."""
     from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-    from antdsl.bodies.agents.clip_table import clip_table
-    from antdsl.bodies.agents.reading import read_definition
+    from antdsl.bodies.agents.poses import clip_table
+    from antdsl.bodies.files.reading import read_definition
 
     body, _ = read_definition(EXAMPLE / "walker.json")
     assert body is not None

@@ -11,25 +11,15 @@ import pytest
 
 pxr = pytest.importorskip("pxr")
 
-from antdsl.bodies.agents.definition import (  # noqa: E402  # noqa: E402  # noqa: E402
-    Between,
-    Binding,
-    Blend,
-    Capture,
-    Channel,
-    Definition,
-    Layer,
-    Rig,
-    Shape,
-)
+from antdsl.bodies.agents.definition import Between, Binding, Blend, Capture, Channel, Definition, Layer, Rig, Shape  # noqa: E402  # noqa: E402  # noqa: E402
 from antdsl.bodies.agents.poses import Poses  # noqa: E402
 from antdsl.bodies.body import rotation  # noqa: E402
 from antdsl.bodies.posed_body import PosedBody  # noqa: E402
 from antdsl.outputs.cache.cache_reader import Cache, open_cache  # noqa: E402
+from antdsl.outputs.exports import SomeAgents  # noqa: E402
 from antdsl.outputs.gallery import Gallery  # noqa: E402
 from antdsl.outputs.pictures.model import Picture  # noqa: E402
 from antdsl.outputs.recording import begin, record  # noqa: E402
-from antdsl.outputs.some_agents import SomeAgents  # noqa: E402
 from antdsl.outputs.usd.moments import rotation_vector, turned_by  # noqa: E402
 from antdsl.outputs.usd.stage import UsdOptions, export_instances, export_xforms  # noqa: E402
 from antdsl.pipeline import Choices, open_scene  # noqa: E402

@@ -13,8 +13,8 @@ from plan_text import plan_of
 
 from antdsl.plan import PlanError, verify
 from antdsl.plan.builder import Builder
-from antdsl.plan.floats import f32
 from antdsl.plan.ir import Block, If, Kind, Rate, Store
+from antdsl.plan.simplify import f32
 
 numbers = st.floats(width=32)
 

@@ -16,7 +16,6 @@ from page_stage import Stage, stage
 from PIL import Image
 
 from antdsl.bodies.agents.blending import Playing, posed
-from antdsl.bodies.agents.clip_table import ClipTable, clip_table
 from antdsl.bodies.agents.definition import (
     Between,
     Binding,
@@ -35,17 +34,16 @@ from antdsl.bodies.agents.definition import (
 from antdsl.bodies.agents.driving import Driven, with_looks
 from antdsl.bodies.agents.leg_ik import Legs, PlacedFeet
 from antdsl.bodies.agents.machine_clips import EARLIER, MachineClips, Played, machines_playing
+from antdsl.bodies.agents.poses import ClipTable, clip_table
 from antdsl.bodies.agents.transforms import world_matrices
 from antdsl.bodies.agents.varied_bodies import Draws, place_of, size_of
-from antdsl.bodies.blend_targets import blend_targets
 from antdsl.bodies.body import orientation
 from antdsl.bodies.posed_body import PosedBody
+from antdsl.bodies.skinned_mesh import blend_targets
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.timeline import Light
-from antdsl.preview.viewing.acting import blended_by
-from antdsl.preview.viewing.plays import packed
-from antdsl.preview.viewing.rigs import Outfit, rig_packet, traits
-from antdsl.preview.viewing.stances import stances
+from antdsl.preview.viewing.acting import blended_by, packed, stances
+from antdsl.preview.viewing.bodies import Outfit, rig_packet, traits
 from antdsl.runtime.feet.state import Feet
 from antdsl.runtime.feet.trunk import quaternions
 

@@ -15,8 +15,8 @@ import pytest
 
 from antdsl.preview.serving import addresses, ready
 from antdsl.preview.serving.addresses import CannotListen, is_loopback, listen
+from antdsl.preview.serving.connections import Bucket
 from antdsl.preview.serving.mailbox import Mailbox
-from antdsl.preview.serving.pace import Bucket
 
 
 def with_mailbox(test: Callable[[Mailbox, list[str]], Awaitable[None]], **budgets: int) -> None:

@@ -17,9 +17,8 @@ from preview_served import SECONDS, Noted
 from websockets.exceptions import ConnectionClosed
 
 from antdsl.preview.serving.addresses import listen
-from antdsl.preview.serving.guard import Guard
+from antdsl.preview.serving.guard import Guard, Returning
 from antdsl.preview.serving.pages import pages
-from antdsl.preview.serving.returning import Returning
 from antdsl.preview.serving.server import Server
 
 SCENE = Path("scene.yaml")

@@ -14,7 +14,7 @@ from preview_page import copied
 from antdsl.bodies.library import library_body
 from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack
-from antdsl.preview.viewing.plays import NONE
+from antdsl.preview.viewing.acting import NONE
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from preview_page import few
 
 from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack
-from antdsl.preview.viewing.feelers import felt
+from antdsl.preview.viewing.agents import felt
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from children import child_environment
 
 from antdsl import passes, plan
 from antdsl.pipeline import compile_files
-from antdsl.plan.register_bytes import memory
+from antdsl.plan.registers import memory
 from antdsl.program.cost import MEMBERS, Part, costs
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,8 +11,7 @@ from meaning import FAST, WAYS, Seen, crowd, play
 from test_program import checked
 from test_specs import GROUND
 
-from antdsl.cli.new import ground
-from antdsl.cli.project import FILES
+from antdsl.cli.new import FILES, ground
 from antdsl.explain import CacheHistory, Replay, accounts, explain, open_shot, tell
 from antdsl.pipeline import open_scene
 from antdsl.plan.lowering.source_map import RESTS

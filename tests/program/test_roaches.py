@@ -46,9 +46,7 @@ def test_aligners_turn_and_pace_those_near_them_and_blend_between(frames: tuple[
     assert speed[both] == pytest.approx((90 * weight[0] + 60 * weight[1]) / (weight[0] + weight[1]), rel=1e-3)
 
 
-def test_the_lure_draws_a_crowd_and_the_alarm_upsets_those_in_reach(
-    frames: tuple[World, list[dict[str, np.ndarray]]],
-) -> None:
+def test_the_lure_draws_a_crowd_and_the_alarm_upsets_those_in_reach(frames: tuple[World, list[dict[str, np.ndarray]]]) -> None:
     world, found = frames
 
     def away(frame: int, x: float, z: float) -> np.ndarray:

@@ -123,12 +123,7 @@ def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, asked:
 @pytest.mark.parametrize(
     ("asked", "place", "marked", "advice"),
     [
-        (
-            "count(neighbours(900 m)) > 5",
-            "{on: ground}",
-            "count(neighbours(900 m))",
-            "others in its radius; the 256 nearest",
-        ),
+        ("count(neighbours(900 m)) > 5", "{on: ground}", "count(neighbours(900 m))", "others in its radius; the 256 nearest"),
         ("count(all(walker, within: 900 m)) > 5", "{on: ground}", "count(all(walker, within: 900 m))", "write a smaller one"),
         (
             "count(neighbours(30 mm)) > 5",

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from antdsl import limits
-from antdsl.reader.protocol import MAGIC, Message, ProtocolError, pack_texts, read_message, write_message
-from antdsl.reader.refusal import Refusal
+from antdsl.reader.protocol import MAGIC, Message, ProtocolError, Refusal, pack_texts, read_message, write_message
 
 ARRAYS = {"a": np.arange(12, dtype=np.float64).reshape(4, 3), "b": np.zeros((0, 3), np.int64), "c": np.array([7], ">u2")}
 

@@ -23,8 +23,8 @@ from antdsl.reader.protocol import Message
 from antdsl.scene import Roots
 from antdsl.scene.geometry import usd
 from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.usd.closure import PackageError, layers_of, packed
 from antdsl.scene.geometry.usd.errors import plain_words
-from antdsl.scene.geometry.usd.package import PackageError, layers_of, packed
 
 NAMED = HEAD.replace("(\n", '(\n    defaultPrim = "ground"\n', 1)
 

@@ -14,7 +14,7 @@ from meshes import grid
 from sampling import sampled
 
 from antdsl.pipeline import Shot, open_scene
-from antdsl.plan.pair_registers import slot_names
+from antdsl.plan.registers import slot_names
 from antdsl.reload import Migration, migration_line, take_over
 from antdsl.runtime import BindError, Built, World, bind, state_hash, step
 

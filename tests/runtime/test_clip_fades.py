@@ -10,9 +10,9 @@ from meaning import Seen, crowd, play
 from test_clips import EVERY_WAY, HEAD
 
 from antdsl.bodies.agents.blending import posed
-from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Clip, Definition, Rig
 from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.poses import clip_table
 from antdsl.scene.setting import ClipData
 
 HEIGHTS = {"low": 0.0, "mid": 40.0, "high": 100.0, "top": 250.0}

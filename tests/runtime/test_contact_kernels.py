@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from antdsl.runtime.moving import capsule_distances, capsules, contacts, corrections, cutting, rounds, separation
+from antdsl.runtime.moving import capsule_distances, capsules, contacts, corrections, cutting, separation
 from antdsl.runtime.moving.capsules import Crowd, Near, depths, find
 from tests.runtime.test_contacts import CrowdData, heap, world
 
@@ -330,25 +330,25 @@ def test_rounds_look_again_at_those_who_did_not_get_there() -> None:
     near, rng = near_of(bodies(3)), np.random.default_rng(3)
     requested = rng.normal(0, 0.1, (3, ROWS)) * (rng.random(ROWS) < 0.7)
     requested[:2, 5], requested[1:, 6], requested[::2, 7] = 0.0, 0.0, 0.0
-    subset, expected = rounds.led(requested)
+    subset, expected = corrections.led(requested)
     assert np.array_equal(subset, np.flatnonzero(requested.any(axis=0))) and np.array_equal(expected, requested[:, subset])
     got = expected * rng.choice([1.0, 0.99, 0.6, 0.4, 0.0], len(subset))
     previous, held = near.middle.copy(), rng.random(ROWS) < 0.1
     was = held.copy()
-    touched = rounds.missed(near, subset, expected, got, held)
+    touched = corrections.missed(near, subset, expected, got, held)
     again = np.linalg.norm(expected - got, axis=0) > 0.05 * near.radius[subset]
     assert np.array_equal(np.flatnonzero(touched), subset[again]) and 5 < again.sum() < len(subset) - 5
     little = again & ((got * expected).sum(axis=0) < 0.5 * (expected**2).sum(axis=0))
     assert np.array_equal(held, was | np.isin(np.arange(ROWS), subset[little])) and little.sum() > 3
     previous[:, subset] += got
     assert np.array_equal(near.middle, previous)
-    which = rounds.visible(near, touched)
+    which = corrections.visible(near, touched)
     assert np.array_equal(which, touched[near.i] | touched[near.j])
     for k in (1, -1):  # the least overlap that counts
         near.gap[:] = (near.radius[near.i] + near.radius[near.j]) * -0.05 * (1 + k * 1e-9)
-        assert (rounds.visible(near, touched) is None) == (k < 0)
+        assert (corrections.visible(near, touched) is None) == (k < 0)
     near.gap[which] = 0.0
-    assert rounds.visible(near, touched) is None
+    assert corrections.visible(near, touched) is None
 
 
 def registers(rng: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:

@@ -14,7 +14,7 @@ from test_program import checked, complaints
 from antdsl import passes, plan
 from antdsl.fields.pheromone import UNIT
 from antdsl.machine_code import machine
-from antdsl.plan.register_reads import places
+from antdsl.plan.registers import places
 from antdsl.runtime import FieldStart, MeshData, Options, Setting, World, bind, state_hash, step
 from antdsl.runtime.backends.reference import Agent, with_winnings
 from antdsl.runtime.requests import Effects

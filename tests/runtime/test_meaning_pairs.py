@@ -10,7 +10,7 @@ from meaning import WAYS, crowd, play
 from plan_text import plan_of
 
 from antdsl.passes import optimise
-from antdsl.plan.pair_registers import slot_names
+from antdsl.plan.registers import slot_names
 from antdsl.runtime import FaultStop, Options, Setting, World, bind, checkpoint, restore, state_hash, step
 
 NATIVE = Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5)

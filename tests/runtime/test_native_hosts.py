@@ -39,10 +39,7 @@ def ran(script: str, *arguments: str, **settings: str) -> subprocess.CompletedPr
     """A script of the tests in a process of its own."""
     usual = {k: v for k, v in child_environment(TESTS).items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
     return subprocess.run(
-        [sys.executable, str(TESTS / script), *arguments],
-        env={**usual, **settings},
-        capture_output=True,
-        text=True,
+        [sys.executable, str(TESTS / script), *arguments], env={**usual, **settings}, capture_output=True, text=True
     )
 
 

@@ -22,8 +22,8 @@ from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.reload import take_over
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.binding import spacing
-from antdsl.runtime.binding.crowding import crowding
 from antdsl.runtime.binding.spacing import Draw, Drawn, Room, spread
+from antdsl.runtime.binding.start_findings import crowding
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, MeshData, Painted, PlaceData, Setting, SolidData
 

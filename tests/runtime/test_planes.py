@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from antdsl.numerics import parallel
-from antdsl.runtime.planes import Plane
+from antdsl.runtime.neighbourhood import Plane
 
 N = 3000
 

@@ -21,7 +21,7 @@ from antdsl.cli.printing.profile_table import MOST, show
 from antdsl.machine_code import machine
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.preview import Session
-from antdsl.runtime import Options, World, bind, state_hash, step, stepping
+from antdsl.runtime import Options, World, bind, phases, state_hash, step
 from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import programs, ready, runner
@@ -115,7 +115,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     found = Clock()
-    for module in (metering, numpy_backend, stepping):
+    for module in (metering, numpy_backend, phases):
         monkeypatch.setattr(module, "perf_counter", found)
     return found
 

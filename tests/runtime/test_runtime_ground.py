@@ -84,10 +84,7 @@ def surfaces_setting(count: int = 60, shift: float = 0.0, **more):
         seed=5,
         flows={"drift": SpreadFlow("tangent", line, 60.0)},
         maps={"damp": Painted("ground", np.abs(ground.vertices[:, 1]) / 8)},
-        surfaces={
-            "ground": ground,
-            "boulder": mesh(box((-40.0, 2.0, 30.0), 14.0), shift),
-        },
+        surfaces={"ground": ground, "boulder": mesh(box((-40.0, 2.0, 30.0), 14.0), shift)},
         obstacles={"stones": mesh(box((25.0, 0.0, 0.0), 12.0), shift)},
         curves={"way": np.array([[-90.0, 0, -60], [0, 0, -40], [90, 0, -60]]) + move},
         crowds=(CrowdData("ant", count, PlaceData(on=("ground",), around=(20.0 + shift, 0.0, shift), radius=60.0)),),

@@ -19,7 +19,7 @@ from pathlib import Path
 from antdsl.numerics import stored_tables
 from antdsl.pipeline import open_scene
 from antdsl.runtime import bind
-from antdsl.runtime.hashing import state_hash
+from antdsl.runtime.checkpoints import state_hash
 shot, report = open_scene(Path(sys.argv[1]))
 world = bind(shot.plan, shot.setting)
 print(stored_tables.computed(), "scipy" in sys.modules, state_hash(world))

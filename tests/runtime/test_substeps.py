@@ -10,7 +10,7 @@ import pytest
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.plane import Plane
 from antdsl.runtime.moving import advance, rises, tilting
-from antdsl.runtime.moving.headings import LEANS, STANDS
+from antdsl.runtime.moving.velocities import LEANS, STANDS
 from antdsl.runtime.world import Population
 from tests.meshes import box, terrain
 from tests.motion_oracle import Agent, find_walls, laid, substep

@@ -17,7 +17,7 @@ from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import mesh_arrays, read_mesh
 from antdsl.scene.geometry.polygons import CORNERS, TooManyCorners, strip_triangles, triangulate
-from antdsl.scene.geometry.welding import welded
+from antdsl.scene.staging.mesh_imports import welded
 
 POINTS = np.array([[-50, 0, -50], [-50, 0, 50], [0, 1.5, 50], [0, 0, -50], [50, 0, 50], [50, 0, -50], [80, 0, 0]], float)
 FACES = [[0, 1, 2, 3], [3, 2, 4, 5], [5, 4, 6]]

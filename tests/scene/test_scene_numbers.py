@@ -16,8 +16,8 @@ from antdsl.cli.new import ground
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, bind, step
 from antdsl.scene.load import load
-from antdsl.scene.parts import Part
 from antdsl.scene.quantities import Quantity
+from antdsl.scene.values import Part
 
 EXTREMES = (
     "1e300", "-1e300", "1e-300", "-0.0", "5e-324", "2.2250738585072011e-308", "0.12345678901234567890", "1e38", "-3.5e38",

@@ -45,12 +45,7 @@ def opened(folder: Path, more: str = "", **given: str) -> tuple[Shot | None, lis
 
 @pytest.mark.parametrize(
     ("setting", "left"),
-    [
-        ("half_life: 1 s", 4.0),
-        ("evaporate: 0 %/s", 8.0),
-        ("keeps: 100 %/step", 8.0),
-        ("keeps: 50 %/step", 8.0 / 2**24),
-    ],
+    [("half_life: 1 s", 4.0), ("evaporate: 0 %/s", 8.0), ("keeps: 100 %/step", 8.0), ("keeps: 50 %/step", 8.0 / 2**24)],
 )
 def test_a_scene_says_how_a_field_fades(folder: Path, setting: str, left: float) -> None:
     shot, told = opened(folder, f"set: {{trail.{setting}}}\n")

@@ -12,9 +12,9 @@ from plan_text import plan_of
 
 from antdsl.bench import programs
 from antdsl.bench.cases import opened
-from antdsl.runtime import Options, about, bind, step
-from antdsl.runtime.hashing import state_hash
-from antdsl.runtime.planes import Plane
+from antdsl.runtime import Options, bind, neighbourhood, step
+from antdsl.runtime.checkpoints import state_hash
+from antdsl.runtime.neighbourhood import Plane
 from antdsl.senses.clear_velocity import Others, clear_velocities
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -142,7 +142,7 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
     plane = Plane.of(asking, rows, 1)
     own, within = tuple(draw.normal(size=(3, 50))), np.where(draw.random(50) < 0.9, 900.0, draw.choice([-1, 3000.0], 50))
     count = np.where(draw.random(50) < 0.2, draw.choice([0, -1, 2], 50), most).astype(float)
-    found = about._others(world, asking, rows, within, count, own, plane)
+    found = neighbourhood._others(world, asking, rows, within, count, own, plane)
     for a, row in enumerate(rows):
         near = []
         for number, (name, other) in enumerate(world.populations.items()):
@@ -166,7 +166,7 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
             assert np.isclose(found.room[a, c], sum(radius if 0 < radius < np.inf else 0.0 for radius in radii))
             assert found.first[a, c] == (asking.ids[row] < name_id if other is asking else asking.name < name)
     assert found.there.sum() > 30 * min(most, 5)
-    assert not about._others(world, asking, rows, within, count, None, plane).vx.any()
+    assert not neighbourhood._others(world, asking, rows, within, count, None, plane).vx.any()
 
 
 PROGRAM = """species ant {

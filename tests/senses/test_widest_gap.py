@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from antdsl.senses.widest_gap import widest_gaps
+from antdsl.senses.clear_velocity import widest_gaps
 
 
 def way(*bearings: float) -> float | None:

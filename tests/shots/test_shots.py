@@ -14,8 +14,7 @@ from executed import InThisProcess
 from antdsl.executors import Lost, Refused, Task, Worker
 from antdsl.executors.parcel import Parcel, Seen, inside, pack
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.drawing import Drawer, Drawn
-from antdsl.outputs.kept_stills import Stills
+from antdsl.outputs.drawing import Drawer, Drawn, Stills
 from antdsl.pipeline import Choices, open_scene
 from antdsl.scene.paths import sought
 from antdsl.scene.values import FrameRange

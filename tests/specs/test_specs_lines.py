@@ -11,8 +11,8 @@ from test_specs import BLOCK, FLIES, GROUND, MORTAL, SCENE, WALKER, WAYS, folder
 
 from antdsl.plan.lowering.spec_blocks import JudgementPlan
 from antdsl.source import Source, Span
+from antdsl.specs.cases import settle
 from antdsl.specs.lines import Line, Seen
-from antdsl.specs.verdicts import settle
 
 # In the scene of `WALKER`, `tick` is 0 at frame 1, grows by 0.2 a frame and reaches 2 at frame 11; ten frames a second.
 LINES = [

@@ -13,9 +13,8 @@ from antdsl import limits
 from antdsl.sweep.designs import DESIGNS, Chosen, choose
 from antdsl.sweep.factors import Factor, ends, factors
 from antdsl.sweep.jobs import Job
-from antdsl.sweep.median_interval import LEVEL, interval, least_runs, looks, rank
 from antdsl.sweep.sensitivity import available, effects
-from antdsl.sweep.stopping import Chooser, Width
+from antdsl.sweep.stopping import LEVEL, Chooser, Width, interval, least_runs, looks, rank
 
 SMELL, PACE = Factor("ant.smell", (), 30.0, 90.0, "mm"), Factor("ant.pace", (), 0.0, 1.0)
 

@@ -118,8 +118,7 @@ def test_what_can_be_meant_by_one_thing_alone_is_mended(line: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "instead"),
-    [("clamp(calm, 0, 1)", "0 .. 1"), ("clamp(calm,0,1)", "0 .. 1"), ("rising(calm, 0.1, 1)", "0.1 .. 1")],
+    ("line", "instead"), [("clamp(calm, 0, 1)", "0 .. 1"), ("clamp(calm,0,1)", "0 .. 1"), ("rising(calm, 0.1, 1)", "0.1 .. 1")]
 )
 def test_two_values_for_a_range_are_told_as_a_range(line: str, instead: str) -> None:
     text = AROUND.format(f"enter {{ calm = {line} }}")

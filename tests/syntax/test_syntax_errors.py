@@ -64,13 +64,7 @@ def test_every_code_of_this_room_is_in_a_case() -> None:
     assert len(mine) == 2
     codes = {code for part in mine for code in re.findall(r'^    "([a-z0-9-]+)":', part, re.MULTILINE)}
     seen = {expected.code for chunk in _chunks().values() for expected in _expected(chunk)}
-    python_cases = {
-        "hidden-direction",
-        "odd-blank",
-        "line-too-long",
-        "nesting-too-deep",
-        "expression-too-deep",
-    }
+    python_cases = {"hidden-direction", "odd-blank", "line-too-long", "nesting-too-deep", "expression-too-deep"}
     assert codes - seen == python_cases and seen <= set(CODES)
 
 

@@ -5,8 +5,8 @@ joints, `Clip`s, `TransformGroup`s and metadata. It is read from its JSON docume
 kind. What each agent has of its own (which clips at which times with which weights, and the poses that follow) is arrays over all
 agents: no object per agent, and none per joint of an agent.
 
-From what agents play to what is drawn: `clip_table` lays out the clips of a definition, `clip_lists` the lists of each agent;
-`blending` makes poses by trees of layers of what `poses` samples; `deformers` moves shapes by them (`skinning`, `blend_shapes`).
+From what agents play to what is drawn: `poses` lays out the clips of a definition and samples them; `blending` makes poses by
+trees of layers of these samples; `deformers` moves shapes by them (`skinning`, `blend_shapes`).
 All of it is made of the operations in `affine`, which have the same bits everywhere.
 
 Matrices take column vectors: `world = parent_world @ local`, `point = matrix @ (x, y, z, 1)`. Quaternions are x, y, z, w.

@@ -30,9 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, normalised, product
-from antdsl.bodies.agents.clip_table import REST, ClipTable
 from antdsl.bodies.agents.definition import TransformGroup
-from antdsl.bodies.agents.poses import Pose, Poses, rest_pose, sampled, transforms
+from antdsl.bodies.agents.poses import REST, ClipTable, Pose, Poses, rest_pose, sampled, transforms
 from antdsl.numerics import parallel
 from antdsl.numerics.float_environment import standard
 

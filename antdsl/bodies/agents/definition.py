@@ -1,13 +1,18 @@
-"""An agent definition: all that agents of one kind share."""
+"""An agent definition: all that agents of one kind share, and its names as the language writes them.
+
+`Armature|Walk` of a file is `armature_walk` in `play armature_walk`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+_OTHER = re.compile(r"[^a-z0-9_]+")
 
 
 class BodyError(Exception):
@@ -264,3 +269,46 @@ class Definition:
         found[0, :3], found[1, :3], found[2, :3] = ahead, up, np.cross(ahead, up)
         found[:3] /= self.length
         return found
+
+
+def spoken_name(text: str) -> str:
+    """A name in small letters, digits and `_` that begins with a letter: what else there is becomes one `_`."""
+    made = _OTHER.sub("_", text.lower()).strip("_")
+    return made if made[:1].isalpha() else f"n{made}"
+
+
+def spoken_names(names: Iterable[str]) -> dict[str, str]:
+    """The spoken name of each; those that are spoken as they stand keep theirs, of others that sound alike the later get `_2`,
+    `_3` and so on."""
+    names = list(names)
+    made = {name: name for name in names if spoken_name(name) == name}
+    taken = set(made)
+    for name in names:
+        if name not in made:
+            first = found = spoken_name(name)
+            count = 2
+            while found in taken:
+                found, count = f"{first}_{count}", count + 1
+            made[name] = found
+            taken.add(found)
+    return {name: made[name] for name in names}
+
+
+def spoken(body: Definition) -> Definition:
+    """The definition with its clips (the idle one too), their marks, its layers and its transform groups by spoken names.
+    Channels keep theirs: clips and shapes name them."""
+    clips, groups, layers = (spoken_names(each) for each in (body.clips, body.groups, body.layers))
+    marked = {name: spoken_names(clip.marks) for name, clip in body.clips.items()}
+    if all(name == own for each in (clips, groups, layers, *marked.values()) for name, own in each.items()):
+        return body
+    return replace(
+        body,
+        clips={
+            clips[name]: replace(clip, name=clips[name], marks={marked[name][mark]: at for mark, at in clip.marks.items()})
+            for name, clip in body.clips.items()
+        },
+        variation=Variation({groups.get(n, n): ends for n, ends in body.variation.scales.items()}, body.variation.materials),
+        idle=clips.get(body.idle, body.idle),
+        layers={layers[name]: replace(layer, name=layers[name]) for name, layer in body.layers.items()},
+        groups={groups[name]: replace(group, name=groups[name]) for name, group in body.groups.items()},
+    )

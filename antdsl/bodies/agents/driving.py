@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, normalised
-from antdsl.bodies.agents.clip_table import ClipTable
-from antdsl.bodies.agents.definition import Rig, TransformGroup
-from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.spoken import spoken_names
+from antdsl.bodies.agents.definition import Rig, TransformGroup, spoken_names
+from antdsl.bodies.agents.poses import ClipTable, Poses
 from antdsl.bodies.agents.varied_bodies import Draws
 
 

@@ -8,9 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.clip_table import REST, clip_table
 from antdsl.bodies.agents.definition import Definition, Leg, Rig
-from antdsl.bodies.agents.poses import sampled, transforms
+from antdsl.bodies.agents.poses import REST, clip_table, sampled, transforms
 from antdsl.scene.setting import GaitData, LegsData
 
 Joints = NDArray[np.intp]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, NO_PARENT, OVER, ClipTree, Playing
-from antdsl.bodies.agents.clip_table import REST, ClipTable
+from antdsl.bodies.agents.poses import REST, ClipTable
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -107,7 +107,7 @@ def digest(body: Definition) -> str:
 
 def read_packed(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     """The definition that `packed` made these arrays of: each place, type, shape and index is checked, but not that what one part
-    names is in another (`unpacked`). Raises BodyError for any others: nothing in them is trusted."""
+    names is in another (`body_arrays.unpacked` of caches). Raises BodyError for any others: nothing in them is trusted."""
     try:
         found = _read(arrays)
         _bounds(found)

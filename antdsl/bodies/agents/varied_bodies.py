@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.clip_table import ClipTable
 from antdsl.bodies.agents.definition import Rig, TransformGroup, Variation
-from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.poses import ClipTable, Poses
 from antdsl.numerics.randomness import uniform
 
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape
-from antdsl.bodies.agents.metadata import plain_metadata
-from antdsl.bodies.agents.spoken import spoken_names
+from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, spoken_names
+from antdsl.bodies.files.definition_parts import plain_metadata
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.places import safe_line
 from antdsl.diagnostics.render import render, shown

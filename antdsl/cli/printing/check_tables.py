@@ -98,7 +98,7 @@ _KEPT = {"attribute": "attributes", "pair": "values per pair", "memory": "memory
 def _memory(program: Program) -> dict[str, str]:
     """For each species a few words; none where the program cannot be turned into a plan yet."""
     from antdsl import passes, plan
-    from antdsl.plan.register_bytes import memory
+    from antdsl.plan.registers import memory
 
     lowered, report = plan.lower(program)
     if not report.ok:

@@ -59,11 +59,7 @@ def _short(file: str) -> str:
 
 
 def _table(
-    console: Console,
-    what: str,
-    rows: Iterable[tuple[str, str, float]],
-    whole: float,
-    worked: Mapping[str, float] | None = None,
+    console: Console, what: str, rows: Iterable[tuple[str, str, float]], whole: float, worked: Mapping[str, float] | None = None
 ) -> None:
     """What there is of a kind: milliseconds, those of processors where they are known, and the share of the whole frame."""
     rows = list(rows)

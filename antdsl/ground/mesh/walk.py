@@ -9,13 +9,7 @@ import numpy as np
 
 from antdsl.ground.mesh.boxes import FaceList
 from antdsl.ground.mesh.crossings import crossed
-from antdsl.ground.mesh.face_table import (
-    EDGE_C,
-    EDGE_S,
-    EDGES,
-    MESH,
-    WIDTH,
-)
+from antdsl.ground.mesh.face_table import EDGE_C, EDGE_S, EDGES, MESH, WIDTH
 from antdsl.ground.mesh.stretches import AHEAD, BORDER, HANG, HOPS, along_border, finish, frame, free, go, laid_down
 from antdsl.ground.mesh.surroundings import LIFT, beyond, landed, other_ahead
 from antdsl.ground.mesh.topology import NO_LINK

@@ -1,8 +1,8 @@
 """Solids: what agents can dig. A sparse signed distance to sample, carve, mesh and walk on.
 
-`voxelising` turns a closed mesh into `bricks` of nodes (inside by `winding` numbers, near distances by `triangles`), `volume`
-is the door: `trilinear` samples between nodes, `carving` digs balls out, `meshing` gives the zero level as triangles,
-`projecting` and `walking` keep feet on it."""
+`voxelising` turns a closed mesh into `bricks` of nodes (inside by winding numbers, near distances by `triangles`), `volume`
+is the door and gives the zero level as triangles: `trilinear` samples between nodes, `carving` digs balls out, `walking` keeps
+feet on the zero level."""
 
 from __future__ import annotations
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from antdsl.ground.protocol import Floats, Footing, Move
 from antdsl.ground.solid.bricks import Bricks
-from antdsl.ground.solid.projecting import CLOSE, settle_at
-from antdsl.ground.solid.trilinear import LEAN, Grid, corners_at, distance_at, field_at, grid_of, slope_at
+from antdsl.ground.solid.trilinear import CLOSE, LEAN, Grid, corners_at, distance_at, field_at, grid_of, settle_at, slope_at
 from antdsl.ground.solid.volume import Volume
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, called, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, cross, dot

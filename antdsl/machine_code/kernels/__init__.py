@@ -48,22 +48,7 @@ from antdsl.machine_code.kernels.functions import (
 )
 from antdsl.machine_code.kernels.ir import NotInSubset
 from antdsl.machine_code.kernels.kernel import called, inlined, kernel
-from antdsl.machine_code.kernels.types import (
-    BOOL,
-    F32,
-    F64,
-    I8,
-    I16,
-    I32,
-    I64,
-    U8,
-    U32,
-    U64,
-    Array1,
-    Array2,
-    Array3,
-    Strided2,
-)
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I8, I16, I32, I64, U8, U32, U64, Array1, Array2, Array3, Strided2
 
 __all__ = [
     "BOOL", "F32", "F64", "I8", "I16", "I32", "I64", "U8", "U32", "U64", "Array1", "Array2", "Array3", "KernelFault",

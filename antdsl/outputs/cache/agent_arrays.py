@@ -28,11 +28,7 @@ class AgentArrays:
     none is given; `pairs`: names that a species has a value per pair for."""
 
     def __init__(
-        self,
-        world: World,
-        scale: float,
-        factors: Mapping[tuple[str, str], float],
-        pairs: Mapping[str, Container[str]],
+        self, world: World, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]
     ) -> None:
         self.scale, self.factors, self.pairs = scale, factors, pairs
         self.colours = {name: _colours(p) for name, p in world.populations.items()}

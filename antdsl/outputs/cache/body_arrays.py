@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.packed import PARTS, digest, packed
-from antdsl.bodies.agents.unpacked import unpacked
+from antdsl.bodies.agents.packed import PARTS, digest, packed, read_packed
+from antdsl.bodies.files.definition_checks import whole
+from antdsl.bodies.files.definition_document import Parts
+from antdsl.diagnostics import Report
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -48,4 +51,13 @@ def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition
     found = unpacked(arrays)
     if digest(found) != manifest.bodies[number].digest:
         raise BodyError("is not the one that was written")
+    return found
+
+
+def unpacked(arrays: Mapping[str, NDArray[Any]]) -> Definition:
+    """The definition that `packed` made these arrays of. Raises BodyError for any others: nothing in them is trusted."""
+    found, report = read_packed(arrays), Report()
+    with np.errstate(all="ignore"):
+        if whole(Parts(found, measured=False), report) is None:
+            raise BodyError(f"is damaged: of a body, {report.errors[0].message}")
     return found

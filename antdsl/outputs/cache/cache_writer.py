@@ -28,18 +28,16 @@ from antdsl.outputs.cache.cache_reader import (
     numbered,
     open_cache,
 )
+from antdsl.outputs.cache.frame_writer import Behind, Scribe
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, Line, hash_of_static, line_of, read_lines
 from antdsl.outputs.cache.lock import LOCK, FolderLock, Locked
 from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, Provenance, write_manifest
 from antdsl.outputs.cache.npz import npz_file
-from antdsl.outputs.links import is_link
 from antdsl.outputs.surface_error import surface_error
-from antdsl.outputs.writer.background import Behind
-from antdsl.outputs.writer.frame_writer import Scribe
 from antdsl.runtime import World, checkpoint, feet_hash, state_hash
-from antdsl.runtime.hashing import STATE_HASH
-from antdsl.whole import PART, make_folder, write_whole
+from antdsl.runtime.checkpoints import STATE_HASH
+from antdsl.whole import PART, is_link, make_folder, write_whole
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -181,11 +179,7 @@ class CacheWriter:
     so far, `surface_error` (None where that of the frames before is not known) once it is written; `seconds` by name."""
 
     def __init__(
-        self,
-        folder: Path,
-        manifest: Manifest,
-        made_with: Callable[[], Provenance],
-        told: Callable[[Mapping[str, Any]], None],
+        self, folder: Path, manifest: Manifest, made_with: Callable[[], Provenance], told: Callable[[Mapping[str, Any]], None]
     ) -> None:
         self.folder, self.manifest, self._made_with = folder, manifest, made_with
         self._told = told

@@ -1,4 +1,4 @@
-"""Loops of `frames`, `agent_arrays`, `clip_arrays`, `foot_arrays`, `shown_arrays` and `surface_error`: one pass over the agents
+"""Loops of `frames`, `agent_arrays`, `pose_arrays` and `surface_error`: one pass over the agents
 for an array, or for all that a machine plays. Those whose last arguments are `begin` and `end` run in parallel chunks.
 
 What takes several numbers of an agent goes by rows, as they lie in memory, and writes to the place of the agent's rank by id: one

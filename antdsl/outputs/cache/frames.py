@@ -14,9 +14,7 @@ from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.agent_arrays import AgentArrays
-from antdsl.outputs.cache.clip_arrays import clips_playing, playing
 from antdsl.outputs.cache.event_arrays import events_of
-from antdsl.outputs.cache.foot_arrays import placed_feet
 from antdsl.outputs.cache.manifest import (
     BodyEntry,
     CameraEntry,
@@ -33,13 +31,13 @@ from antdsl.outputs.cache.manifest import (
     StateEntry,
 )
 from antdsl.outputs.cache.places import scene_origin, scene_places
-from antdsl.outputs.cache.shown_arrays import layers_worn, shown
+from antdsl.outputs.cache.pose_arrays import clips_playing, layers_worn, placed_feet, playing, shown
 from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
-from antdsl.plan.pair_registers import pair_values
+from antdsl.plan.registers import pair_values
 from antdsl.program.model import Dim, Kind, Program
-from antdsl.runtime.emitted import event_names
-from antdsl.runtime.hashing import STATE_HASH
+from antdsl.runtime.checkpoints import STATE_HASH
+from antdsl.runtime.lifecycle import event_names
 from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import Setting

@@ -21,14 +21,7 @@ from antdsl.bounded import TooLarge, open_bounded
 from antdsl.outputs.cache.zip_parts import Form, Stored, form_of, stored
 from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
 
-__all__ = [
-    "ArrayFileError",
-    "npz_file",
-    "parse_npy",
-    "read_npz",
-    "to_bytes",
-    "to_member",
-]
+__all__ = ["ArrayFileError", "npz_file", "parse_npy", "read_npz", "to_bytes", "to_member"]
 
 _BYTE = np.dtype(np.uint8)
 FILE_BYTES = 64 * limits.GIB

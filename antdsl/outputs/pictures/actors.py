@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import orientation, rotation, vertex_normals
-from antdsl.bodies.placed import placed
 from antdsl.bodies.posed_body import PosedBody
+from antdsl.bodies.shapes import placed
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View

@@ -1,6 +1,7 @@
-"""The strip beside a picture: the frame's number, states by species with their colours and counts, fields with a scale of
-numbers."""
+"""What is around pictures: the strip beside one, with the frame's number, states by species with their colours and counts,
+fields with a scale of numbers; and sheets of many pictures, equal tiles with a line of text below each."""
 
+from collections.abc import Sequence
 from itertools import groupby
 
 import numpy as np
@@ -14,6 +15,7 @@ from antdsl.outputs.pictures.model import Picture, Trail
 from antdsl.outputs.pictures.overlay import font
 from antdsl.outputs.pictures.trails import cover_of, dyed, full_of
 
+_SHEET, _WORDS = (28, 30, 34), (236, 236, 232)
 Image = NDArray[np.uint8]
 
 _PAPER, _INK, _SOFT = (28, 30, 34), (238, 238, 234), (164, 166, 168)
@@ -110,3 +112,26 @@ def _scale(
         taken = begin
     if taken - left > size * 1.2:
         draw.text((left, top + size * 0.3), "0", font=font(small), fill=_SOFT)
+
+
+def contact_sheet(images: Sequence[Image], labels: Sequence[str], *, columns: int | None = None, width: int = 1920) -> Image:
+    """A sheet `width` pixels wide of pictures (h, w, 3), with a label each. Raises ValueError when there is no picture,
+    or not one label for each."""
+    if not images or len(images) != len(labels):
+        raise ValueError("a contact sheet takes at least one picture and one label for each")
+    across = max(1, min(columns or round(len(images) ** 0.5 + 0.3), len(images)))
+    down = -(-len(images) // across)
+    gap = max(2, width // 160)
+    tile = max(8, (width - gap * (across + 1)) // across)
+    high = max(max(1, round(tile * image.shape[0] / image.shape[1])) for image in images)
+    text = max(10, min(26, tile // 22))
+    line = int(text * 1.7)
+    sheet = PillowImage.new("RGB", (width, gap + down * (high + line + gap)), _SHEET)
+    draw = ImageDraw.Draw(sheet)
+    for k, (image, label) in enumerate(zip(images, labels, strict=True)):
+        left, top = gap + (k % across) * (tile + gap), gap + (k // across) * (high + line + gap)
+        own = max(1, round(tile * image.shape[0] / image.shape[1]))
+        small = PillowImage.fromarray(np.ascontiguousarray(image)).resize((tile, own), PillowImage.Resampling.LANCZOS)
+        sheet.paste(small, (left, top + (high - own) // 2))
+        draw.text((left + 2, top + high + text * 0.25), label, font=font(text), fill=_WORDS)
+    return np.asarray(sheet)

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from antdsl.casting.picture_rays import Sights
 from antdsl.outputs.pictures.light import SUN_WIDTH, displayed
 from antdsl.outputs.pictures.shading import Lighting, moving_light, shadowed, still_light
-from antdsl.outputs.pictures.shading_rows import Floats
+from antdsl.outputs.pictures.shading_rows import Floats, each, pieces
 from antdsl.outputs.pictures.softness import open_share, sunlit
 from antdsl.outputs.pictures.stage import Samples, Stage, spot
 from antdsl.outputs.pictures.trails import Dyes
-from antdsl.outputs.pictures.work import each, pieces
 
 Rows = NDArray[np.int64]
 
@@ -41,15 +40,7 @@ def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
     if cast.size > 0:
         reach = 1.1 * cast.size
         shadowed, around = cast.shading(seen.point, lighting.sun, (SUN_WIDTH * cast.throw, reach))
-        visible = sunlit(
-            still.grid,
-            seen.sun,
-            lighting.sun,
-            cast.rays[:: 1 + (len(cast.rays) > 4)],
-            cast.tall,
-            threads,
-            shadowed,
-        )
+        visible = sunlit(still.grid, seen.sun, lighting.sun, cast.rays[:: 1 + (len(cast.rays) > 4)], cast.tall, threads, shadowed)
         contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS, threads, around)
         opened = opened * contact
     albedo = dyes.coloured(seen)

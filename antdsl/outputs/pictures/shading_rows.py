@@ -1,10 +1,14 @@
-"""Rows of float32 vectors: the few operations that shading does by the million."""
+"""What shading does by the million: operations on rows of float32 vectors, and work in pieces that a core's cache holds, on
+several threads where there are."""
 
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+PIECE = 1 << 16  # samples worked on at once
 # float32 throughout; NumPy's own types lose that wherever a Python number is mixed in.
 Floats = NDArray[Any]
 
@@ -28,3 +32,19 @@ def blended(table: Floats, corners: NDArray[np.int32], u: Floats, v: Floats) -> 
     total += table.take(corners[:, 1], axis=0) * u[:, None]
     total += table.take(corners[:, 2], axis=0) * v[:, None]
     return total
+
+
+def pieces(count: int) -> list[slice]:
+    """`count` rows cut into pieces."""
+    return [slice(start, min(start + PIECE, count)) for start in range(0, count, PIECE)]
+
+
+def each(work: Callable[[Any], None], parts: Iterable[Any], threads: int) -> None:
+    """Does every part of a work, each of which writes to places of its own."""
+    if threads == 1:
+        for part in parts:
+            work(part)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(work, parts):
+            pass

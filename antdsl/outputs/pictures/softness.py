@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import Sun
-from antdsl.outputs.pictures.shading_rows import Floats, dots
-from antdsl.outputs.pictures.work import each, pieces
+from antdsl.outputs.pictures.shading_rows import Floats, dots, each, pieces
 
 _FINE = 4  # rays to the sun of a pixel that lies at the edge of a shadow
 _ORDER = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])  # of 4 × 4 pixels: those beside each other differ most
@@ -211,13 +210,7 @@ def _opened(
 
 
 def _filled(
-    grid: Grid,
-    small: Grid,
-    shade: Floats,
-    rays: PictureRays,
-    reach: float,
-    threads: int,
-    within: NDArray[np.bool_] | None = None,
+    grid: Grid, small: Grid, shade: Floats, rays: PictureRays, reach: float, threads: int, within: NDArray[np.bool_] | None = None
 ) -> Floats:
     """The shade of all pixels from that of every second one; where none of its neighbours has the same surface, by own rays."""
     high, wide = grid.view.height, grid.view.width

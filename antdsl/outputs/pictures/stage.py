@@ -12,9 +12,8 @@ from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import Sun
 from antdsl.outputs.pictures.looks import Scales, surface
 from antdsl.outputs.pictures.setting import Setting, with_litter
-from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
+from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, each, pieces, units
 from antdsl.outputs.pictures.softness import Grid, open_share, sunlit
-from antdsl.outputs.pictures.work import each, pieces
 
 SHADE_RAYS = 6  # of every fourth pixel, each of 16 of which asks in other directions
 _SHADE_REACH = 11  # body lengths within which things shade each other
@@ -102,13 +101,7 @@ def stage(setting: Setting, view: View, sun: Sun, scales: Scales, threads: int) 
 
 
 def _looked(
-    setting: Setting,
-    view: View,
-    pixels: NDArray[np.int64],
-    place: tuple[float, float],
-    sun: Sun,
-    scales: Scales,
-    threads: int,
+    setting: Setting, view: View, pixels: NDArray[np.int64], place: tuple[float, float], sun: Sun, scales: Scales, threads: int
 ) -> Samples:
     """Samples of `pixels` at one place in each; the sun is not hidden yet."""
     n = len(pixels)

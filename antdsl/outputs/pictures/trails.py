@@ -6,9 +6,8 @@ from numpy.typing import NDArray
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.looks import SOIL
 from antdsl.outputs.pictures.model import Trail
-from antdsl.outputs.pictures.shading_rows import Floats
+from antdsl.outputs.pictures.shading_rows import Floats, pieces
 from antdsl.outputs.pictures.stage import Samples
-from antdsl.outputs.pictures.work import pieces
 
 Array = NDArray[np.float64]
 

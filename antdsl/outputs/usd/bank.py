@@ -19,8 +19,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.usd.drawn import DrawnBody, alone
-from antdsl.outputs.usd.materials import Looks
+from antdsl.outputs.usd.materials import DrawnBody, Looks, alone
 from antdsl.outputs.usd.moments import Agents
 from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Array, Out, identifier, mesh, vectors
 from antdsl.scene.geometry.usd import pxr

@@ -14,8 +14,7 @@ import numpy as np
 from antdsl.bodies.agents.blend_shapes import difference, knots_of, matched, values_of
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.outputs.usd.drawn import DrawnBody
-from antdsl.outputs.usd.materials import Looks
+from antdsl.outputs.usd.materials import DrawnBody, Looks
 from antdsl.outputs.usd.values import Array, free, identifier, integers, matrices, matrix, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 

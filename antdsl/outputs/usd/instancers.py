@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.outputs.following import matched
+from antdsl.outputs.paths import matched
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.usd.bank import Bank
 from antdsl.outputs.usd.moments import Agents, Moment

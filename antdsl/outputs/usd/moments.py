@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.vector_rows import dot
 from antdsl.outputs.cache.cache_reader import Arrays
-from antdsl.outputs.following import matched
 from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.paths import matched
 from antdsl.outputs.pictures.model import Crowd, Picture
 
 Floats = NDArray[np.float64]

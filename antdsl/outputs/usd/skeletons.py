@@ -11,7 +11,7 @@ from antdsl.bodies.agents.affine import decomposed, normalised
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.outputs.following import matched
+from antdsl.outputs.paths import matched
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
 from antdsl.outputs.usd.materials import Looks

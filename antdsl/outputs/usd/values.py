@@ -1,9 +1,13 @@
-"""Values over time, and arrays and names as USD has them."""
+"""Values over time, and arrays and names as USD has them; and what USD says of a disk that fails, as an OSError."""
 
 from __future__ import annotations
 
+import errno
+import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +16,10 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.scene.geometry.usd import pxr
 
+_OF_DISKS = (
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EMFILE, errno.ENOENT,
+    errno.ESTALE, errno.EINTR,
+)  # fmt: skip
 ROOT = "/World"
 LOOKS = "/World/looks"
 BODIES = "/bodies"  # classes: what is drawn only where something refers to it
@@ -173,3 +181,17 @@ def identifier(name: str) -> str:
     """A name as USD allows it."""
     word = re.sub("[^A-Za-z0-9_]", "_", name)
     return word if re.match("[A-Za-z_]", word) else f"_{word}"
+
+
+@contextmanager
+def disk_failures(path: Path) -> Iterator[None]:
+    """Raise an OSError that names `path` where a disk fails while USD writes. USD has the system's words in its own errors only;
+    any other error of it passes."""
+    try:
+        yield
+    except pxr("Tf").ErrorException as problem:
+        said = str(problem)
+        number = next((each for each in _OF_DISKS if os.strerror(each) in said), None)
+        if number is None:
+            raise
+        raise OSError(number, os.strerror(number), str(path)) from None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.bodies.body import vertex_normals
-from antdsl.bodies.placed import placed
+from antdsl.bodies.shapes import placed
 from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decoded

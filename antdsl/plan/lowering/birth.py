@@ -7,14 +7,14 @@ from math import inf
 
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Kind, Node, begun_with
-from antdsl.plan.lowering import appearance, leaning, pair_values
+from antdsl.plan.lowering import appearance, clips, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import as_truth, keeps_moving, lower
 from antdsl.plan.lowering.machines import MachineWriter
-from antdsl.plan.lowering.traversal import inside
 from antdsl.plan.lowering.values import Value
 from antdsl.plan.lowering.writer import NotYet, Writer
 from antdsl.program import model
+from antdsl.program.traverse import inside
 
 VECTORS = ("position", "velocity", "heading", "up")
 # The given ones in an order in which each can be made from those before it; `group` is set by the runtime, by the scene's line.
@@ -72,7 +72,7 @@ def born(w: Writer, machines: list[MachineWriter]) -> None:
     for machine in machines:
         machine.enter_start()
     appearance.begin(w, [machine.machine.states[machine.machine.start] for machine in machines])
-    leaning.begin(w)
+    clips.begin_leaning(w)
 
 
 def _unless_given(w: Writer, name: str, default: Value) -> Value:

@@ -13,13 +13,19 @@ so that no pose ever jumps."""
 
 from __future__ import annotations
 
+from math import pi
+
 from antdsl.plan import ir
 from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import scalar, truth
-from antdsl.plan.lowering.writer import Writer
+from antdsl.plan.lowering.values import Vec
+from antdsl.plan.lowering.writer import AXES, Writer
 from antdsl.program import model
 from antdsl.source import Span
 
+TURN, SLOPE = pi / 2, 0.5  # rad/s, and the sine of the angle: what counts whole
+SMOOTH = 0.15  # s in which both follow
 OVER = 0.15  # s, in which one clip gives way to the next where no change says otherwise
 NONE = -1
 _BEFORE = 1e-6  # turns: where a clip that begins was before, so that it comes past a mark at its start
@@ -214,3 +220,40 @@ def _walks(w: Writer, clip: Node) -> Node:
 
 def _lines(machine: model.Machine) -> list[model.Play]:
     return [line for state in machine.states for line in state.body if isinstance(line, model.Play)]
+
+
+def leans(w: Writer) -> bool:
+    """Whether some clip of a species goes by how its agents turn or climb."""
+    return any(clip.leans for clip in clips_of(w.species))
+
+
+def declare_leaning(w: Writer) -> None:
+    """The registers of a species."""
+    if leans(w):
+        for name in ("turn", "slope", *(f"was.{axis}" for axis in AXES)):
+            w.declare(f"lean#{name}", Kind.F32, "memory")
+
+
+def begin_leaning(w: Writer) -> None:
+    """At birth: nobody has turned."""
+    if leans(w):
+        w.store_vector("lean#was", w.read_vector("heading"), None)
+
+
+def settle(w: Writer) -> None:
+    """A step: the turn since the one before, about the body's up, and the way that the heading rises."""
+    if not leans(w):
+        return
+    b, dt, heading = w.b, w.run("dt"), w.read_vector("heading")
+    turned = b("div", values.dot(b, values.cross(b, w.read_vector("lean#was"), heading), w.read_vector("up")), dt)
+    rises = values.dot(b, heading, Vec(*(w.run(f"up_{axis}") for axis in AXES)))
+    share = b("sub", b.number(1), b("exp", b("neg", b("div", dt, b.number(SMOOTH)))))
+    for name, measure, whole in (("turn", turned, TURN), ("slope", rises, SLOPE)):
+        now = w.read(f"lean#{name}")
+        wish = _limited(w, b("div", measure, b.number(whole)))
+        w.store(f"lean#{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
+    w.store_vector("lean#was", heading, None)
+
+
+def _limited(w: Writer, measure: Node) -> Node:
+    return w.b("min", w.b("max", measure, w.b.number(-1)), w.b.number(1))

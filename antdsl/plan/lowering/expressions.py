@@ -8,11 +8,10 @@ from typing import Any
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.traversal import inside
 from antdsl.plan.lowering.values import Element, Group, Hit, Hits, Named, Own, Ref, Value, Vec
 from antdsl.plan.lowering.writer import AXES, KINDS, NONE, NotYet, Writer
 from antdsl.program import expectations, model
-from antdsl.program.traverse import parts
+from antdsl.program.traverse import inside, parts
 
 
 def lower(w: Writer, expr: model.Expr) -> Value:

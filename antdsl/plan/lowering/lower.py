@@ -1,4 +1,8 @@
-"""The checked program into a plan: species by species, then fields, items and params."""
+"""The checked program into a plan: species by species, then fields, items and params.
+
+`on collision(other)` is about whom an agent's body has begun to touch, one other in each step. Whom it touches already is kept
+in registers of ids, so that a contact is noticed when it begins and not as long as it lasts. Of several that begin at once the
+deepest is noticed first, and the others in the steps after it, while they last: every line of a handler is about one other."""
 
 from __future__ import annotations
 
@@ -7,22 +11,21 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import log
 
+from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
-from antdsl.plan.lowering import appearance, birth, blending, clips, collisions, leaning, pair_values
-from antdsl.plan.lowering.actions import complain, write
+from antdsl.plan.lowering import appearance, birth, blending, clips, pair_values
+from antdsl.plan.lowering.actions import STEER, complain, write
 from antdsl.plan.lowering.expressions import measures_pushes, own, scalar, truth, vector
-from antdsl.plan.lowering.lazy import lazy
 from antdsl.plan.lowering.machines import MachineWriter
-from antdsl.plan.lowering.resting import stand_still
 from antdsl.plan.lowering.rules import RULES
 from antdsl.plan.lowering.source_map import Notes, NotingWriter
-from antdsl.plan.lowering.values import Vec, scale, sub
+from antdsl.plan.lowering.values import Ref, Vec, scale, sub
 from antdsl.plan.lowering.values import add as add_vectors
-from antdsl.plan.lowering.writer import NotYet, Writer
-from antdsl.plan.traverse import needed, operands, statements
+from antdsl.plan.lowering.writer import AXES, NotYet, Writer
+from antdsl.plan.traverse import lazy, needed, operands, statements
 from antdsl.program import model
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
@@ -82,11 +85,11 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     species = w.species
     birth.declare(w)
     blending.declare(w)
-    collisions.declare(w)
+    declare(w)
     for latch in species.latches:
         w.declare(latch.key or latch.name, Kind.BOOL, "memory")
     appearance.declare(w)
-    leaning.declare(w)
+    clips.declare_leaning(w)
     machines = [MachineWriter(w, machine) for machine in species.machines]
     born = _born(w, machines)
     with w.block() as done:
@@ -96,7 +99,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
         for machine in machines:
             machine.act()
         appearance.settle(w)
-        leaning.settle(w)
+        clips.settle(w)
         stand_still(w, machines)
         act = done()
     with w.block() as done:
@@ -132,7 +135,7 @@ def _decide(w: Writer, machines: list[MachineWriter]) -> None:
             _relax(w, attribute)
     for latch in w.species.latches:
         _latch(w, latch)
-    met = collisions.notice(w)
+    met = notice(w)
     for number, handler in enumerate(w.species.handlers, 1):
         _handler(w, handler, number, met)
     for machine in machines:
@@ -172,7 +175,7 @@ def _handler(w: Writer, handler: model.Handler, number: int, met: Mapping[str, N
     if handler.event == "spawn":
         return
     if handler.event == "collision":
-        collisions.bind(w, handler, met[handler.of])
+        bind(w, handler, met[handler.of])
         noticed = w.b("ne", met[handler.of], w.b.agent(-1))
     else:
         noticed = w.b("event", attrs=(handler.event,))
@@ -215,3 +218,60 @@ def _keep(b: Builder, f: model.Field, node: object) -> Node | None:
         return None
     factor: Node = node(f.keeps)
     return b("mul", factor, dt) if f.keeps.type.dim.time < 0 else factor
+
+
+def stand_still(w: Writer, machines: Sequence[MachineWriter]) -> None:
+    """Once all machines have acted: the push of those of whom no state has steered."""
+    rest = w.species.rest
+    if rest is None:
+        return
+    w.b.span = rest.span
+    silent = w.b.true
+    for machine in machines:
+        if machine.name in rest.silent:
+            silent = w.b("and", silent, machine.among(rest.silent[machine.name]))
+    for axis in AXES:
+        w.declare(f"{STEER}.{axis}", Kind.F32, "temp")
+    with w.region(silent, rest.span):
+        push = vector(w, rest.push)
+        w.rested(rest, push)
+        w.store_vector(STEER, push, rest.span)
+
+
+def declare(w: Writer) -> None:
+    """The ids of those whom an agent touches, of each species that a handler is about."""
+    for of in _met(w.species):
+        for name in _touched(w.species, of):
+            w.declare(name, Kind.I64, "memory", -1, of)
+
+
+def notice(w: Writer) -> dict[str, Node]:
+    """The id of whom an agent has begun to touch, -1 for nobody, by species; from here on that one is touched."""
+    found = {}
+    for of, handler in _met(w.species).items():
+        names = _touched(w.species, of)
+        w.b.span = handler.span
+        contact = w.b("contact", *(w.before(name) for name in names), attrs=(of,))
+        for number, name in enumerate(names, 1):
+            w.store(name, w.b("get", contact, attrs=(number,)), handler.span)
+        found[of] = w.b("get", contact, attrs=(0,))
+    return found
+
+
+def bind(w: Writer, handler: model.Handler, whom: Node) -> None:
+    """Let the name in the brackets of a handler stand for whom it is about."""
+    if handler.other is not None:
+        w.environment[handler.other] = Ref(model.Kind.AGENT, handler.of, whom)
+
+
+def _met(species: model.Species) -> dict[str, model.Handler]:
+    """The first handler of collisions with each species."""
+    found: dict[str, model.Handler] = {}
+    for handler in species.handlers:
+        if handler.event == "collision":
+            found.setdefault(handler.of, handler)
+    return found
+
+
+def _touched(species: model.Species, of: str) -> Sequence[str]:
+    return [f"{species.name}.touched.{of}#{number}" for number in range(1, limits.TOUCHED + 1)]

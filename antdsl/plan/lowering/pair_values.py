@@ -13,7 +13,7 @@ from antdsl.plan.lowering.expressions import lower, scalar
 from antdsl.plan.lowering.sets import bound, gather
 from antdsl.plan.lowering.values import Element, Group, Own, Value
 from antdsl.plan.lowering.writer import Writer
-from antdsl.plan.pair_registers import slot_names
+from antdsl.plan.registers import slot_names
 from antdsl.program import model
 
 NEAR_REST = 1e-9  # base units from the value of rest: so near, it is told by no slot

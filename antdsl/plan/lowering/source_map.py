@@ -12,8 +12,8 @@ from antdsl.diagnostics import Report
 from antdsl.plan.builder import Builder, PlanError
 from antdsl.plan.ir import Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.durations import passed, steps
 from antdsl.plan.lowering.expressions import lower, present, scalar, truth
+from antdsl.plan.lowering.machines import passed, steps
 from antdsl.plan.lowering.writer import Rules, Writer
 from antdsl.program import model
 from antdsl.program.tables.units import measure, unit_of

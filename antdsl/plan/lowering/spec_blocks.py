@@ -16,12 +16,11 @@ from antdsl.plan.builder import Builder
 from antdsl.plan.ir import OPS, Block, Kind, Node, Rate, Register, SpeciesPlan, Store
 from antdsl.plan.lowering.actions import complain
 from antdsl.plan.lowering.expressions import lower, scalar, truth
-from antdsl.plan.lowering.lazy import lazy
 from antdsl.plan.lowering.lower import DEEP
 from antdsl.plan.lowering.rules import RULES
 from antdsl.plan.lowering.values import Own, Ref, Value, Vec, length
 from antdsl.plan.lowering.writer import NotYet, Writer
-from antdsl.plan.traverse import needed
+from antdsl.plan.traverse import lazy, needed
 from antdsl.program import expectations, model
 from antdsl.source import Span
 

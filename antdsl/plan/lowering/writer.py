@@ -75,13 +75,7 @@ class Writer:
     # --- registers ---------------------------------------------------------------------------------------------------
 
     def declare(
-        self,
-        name: str,
-        kind: Kind,
-        role: str,
-        zero: float | int | bool = 0,
-        of: str | None = None,
-        holds: tuple[Any, ...] = (),
+        self, name: str, kind: Kind, role: str, zero: float | int | bool = 0, of: str | None = None, holds: tuple[Any, ...] = ()
     ) -> None:
         """A register of this species; the same one twice is a mistake of ours."""
         known = self.registers.get(name)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview import requests
-from antdsl.preview.doing import costs, edits, looking, queries, time
+from antdsl.preview.doing import edits, queries, time
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
@@ -23,9 +23,9 @@ HANDLERS: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     requests.Layer: edits.layer,
     requests.Field_: edits.field,
     requests.Reload: edits.reload,
-    requests.Look: looking.look,
+    requests.Look: queries.look,
     requests.Explain: queries.explain,
     requests.Breaks: queries.breaks,
-    requests.Profile: costs.profile,
+    requests.Profile: queries.profile,
 }
 WITHOUT_SESSION = frozenset([requests.Look, requests.Reload, requests.Speed])  # what can be asked while the scene has errors

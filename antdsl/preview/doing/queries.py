@@ -1,4 +1,4 @@
-"""Why an agent did what it did, and where to stop."""
+"""What a page wants to know or to be shown: why an agent did what it did, what steps spend their time on, where to stop."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from antdsl.preview import requests
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.breaking.model import Misfit
 from antdsl.preview.observing.explainer import Explainer
+from antdsl.preview.observing.meter import Costs
 from antdsl.preview.requests import Refusal
 
 if TYPE_CHECKING:
@@ -25,3 +26,12 @@ def breaks(live: Live, ask: requests.Breaks, client: Client) -> None:
         live.observer(Breakpoints).set(live.session, ask.breaks, ask.tried)
     except Misfit as why:
         raise Refusal(why.message, why.help) from None
+
+
+def look(live: Live, ask: requests.Look, client: Client) -> None:
+    live.clients[client] = ask
+    live.screen.looked()
+
+
+def profile(live: Live, ask: requests.Profile, client: Client) -> None:
+    live.observer(Costs).switch(client, ask.on)

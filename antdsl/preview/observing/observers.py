@@ -1,18 +1,21 @@
-"""All who look on while a session goes on."""
+"""All who look on while a session goes on; one says on the terminal what is otherwise than requested, such as that there is no
+machine code: each sentence once, as it comes."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.observing.meter import Costs
-from antdsl.preview.observing.notes import Notes
 from antdsl.preview.observing.observer import Observer
 from antdsl.preview.observing.spec_judgement import Specs
+from antdsl.preview.session import Session
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
+    from antdsl.preview.observing.observer import Stop
 
 
 def _specs(live: Live) -> Observer:
@@ -30,3 +33,23 @@ def _notes(live: Live) -> Observer:
 # What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`. A spec is judged before one asks
 # whether it failed.
 OBSERVERS: tuple[Callable[[Live], Observer], ...] = (Costs, _notes, _specs, _breakpoints)
+
+
+class Notes:
+    """An observer; the live thread's own."""
+
+    def __init__(self) -> None:
+        self._said: set[str] = set()
+
+    def stepping(self, session: Session) -> None:
+        """What comes is said after the step."""
+
+    def stepped(self, session: Session) -> Stop | None:
+        for sentence in session.world.backend.told():
+            if sentence not in self._said:
+                self._said.add(sentence)
+                print(sentence, file=sys.stderr, flush=True)
+        return None
+
+    def entered(self, session: Session) -> None:
+        """A world that nobody has stepped has nothing to say."""

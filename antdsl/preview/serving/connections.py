@@ -1,14 +1,16 @@
-"""What a connection may cost before and after somebody is let in: how many there are, how many frames, in how many pieces."""
+"""What a connection may cost before and after somebody is let in: how many there are, how many frames, in how many pieces, and
+how much one client may request in a time."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from time import monotonic
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
 from websockets.frames import Frame, Opcode
 
 from antdsl import limits
-from antdsl.preview.serving.pace import Bucket
 
 
 class Door:
@@ -80,3 +82,21 @@ class Connection(ServerConnection):
         elif frame.opcode is Opcode.CONT:
             self._pieces += 1
         return self._pieces < limits.PREVIEW_FRAGMENTS and self._frames.take()
+
+
+class Bucket:
+    """Holds up to `most` and fills at `rate` a second; each thing takes one out. `clock` counts seconds."""
+
+    def __init__(self, rate: float, most: float, clock: Callable[[], float] = monotonic) -> None:
+        self._rate, self._most, self._clock = rate, most, clock
+        self._holds, self._at = most, clock()
+
+    def take(self) -> bool:
+        """Take one; False where there is none."""
+        now = self._clock()
+        self._holds = min(self._most, self._holds + (now - self._at) * self._rate)
+        self._at = now
+        if self._holds < 1:
+            return False
+        self._holds -= 1
+        return True

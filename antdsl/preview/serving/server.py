@@ -11,9 +11,11 @@ import sys
 import traceback
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from dataclasses import dataclass
 from http import HTTPStatus
-from typing import Protocol, cast
+from typing import Any, Final, Protocol, cast
 
+from pydantic import ValidationError
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -23,16 +25,36 @@ from websockets.typing import Subprotocol
 
 from antdsl import limits
 from antdsl.preview.live import Busy, Client
-from antdsl.preview.requests import Ask
+from antdsl.preview.requests import ASK, Ask
 from antdsl.preview.serving.addresses import Listening
-from antdsl.preview.serving.connections import Door
+from antdsl.preview.serving.connections import Bucket, Door
 from antdsl.preview.serving.guard import PROTOCOL, Guard, Verdict
-from antdsl.preview.serving.headers import HEADERS
-from antdsl.preview.serving.inbound import Refused, read
 from antdsl.preview.serving.mailbox import Mailbox
-from antdsl.preview.serving.pace import Bucket
 from antdsl.preview.serving.pages import Pages
 
+POLICY: Final = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "connect-src 'self'",
+        "img-src 'self' data:",
+        "base-uri 'none'",
+        "frame-ancestors 'none'",
+        "form-action 'none'",
+    )
+)
+# No Access-Control-Allow-*: no other page may read an answer.
+HEADERS: Final = (
+    ("Content-Security-Policy", POLICY),
+    ("X-Content-Type-Options", "nosniff"),
+    ("X-Frame-Options", "DENY"),
+    ("Cache-Control", "no-store"),
+    ("Referrer-Policy", "no-referrer"),
+    ("Cross-Origin-Opener-Policy", "same-origin"),
+    ("Cross-Origin-Resource-Policy", "same-origin"),
+    ("Cross-Origin-Embedder-Policy", "require-corp"),
+)
 _OPEN = 10.0  # seconds for a request and its answer
 _CLOSE = 2.0  # seconds for a client to say goodbye
 _STUCK = 60.0  # seconds for one packet to go out
@@ -41,6 +63,38 @@ _PATIENCE = (5, 100)  # asks too many in a second, and at once, after which a cl
 
 # Whoever floods the server must not flood the terminal.
 _SILENT = logging.getLogger("antdsl.preview.serving")
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """`of`: the op, as far as there is one that exists."""
+
+    of: str
+    message: str
+    help: str = ""
+
+    def message_out(self) -> dict[str, Any]:
+        return {"op": "refused", "of": self.of, "message": self.message, "help": self.help}
+
+
+def read(text: str) -> Ask | Refused:
+    """The ask in a message. What a message says is never repeated, but for names of ops and of their parts."""
+    try:
+        return ASK.validate_json(text)
+    except ValidationError as why:
+        first = why.errors(include_url=False, include_context=False, include_input=False)[0]
+    kind, place = first["type"], [str(part) for part in first["loc"]]
+    if kind == "json_invalid":
+        return Refused("", "a message was no JSON that can be read", "load this page again")
+    if kind in ("union_tag_invalid", "union_tag_not_found") and not place:
+        return Refused("", "a message asks for nothing that a preview does", "load this page again")
+    if not place:
+        return Refused("", "a message is not a list of names and values", "load this page again")
+    where = " ".join(f"`{part}`" for part in place[1:]) or "the message"
+    words = first["msg"][:1].lower() + first["msg"][1:]
+    return Refused(place[0], f"{where} of `{place[0]}`: {words}")
+
+
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
 

@@ -1,4 +1,5 @@
-"""What agents do with their bodies in a frame: the clips that they play, and how they stand on their feet."""
+"""What agents do with their bodies in a frame, as few bytes: the clips that they play (up to three a machine, with how far
+each is and how much it weighs), where their feet stand, and how trunks stand over them."""
 
 from __future__ import annotations
 
@@ -10,22 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.blending import posed
-from antdsl.bodies.agents.clip_table import ClipTable, clip_table
 from antdsl.bodies.agents.definition import Definition, TransformGroup
 from antdsl.bodies.agents.driving import with_channels
+from antdsl.bodies.agents.leg_ik import Legs
 from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
+from antdsl.bodies.agents.poses import ClipTable, clip_table
 from antdsl.bodies.agents.varied_bodies import Draws, place_of, size_of
-from antdsl.bodies.blend_targets import of_channels, weights_of
-from antdsl.outputs.cache.clip_arrays import clips_playing, machine_clips, playing
-from antdsl.outputs.cache.shown_arrays import layers_worn, shown
+from antdsl.bodies.skinned_mesh import of_channels, weights_of
+from antdsl.numerics.vector_rows import unit_or
+from antdsl.outputs.cache.pose_arrays import clips_playing, layers_worn, machine_clips, playing, shown
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import Light, Posed
-from antdsl.preview.viewing.plays import packed
-from antdsl.preview.viewing.rigs import Outfit, Traits, outfit, posed_body, traits
-from antdsl.preview.viewing.stances import stances
+from antdsl.preview.viewing.bodies import Outfit, Traits, outfit, posed_body, traits
 from antdsl.runtime import Population, World
+from antdsl.runtime.feet.state import Feet
+from antdsl.runtime.feet.trunk import quaternions
 
+_LENGTH = 4096  # steps in a body's length
+_ONE = 32767
+_DOWN = 15  # feet of which it is told whether they stand
+Floats = NDArray[np.float32]
+NONE = 65535  # the number of no clip
+_WHOLE = 65535  # one turn of a clip, or a weight of 1
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -142,3 +150,77 @@ def _standing(world: World, name: str, worn: Outfit, light: Light, machines: tup
     played = (*body.idling(light.ids, world.frame * world.dt), *machines)
     stands = body.legs.kept((*worn.plays, Played(worn.definition.idle)), played, len(light.ids))
     return dict(stances(body.legs, world.feet[name], light, stands))
+
+
+def packed(told: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    """What one machine of n agents plays, uint16[n, 3, k]: numbers, how far through, and weights of the clip and of the one
+    before; k is 2, and where anybody still plays the one before that, 3. `loops`: of each clip that the species plays, and False
+    for none; one that does not ends with its last sample."""
+    slots = list(told.slots())[::-1]
+    if not slots[-1][2].any():
+        slots.pop()
+    made = np.empty((len(told.clip), 3, len(slots)), np.uint16)
+    for place, (clip, turns, weight) in enumerate(slots):
+        known = (clip >= 0) & (clip < len(loops) - 1)
+        exact = np.nan_to_num(turns.astype(np.float64))
+        again = loops[np.where(known, clip, -1)]
+        made[:, 0, place] = np.where(known, clip, NONE)
+        made[:, 1, place] = np.round(np.where(again, exact - np.floor(exact), np.clip(exact, 0, 1)) * _WHOLE)
+        made[:, 2, place] = np.round(np.clip(np.nan_to_num(weight), 0, 1) * _WHOLE)
+    return made
+
+
+def stances(legs: Legs, feet: Feet, light: Light, stands: Floats) -> dict[str, NDArray[np.int16]]:
+    """`feet` int16[n, L, 3]: where each foot joint is to be beside a body whose trunk is not moved, 4096 to a body's length,
+    ahead, above and aside; `stance` int16[n, 6]: how much the trunk is raised, the x, y and z of its turn, how much feet stand
+    (32767 is 1), and a bit for each foot that does. `light`: where these agents are shown, `stands` [n]: how much clips leave
+    feet where they stand.
+
+    Bodies stand as pages turn them, by directions of three bytes, so that a foot that stands does not shake with these."""
+    size = np.where(light.size > 0, light.size, 1).astype(np.float32)
+    rise = feet.rise / size * stands
+    tilt = quaternions(feet.slope) * stands[:, None]
+    tilt[:, 3] += 1 - stands
+    tilt /= np.maximum(np.linalg.norm(tilt, axis=1, keepdims=True), 1e-20)
+    made = np.empty((len(stands), 6), np.int16)
+    made[:, 0] = _steps(rise, _LENGTH)
+    made[:, 1:4] = _steps(tilt[:, :3], _ONE)  # by less than half a turn, so that w is above 0
+    made[:, 4] = _steps(stands, _ONE)
+    told = feet.down[:, :_DOWN]
+    made[:, 5] = (told << np.arange(told.shape[1])).sum(axis=1)
+    away = (feet.shown - light.position.T[:, :, None]).astype(np.float32) / size[None, :, None]
+    place = _turned_back(_frames(light), away)
+    place[1] += legs.soles[None] - rise[:, None]
+    goals = _turned_back(_rotations(tilt), place)
+    return {"feet": _steps(goals.transpose(1, 2, 0), _LENGTH), "stance": made}
+
+
+def _frames(light: Light) -> Floats:
+    """Columns ahead, above and aside of agents, float32[3, 3, n], as pages make them."""
+    up = unit_or(light.up.astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
+    ahead = light.heading.astype(np.float32)
+    ahead -= up * (ahead * up).sum(axis=1, keepdims=True)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-20)
+    return np.stack([ahead.T, up.T, np.cross(ahead, up).T], axis=1)
+
+
+def _rotations(turn: Floats) -> Floats:
+    """Matrices float32[3, 3, n] of unit quaternions [n, 4]."""
+    x, y, z, w = turn.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row) for row in rows]).astype(np.float32)
+
+
+def _turned_back(matrices: Floats, places: Floats) -> Floats:
+    """Places float32[3, n, L] by the transposes of matrices [3, 3, n]."""
+    x, y, z = places
+    return np.stack([(m[0][:, None] * x + m[1][:, None] * y) + m[2][:, None] * z for m in matrices.transpose(1, 0, 2)])
+
+
+def _steps(values: NDArray[Any], whole: int) -> NDArray[np.int16]:
+    found: NDArray[np.int16] = np.clip(np.rint(np.nan_to_num(values) * np.float32(whole)), -32767, 32767).astype(np.int16)
+    return found

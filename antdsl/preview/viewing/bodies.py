@@ -1,16 +1,259 @@
-"""The bodies that agents and items are shown with: each once."""
+"""The bodies that agents and items are shown with, each once; those of species as skinned meshes with the samples of the clips
+that are played, for the page to pose."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.driving import look_shares
+from antdsl.bodies.agents.leg_ik import BENDING, Legs
+from antdsl.bodies.agents.machine_clips import Played
+from antdsl.bodies.agents.poses import ClipTable, clip_table
+from antdsl.bodies.agents.varied_bodies import scaled_joints
 from antdsl.bodies.library import library_body
-from antdsl.bodies.placed import placed, shape_of
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.bodies.shapes import placed, shape_of
+from antdsl.bodies.skinned_mesh import Target, blend_targets
+from antdsl.outputs.cache.pose_arrays import layers_worn, playing
 from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import Packets, Seen
+from antdsl.runtime import Population, World
 from antdsl.scene.library_bodies import BODY_WORDS, body_of
+
+Arrays = dict[str, NDArray[Any]]
+MOST_LAYERS = 24  # that pages tell apart: whole numbers of so many bits are exact in float32
+MOST_TARGETS = 48  # of blend shapes, that pages know
+
+
+class Rigs:
+    """The slots `rig:SPECIES`: again where the body of a species, or what it plays, has become another one."""
+
+    def __init__(self) -> None:
+        self._given: dict[str, tuple[Outfit, tuple[str, ...]]] = {}
+
+    def packets(self, seen: Seen) -> Packets:
+        for name, population in seen.world.populations.items():
+            made = outfit(seen.world, seen.shot, population), tuple(playing(population))
+            if self._given.get(name) != made:
+                self._given[name] = made
+                yield f"rig:{name}", rig_packet(name, *made)
+
+
+@dataclass(frozen=True, slots=True)
+class Outfit:
+    """What agents of a species can do with their bodies: the `plays` of their states (clip and transform group), the `layers`
+    that some wear beside the body's own, the transform groups that they look with; whether
+    clips give way to others as they turn and climb."""
+
+    definition: Definition
+    plays: tuple[Played, ...] = ()
+    layers: tuple[str, ...] = ()
+    looks: tuple[str, ...] = ()
+    leans: bool = False
+
+
+def outfit(world: World, shot: Shot, population: Population) -> Outfit:
+    """That of a species; of more layers than pages have room for, the first."""
+    plan, definition = population.plan, body_of_species(shot, population.name)
+    layers = tuple(name for name in layers_worn(population, world.setting) if name in definition.layers)[:MOST_LAYERS]
+    looks = tuple(name for name in plan.looks if name in definition.groups)
+    plays = tuple(Played(each.name, each.on, each.add, each.left, each.right, each.up, each.down) for each in plan.clips)
+    return Outfit(definition, plays, layers, looks, "lean:turn" in plan.registers)
+
+
+def rig_packet(species: str, worn: Outfit, machines: tuple[str, ...] = ()) -> bytes:
+    """The packet of a species: its clips, and its mesh as crowds and as those who are near have it. `idle`: the number of the
+    clip that lies below all others and the seconds that it takes; none where there is no such clip."""
+    arrays, header = _rig(worn)
+    return pack(f"rig:{species}", arrays, machines=list(machines), **header)
+
+
+@lru_cache(maxsize=8)
+def posed_body(worn: Outfit) -> PosedBody:
+    """The body of an outfit, made once."""
+    return PosedBody(worn.definition, worn.plays, worn.layers)
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What the bodies of agents differ by beside what they play, each a number: how much of each target of blend shapes there
+    is, how large transform groups are, where on the way through its colours each material lies."""
+
+    targets: tuple[Target, ...] = ()
+    scales: tuple[str, ...] = ()
+    materials: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        return len(self.targets) + len(self.scales) + len(self.materials)
+
+
+@lru_cache(maxsize=8)
+def traits(worn: Outfit) -> Traits:
+    """Those of an outfit; of more targets than pages have room for, the first."""
+    targets = dict.fromkeys(each for level in _levels(worn).values() for each in _targets(level))
+    varied = worn.definition.variation
+    return Traits(tuple(targets)[:MOST_TARGETS], tuple(varied.scales), tuple(varied.materials))
+
+
+def _levels(worn: Outfit) -> dict[str, PosedBody]:
+    body = posed_body(worn)
+    return {"low": body.coarse, "fine": body.fine}
+
+
+def _targets(level: PosedBody) -> dict[Target, NDArray[np.float32]]:
+    return blend_targets(level.shaded, level.bindings, level.taken)
+
+
+@lru_cache(maxsize=8)
+def _rig(worn: Outfit) -> tuple[Arrays, dict[str, Any]]:
+    definition, plays = worn.definition, worn.plays
+    body, table = posed_body(worn), clip_table(definition)
+    idle = definition.clips.get(definition.idle)
+    arrays = _clips(table, definition, plays if idle is None else (*plays, Played(definition.idle)))
+    arrays |= _legs(body.legs, table)
+    arrays["look"] = _by_depth(table, [look_shares(table.rig, definition.groups[name]) for name in worn.looks])
+    differ = traits(worn)
+    arrays |= _variation(definition, differ, table)
+    for level, each in _levels(worn).items():
+        found = _mesh(each, table) | _varied(each, differ)
+        arrays |= {f"{level}/{name}": array for name, array in found.items()}
+    return arrays, {
+        "joints": len(table.order), "texels": _texels(table), "length": float(definition.length),
+        "base": [round(float(x), 9) for x in definition.base()[:3].reshape(-1)], "bending": BENDING,
+        "idle": [] if idle is None or idle.duration <= 0 else [len(plays), idle.duration],
+        "looks": list(worn.looks), "leans": worn.leans, "traits": differ.count, "targets": len(differ.targets),
+    }  # fmt: skip
+
+
+def _texels(table: ClipTable) -> int:
+    """Of four numbers each, that a joint has in a sample: translation, rotation, and scale and shear where there are any."""
+    return 2 + table.scaled + table.sheared
+
+
+def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) -> Arrays:
+    """`sample` float32[R, J, texels, 4], the rest pose first; `parent` int32[J], joints by depth; `clip` int32[P, 3, 4]: the
+    first sample (-1 of a clip that the body does not have), how many, 1 where it loops and 2 where it is added, its transform
+    group; then first samples and how many of the clips to the left and the right, up and down, that it gives way to. `group`
+    float32[G, J]: weights of joints, first those of the whole rig."""
+    joints, kept = len(table.order), [np.array([0])]
+    groups = ["", *sorted({each.on for each in plays} - {""})]
+    places: dict[str, tuple[int, int]] = {}
+    for name in dict.fromkeys(name for each in plays for name in (each.clip, *each[3:]) if name in table.names):
+        number = table.number(name) + 1
+        first, length = int(table.first[number]), int(table.counts[number])
+        places[name] = sum(map(len, kept)), length
+        kept.append(np.arange(first, first + length))
+    clips = []
+    for each in plays:
+        first, length = places.get(each.clip, (-1, 1))
+        again = first >= 0 and bool(table.loops[table.number(each.clip) + 1])
+        ways = [number for way in each[3:] for number in places.get(way, (-1, 1))]
+        clips.append((first, length, int(again) + 2 * int(each.add), groups.index(each.on), *ways))
+    rows = table.samples[np.concatenate(kept)]
+    sample = np.zeros((len(rows), joints, _texels(table), 4), np.float32)
+    at = 0
+    for texel, width in enumerate((3, 4, *([3] if table.scaled else []), *([3] if table.sheared else []))):
+        part = rows[:, at : at + width * joints].reshape(len(rows), width, joints)
+        sample[:, :, texel, :width] = part.transpose(0, 2, 1)
+        at += width * joints
+    place = _depths(table)
+    parents = np.asarray(table.rig.parents)[table.order]
+    ones = np.ones(joints, np.float32)
+    weights = [ones if not name else table.weights(definition.groups[name])[0] for name in groups]
+    return {
+        "sample": sample,
+        "parent": np.where(parents >= 0, place[parents], -1).astype(np.int32),
+        "clip": np.array(clips, np.int32).reshape(-1, 12),
+        "group": np.stack(weights).astype(np.float32),
+    }
+
+
+def _by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -> NDArray[np.float32]:
+    """Weights of joints by number, for each of G groups, as float32[G, J] of joints by depth."""
+    found = np.zeros((len(groups), len(table.order)), np.float32)
+    for k, group in enumerate(groups):
+        for joint, weight in group:
+            found[k, joint] = weight
+    return found[:, table.order]
+
+
+def _variation(definition: Definition, differ: Traits, table: ClipTable) -> Arrays:
+    """`scale` float32[S, J]: by how much of a group's size each joint and all that hangs on it is scaled, joints by depth;
+    `palette` float32[c, 4]: the colours of materials that vary, one material after the other."""
+    scale = _by_depth(table, [scaled_joints(table.rig, definition.groups[name]) for name in differ.scales])
+    colours = [colour for name in differ.materials for colour in definition.variation.materials[name]]
+    palette = np.zeros((len(colours), 4), np.float32)
+    palette[:, :3] = np.array(colours, np.float32).reshape(-1, 3)
+    return {"scale": scale, "palette": palette}
+
+
+def _varied(level: PosedBody, differ: Traits) -> Arrays:
+    """`target` float32[T, v, 6]: what each target of blend shapes adds to places and normals; `paint` float32[v, 2]: the trait
+    that the colour of a vertex goes by, -1 where it does not vary, and the first of its colours."""
+    found, count = _targets(level), len(level.mesh.points)
+    none = np.zeros((count, 6), np.float32)
+    paint = np.full((count, 2), -1, np.float32)
+    first = 0
+    for k, name in enumerate(differ.materials):
+        paint[level.material == name] = len(differ.targets) + len(differ.scales) + k, first
+        first += len(level.definition.variation.materials[name])
+    return {"target": np.array([found.get(each, none) for each in differ.targets], np.float32), "paint": paint}
+
+
+def _depths(table: ClipTable) -> NDArray[np.int32]:
+    """The place of each joint of the rig among joints by their depth."""
+    place = np.empty(len(table.order), np.int32)
+    place[table.order] = np.arange(len(table.order))
+    return place
+
+
+def _legs(legs: Legs | None, table: ClipTable) -> Arrays:
+    """`leg` float32[L, 2, 4]: hip, knee and foot, joints by depth, and the axis about which a straight knee bends."""
+    if legs is None:
+        return {}
+    found, place = np.zeros((legs.count, 2, 4), np.float32), _depths(table)
+    found[:, 0, :3] = [place[[each.upper, each.lower, each.foot]] for each in legs.chains]
+    found[:, 1, :3] = legs.straight_axes()
+    return {"leg": found}
+
+
+def _parts(legs: Legs | None, joints: int) -> NDArray[np.int32]:
+    """Of each joint of the rig the part of a leg that it is: three times the leg and 1 thigh, 2 shank, 3 foot; 0 of none."""
+    found = np.zeros(joints, np.int32)
+    for number, each in enumerate(legs.chains if legs is not None else ()):
+        for piece, those in enumerate((each.thigh, each.shank, each.sole), 1):
+            found[those] = 3 * number + piece
+    return found
+
+
+def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
+    """`position` and `normal` float32[v, 3] in the rest pose, `face` uint32[m, 3], `colour` uint8[v, 4] (linear colours as square
+    roots, and how much of the agent's own), `bone` uint8 or uint16[v, 4], `weight` uint8[v, 4]; `joint` int32[B] by depth and
+    `inverse` float32[B, 3, 4] of the bones."""
+    mesh = body.mesh
+    place = np.append(_depths(table), -1)  # of a bone without a joint: -1
+    colour = np.sqrt(np.clip(np.column_stack([body.own, np.square(body.tint)]), 0, 1))
+    return {
+        "position": mesh.points,
+        "normal": np.round(mesh.normals * 127).astype(np.int8),
+        "face": body.faces.astype(np.uint32),
+        "colour": np.round(colour * 255).astype(np.uint8),
+        "bone": mesh.bones.astype(np.uint16),
+        "weight": mesh.weights,
+        "joint": place[mesh.joint].astype(np.int32),
+        "part": np.append(_parts(body.legs, len(table.order)), 0)[mesh.joint].astype(np.int32),
+        "inverse": mesh.inverse,
+        "layer": body.masks.astype(np.uint32),
+    }
 
 
 def body_of_species(shot: Shot, species: str) -> Definition:

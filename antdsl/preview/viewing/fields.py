@@ -1,15 +1,27 @@
-"""Fields as numbers on their meshes, a few times a second, of those that some page looks at."""
+"""Fields as numbers on their meshes, a few times a second, of those that some page looks at. A mesh is the ground, cut as fine
+as the field's cells, and a square for each cell that lies on no mesh."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.body import vertex_normals
+from antdsl.fields.growing import GrowingCells
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.viewing.field_meshes import FieldMesh, cells_in_use, field_mesh
 from antdsl.preview.viewing.seen import Packets, Seen
 from antdsl.runtime import World
+from antdsl.runtime.moving.moving_geometry import vertices_at
 
+Floats = NDArray[np.float64]
+
+_MOST = 150_000  # vertices of one field's mesh, about: finer cells are shown more coarsely
+_NEAREST = 4  # cells that a vertex is mixed from
+_BESIDE = 1.5  # cells' sizes from the nearest vertex on from which a cell gets a square of its own
+_SOFT = 0.15  # of a cell: nearer than so a vertex counts as in the middle
 _EVERY = 0.125  # seconds between two showings while it plays
 _MESH_EVERY = 1.0  # the same of meshes that grow
 _FULL = 100.0  # what is shown as full where a field has no limit
@@ -76,3 +88,148 @@ class Fields:
         self._shown[name] = world.frame
         value = in_bytes(mesh.shown(field.values))
         yield f"field:{name}", pack(f"field:{name}", {"value": value}, frame=world.frame)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Carried:
+    """Vertices from `first` on that lie on a mesh that moves: in its triangles `corner` int64 (k, 3), by weights (k, 3)."""
+
+    mesh: str
+    first: int
+    corner: NDArray[np.int64]
+    weight: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldMesh:
+    """Vertices float32 (n, 3), faces uint32 (m, 3); each vertex shows the cells `cell` int64 (n, 4), mixed by `share` (n, 4).
+    Vertices are where they were at the first frame; those of `carried` move."""
+
+    position: NDArray[np.float32]
+    face: NDArray[np.uint32]
+    cell: NDArray[np.int64]
+    share: NDArray[np.float32]
+    carried: tuple[Carried, ...] = ()
+
+    def places(self, world: World) -> NDArray[np.float32]:
+        """Where the vertices are at the world's frame."""
+        found = self.position.copy() if self.carried else self.position
+        for each in self.carried:
+            corners = vertices_at(world, each.mesh, world.frame)[each.corner]
+            found[each.first : each.first + len(each.corner)] = np.einsum("nkd,nk->nd", corners, each.weight)
+        return found
+
+    def shown(self, values: Floats) -> NDArray[np.float32]:
+        """What the vertices show of the cells' values."""
+        found: NDArray[np.float32] = np.einsum("nk,nk->n", values.astype(np.float32)[self.cell], self.share)
+        return found
+
+
+def cells_in_use(field: Any) -> int:
+    """Cells that are somewhere: ground that is dug has room for more."""
+    return field.cells.used if isinstance(field.cells, GrowingCells) else len(field.cells)
+
+
+def field_mesh(world: World, name: str) -> FieldMesh:
+    """The mesh of a field as the world stands."""
+    cells = world.fields[name].cells
+    count = cells_in_use(world.fields[name])
+    places, normals = cells.position[:count], cells.normal[:count]
+    points, faces, carried, edge = _ground(world, name, cells.cell)
+    if len(points) and count:
+        from scipy.spatial import cKDTree
+
+        way = vertex_normals(points, faces.astype(np.int32)).astype(np.float64)
+        near, share = _mixed(points, way, places, normals, cells.cell)
+        lone = np.flatnonzero(cKDTree(points).query(places)[0] > _BESIDE * max(cells.cell, edge))
+    else:
+        near, share, lone = np.empty((0, _NEAREST), np.int64), np.empty((0, _NEAREST)), np.arange(count)
+        points, faces, carried = np.empty((0, 3)), np.empty((0, 3), np.int64), ()
+    corners, squares, own, whole = _squares(places[lone], normals[lone], cells.cell, lone)
+    return FieldMesh(
+        np.concatenate([points, corners]).astype(np.float32),
+        np.concatenate([faces, squares + len(points)]).astype(np.uint32),
+        np.concatenate([near, own]),
+        np.concatenate([share, whole]).astype(np.float32),
+        carried,
+    )
+
+
+def _ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.int64], tuple[Carried, ...], float]:
+    """The field's meshes at the first frame, cut to edges of about a cell; what of them moves; how long edges are at most."""
+    asked, setting = world.plan.fields[name].surfaces, world.setting
+    made = [each for each in setting.surfaces if not asked or each in asked]
+    rest = [setting.surfaces[each].vertices - world.origin for each in made]
+    faces = [setting.surfaces[each].faces.astype(np.int64) for each in made]
+    area = sum(_area(*mesh) for mesh in zip(rest, faces, strict=True))
+    edge = max(cell, float(np.sqrt(area / (0.5 * _MOST))))
+    parts, carried, first = [], [], 0
+    for each, vertices, triangles in zip(made, rest, faces, strict=True):
+        points, cut, of = _cut(vertices, triangles, edge)
+        if each in setting.moves.meshes:
+            carried.append(_carried(each, first, points, cut, of, vertices, triangles))
+        parts.append((points, cut + first))
+        first += len(points)
+    if not parts:
+        return np.empty((0, 3)), np.empty((0, 3), np.int64), (), edge
+    return np.concatenate([p for p, _ in parts]), np.concatenate([f for _, f in parts]), tuple(carried), edge
+
+
+def _area(vertices: Floats, faces: NDArray[np.int64]) -> float:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def _cut(vertices: Floats, faces: NDArray[np.int64], edge: float) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices and faces of the mesh cut finer, and the face that each is a part of."""
+    from trimesh.remesh import subdivide_to_size
+
+    points, cut, of = subdivide_to_size(vertices, faces, edge, max_iter=20, return_index=True)  # type: ignore[no-untyped-call]
+    return np.asarray(points, np.float64), np.asarray(cut, np.int64), np.asarray(of, np.int64)
+
+
+def _carried(
+    name: str,
+    first: int,
+    points: Floats,
+    cut: NDArray[np.int64],
+    of: NDArray[np.int64],
+    vertices: Floats,
+    faces: NDArray[np.int64],
+) -> Carried:
+    """Each point in a triangle that it is a corner of a part of."""
+    from trimesh.triangles import points_to_barycentric
+
+    face = np.zeros(len(points), np.int64)
+    face[cut] = of[:, None]
+    weight = points_to_barycentric(vertices[faces[face]], points)  # type: ignore[no-untyped-call]
+    return Carried(name, first, faces[face], np.asarray(weight, np.float64))
+
+
+def _mixed(points: Floats, way: Floats, places: Floats, normals: Floats, cell: float) -> tuple[NDArray[np.int64], Floats]:
+    """The cells next to points on their side, and the share of each: less the further off."""
+    from scipy.spatial import cKDTree
+
+    distance, near = cKDTree(places).query(points, k=[min(k, len(places)) for k in range(1, _NEAREST + 1)])
+    same = np.einsum("nkd,nd->nk", normals[near], way) > 0
+    share = np.where(same, 1 / (distance**2 + (_SOFT * cell) ** 2), 0.0)
+    share[(distance > 2 * cell) & (distance > distance[:, :1])] = 0.0
+    total = share.sum(axis=1, keepdims=True)
+    return near.astype(np.int64), np.where(total > 0, share / np.maximum(total, 1e-300), 0.0)
+
+
+def _squares(
+    places: Floats, normals: Floats, cell: float, which: NDArray[np.int64]
+) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Floats]:
+    """A square for each cell, across its normal."""
+    other = np.where(np.abs(normals[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
+    right = np.cross(normals, other)
+    right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
+    above = np.cross(normals, right)
+    half = cell / 2
+    corners = [places + half * (i * right + k * above) for i, k in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    first = np.arange(len(places))[:, None] * 4
+    faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])]).astype(np.int64)
+    share = np.zeros((len(places) * 4, _NEAREST))
+    share[:, 0] = 1.0
+    return np.stack(corners, axis=1).reshape(-1, 3), faces, np.repeat(which, 4 * _NEAREST).reshape(-1, _NEAREST), share

@@ -11,7 +11,7 @@ from antdsl.bounded import read_handle
 from antdsl.diagnostics import Diagnostic
 from antdsl.resources import library_file
 from antdsl.scene.document import decode
-from antdsl.syntax import reading
+from antdsl.syntax import text_files
 
 TEXT_BYTES = 1 << 20  # of one file that is shown
 
@@ -84,6 +84,6 @@ def text_of(path: Path, opened: Callable[[Path], int]) -> str | None:
         data = read_handle(opened(path), TEXT_BYTES)
     except OSError:
         return None
-    source, _ = reading.read_bytes(str(path), data) if path.suffix == ".ant" else decode(data, str(path))
+    source, _ = text_files.read_bytes(str(path), data) if path.suffix == ".ant" else decode(data, str(path))
     text = source.text if source is not None else data.decode("utf-8", "replace").removeprefix("\ufeff")
     return text.replace("\r\n", "\n").replace("\r", "\n")

@@ -16,18 +16,15 @@ from antdsl.preview.session import Session
 from antdsl.preview.viewing import messages
 from antdsl.preview.viewing.acting import remember
 from antdsl.preview.viewing.agents import Agents
-from antdsl.preview.viewing.bodies import ItemBodies
+from antdsl.preview.viewing.bodies import ItemBodies, Rigs
 from antdsl.preview.viewing.charts import Charts
 from antdsl.preview.viewing.curves import Told
 from antdsl.preview.viewing.fields import Fields
-from antdsl.preview.viewing.lines import Curves, Flows
-from antdsl.preview.viewing.meshes import Meshes
+from antdsl.preview.viewing.geometry import Curves, Flows, Meshes, Solids
 from antdsl.preview.viewing.names import Names
 from antdsl.preview.viewing.paths import Paths
-from antdsl.preview.viewing.rigs import Rigs
 from antdsl.preview.viewing.scene import Box, scene
 from antdsl.preview.viewing.seen import Seen, View, Wanted
-from antdsl.preview.viewing.solids import Solids
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live

@@ -26,10 +26,7 @@ def _change(reader: Reader, change: Transition, report: Report) -> None:
         return
     if never(reader, test):
         report.warning(
-            "never-fires",
-            f"{quoted(test.span)} can never hold",
-            test.span,
-            "change one of its numbers, or delete the change",
+            "never-fires", f"{quoted(test.span)} can never hold", test.span, "change one of its numbers, or delete the change"
         )
     elif always(reader, test):
         report.warning(

@@ -21,11 +21,10 @@ from antdsl.program.names.scope import (
 )
 from antdsl.program.tables.vocabulary import BUILTINS, TYPE_WORDS
 from antdsl.program.traverse import written
-from antdsl.program.types.arguments import Slot, arranged, type_all
+from antdsl.program.types.arguments import Slot, arranged, place, type_all
 from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
 from antdsl.program.types.expressions import THINGS
 from antdsl.program.types.operators import value, wanted
-from antdsl.program.types.places import place
 from antdsl.syntax import nodes
 
 _STORED = frozenset({Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD})

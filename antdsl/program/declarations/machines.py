@@ -9,8 +9,7 @@ from antdsl import limits
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION, BODY
-from antdsl.program.declarations.appearance import said_once
-from antdsl.program.declarations.clips import one_clip
+from antdsl.program.declarations.appearance import one_clip, said_once
 from antdsl.program.declarations.statements import statements, take
 from antdsl.program.memo import part
 from antdsl.program.model import Binding, Expr

@@ -8,16 +8,15 @@ from dataclasses import replace
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block, added
-from antdsl.program.declarations.appearance import channel, look, wear
+from antdsl.program.declarations.appearance import channel, look, play, wear
 from antdsl.program.declarations.asks import ask
-from antdsl.program.declarations.clips import play
 from antdsl.program.model import Expr, Kind, Type
 from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, listed, type_from_words
 from antdsl.program.tables.vocabulary import GIVEN
+from antdsl.program.types.arguments import place
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
 from antdsl.program.types.operators import faced, value, wanted
 from antdsl.program.types.pair_values import each_of
-from antdsl.program.types.places import place
 from antdsl.source import Span
 from antdsl.syntax import nodes
 

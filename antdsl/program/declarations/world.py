@@ -66,10 +66,7 @@ def _thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
         return
     if kind not in ("items", "species") and item.attributes:
         report.error(
-            "wrong-kind",
-            f"{kind} `{name}` has no values",
-            item.attributes[0].span,
-            "only `items` and `species` have attributes",
+            "wrong-kind", f"{kind} `{name}` has no values", item.attributes[0].span, "only `items` and `species` have attributes"
         )
     if known is None and not free(report, item.name):
         return

@@ -198,13 +198,7 @@ _ROWS = (
         "a painted number where the agent stands",
         (
             Builtin(
-                (Arg("of", "map"),),
-                "number",
-                "what is painted here",
-                "map_value",
-                "value",
-                "value",
-                cost=Cost(10, "map {thing}"),
+                (Arg("of", "map"),), "number", "what is painted here", "map_value", "value", "value", cost=Cost(10, "map {thing}")
             ),
         ),
     ),
@@ -215,11 +209,7 @@ _ROWS = (
         "gradient noise at the agent's place and time: cells of a size (first), which of its patterns, seconds a cell lasts",
         (
             Builtin(
-                (
-                    Arg("scale", "length", above=0),
-                    Arg("seed", "number", "0", whole=True),
-                    Arg("period", "time", "1 s", above=0),
-                ),
+                (Arg("scale", "length", above=0), Arg("seed", "number", "0", whole=True), Arg("period", "time", "1 s", above=0)),
                 "number",
                 "a smooth function of place and time, -1 to 1 and about 0: hills `scale` apart, others after a `period`",
                 "noise",
@@ -336,13 +326,7 @@ WORDS = (
         sample="velocity(nearest(rabbit))",
     ),
     Builtin(
-        (Arg("x", "place"),),
-        "bool",
-        "its room meets that thing",
-        "touching",
-        sense=True,
-        cost=_NEAR,
-        sample="touching(nest)",
+        (Arg("x", "place"),), "bool", "its room meets that thing", "touching", sense=True, cost=_NEAR, sample="touching(nest)"
     ),
     Builtin(
         (Arg("from", "place"), Arg("floor", "length")),

@@ -100,10 +100,7 @@ _ROWS = (
         snippet="{painted: ${1:ground.ply}, attribute: ${2:damp}}",
     ),
     KindOfThing(
-        "species",
-        "animals that another file describes",
-        "world { species beetle { hunger = 0 } }",
-        typed="a species by its name",
+        "species", "animals that another file describes", "world { species beetle { hunger = 0 } }", typed="a species by its name"
     ),
 )
 KINDS_OF_THINGS: dict[str, KindOfThing] = {row.word: row for row in _ROWS}

@@ -14,12 +14,11 @@ from antdsl.program.tables.other_words import instead_of_call
 from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.tables.units import product, scaled
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_SENSES, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
-from antdsl.program.types.arguments import Slot, arranged, type_all
+from antdsl.program.types.arguments import Slot, arranged, place, type_all
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
 from antdsl.program.types.expressions import MAY_BE_NONE, THINGS, Known
 from antdsl.program.types.folding import constant_behind, fold
 from antdsl.program.types.operators import as_value, count, draw_site, value
-from antdsl.program.types.places import place
 from antdsl.program.types.sets import SETS, reduce
 from antdsl.source import Span
 from antdsl.syntax import nodes

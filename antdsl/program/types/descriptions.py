@@ -24,11 +24,7 @@ _KINDS: dict[Kind, str] = {
 }
 # Things that are named and are no value, so that something must be asked of them.
 _THINGS = frozenset(Kind(word) for word in KINDS_OF_THINGS) - {Kind(each.args[0].type) for each in spoken("value")}
-_VECTORS: dict[Dim, str] = {
-    Dim(): "a push or direction",
-    Dim(length=1): "a position",
-    Dim(length=1, time=-1): "a velocity",
-}
+_VECTORS: dict[Dim, str] = {Dim(): "a push or direction", Dim(length=1): "a position", Dim(length=1, time=-1): "a velocity"}
 
 
 def type_words(type: Type) -> str:

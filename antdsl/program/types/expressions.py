@@ -6,21 +6,7 @@ from dataclasses import dataclass
 
 from antdsl import limits
 from antdsl.diagnostics import Fix
-from antdsl.program.model import (
-    Attribute,
-    Binding,
-    Const,
-    Expr,
-    Kind,
-    Local,
-    NoneRef,
-    Op,
-    ParamRef,
-    Rate,
-    SetOf,
-    Thing,
-    Type,
-)
+from antdsl.program.model import Attribute, Binding, Const, Expr, Kind, Local, NoneRef, Op, ParamRef, Rate, SetOf, Thing, Type
 from antdsl.program.names.missing import missing_thing
 from antdsl.program.names.scope import BAD, BOOL, Scope, attributes_of, bad, did_you_mean, listed, told_before, type_from_words
 from antdsl.program.tables.other_words import NAMES

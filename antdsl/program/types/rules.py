@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from antdsl.program.model import Expr
-from antdsl.program.types import calls, clips, expressions, operators, pair_values
+from antdsl.program.types import calls, expressions, operators, pair_values, states
 from antdsl.syntax import nodes
 
 RULES: Mapping[type, Callable[..., Expr]] = {
@@ -22,7 +22,7 @@ RULES: Mapping[type, Callable[..., Expr]] = {
     nodes.Unary: operators.unary,
     nodes.Binary: operators.binary,
     nodes.IsNone: operators.is_none,
-    nodes.ClipTest: clips.clip_test,
+    nodes.ClipTest: states.clip_test,
     nodes.IfElse: operators.if_else,
     nodes.Call: calls.call,
 }

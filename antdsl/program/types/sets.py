@@ -9,11 +9,10 @@ from antdsl.program.names.scope import BOOL, LENGTH, NUMBER, Scope, bad, type_fr
 from antdsl.program.tables.defaults import default_of
 from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.traverse import bindings_in
-from antdsl.program.types.arguments import Slot, arranged, type_all
+from antdsl.program.types.arguments import Slot, arranged, nearest_of, one_of, type_all
 from antdsl.program.types.descriptions import mismatch, quoted, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, count, value, wanted
-from antdsl.program.types.places import nearest_of, one_of
 from antdsl.syntax import nodes
 
 _THINGS = (Kind.ITEMS, Kind.SPECIES)

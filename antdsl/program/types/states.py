@@ -1,10 +1,10 @@
-"""Asking for states: `state == carry`, `mood.state`, `n.state`, `time_in_state`."""
+"""Asking for states and clips: `state == carry`, `mood.state`, `n.state`, `time_in_state`; `clip done`, `clip at MARK`."""
 
 from __future__ import annotations
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.model import Attribute, Expr, Kind, Rate, StateConst, Thing, Type
-from antdsl.program.names.scope import TIME, MachineNames, Scope, bad, did_you_mean, listed, told_before
+from antdsl.program.model import Attribute, ClipTest, Expr, Kind, Rate, StateConst, Thing, Type
+from antdsl.program.names.scope import BOOL, TIME, MachineNames, Scope, bad, did_you_mean, listed, told_before
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -87,3 +87,21 @@ def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]
     advice = did_you_mean(name.text, known, f"`{species}` has the states {listed(known)}" if known else None)
     scope.report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)
     return meant
+
+
+def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
+    """`clip done`, `clip at MARK`: of the machine that the place belongs to, or the first."""
+    names = scope.species
+    if names is None or not names.machines or scope.behaviour is not None:
+        scope.report.error(
+            "unknown-name", "no clip is known here", node.span, "ask in a state of a species, `when clip done -> …`"
+        )
+        return bad(node.span)
+    if not node.at and node.name.text != "done":
+        scope.report.error(
+            "unknown-name", f"`clip {node.name.text}` says nothing of a clip", node.span,
+            f"write `clip done`, or for a mark `clip at {node.name.text}`",
+        )  # fmt: skip
+        return bad(node.span)
+    machine = scope.machine or next(iter(names.machines.values()))
+    return ClipTest(BOOL, Rate.AGENT, node.span, machine.name, node.name.text if node.at else "")

@@ -14,7 +14,7 @@ from typing import Any
 
 from antdsl.numerics.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.plan import ir
-from antdsl.plan.register_reads import early_loads, kept_senses, written
+from antdsl.plan.registers import early_loads, kept_senses, written
 from antdsl.plan.traverse import needed, operands, placed
 from antdsl.runtime.pairs import only_the_nearest
 from antdsl.runtime.world import DTYPES

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.numerics.float_environment import be_standard
 from antdsl.plan import ir
-from antdsl.plan.register_reads import kept_senses, places
+from antdsl.plan.registers import kept_senses, places
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import (

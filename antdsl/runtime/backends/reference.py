@@ -17,7 +17,7 @@ from antdsl import limits
 from antdsl.numerics import exact_sums
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
-from antdsl.plan.register_reads import early_loads, places
+from antdsl.plan.registers import early_loads, places
 from antdsl.plan.traverse import needed
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime.requests import Asked, ClaimEntry, Effects, FaultEntry, GiveEntry

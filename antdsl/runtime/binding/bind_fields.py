@@ -14,8 +14,8 @@ from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.plan import ir
 from antdsl.runtime.binding.reuse import Built
+from antdsl.scene.field_settings import largest_stable_diffusion
 from antdsl.scene.setting import FieldStart, MeshData
-from antdsl.scene.stability import largest_stable_diffusion
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
@@ -47,11 +47,7 @@ def bind_fields(
                 report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
                 continue
         field = PheromoneField(
-            cells[key],
-            "max" if plan.combine == "max" else "add",
-            limit,
-            plan.stencil,
-            deposits_first=plan.deposits == "first",
+            cells[key], "max" if plan.combine == "max" else "add", limit, plan.stencil, deposits_first=plan.deposits == "first"
         )
         start = world.setting.field_start.get(plan.name)
         if start is not None:

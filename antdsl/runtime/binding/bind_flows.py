@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.casting.curves import resampled
 from antdsl.diagnostics import Report
-from antdsl.fields.face_points import Lattice, LatticeTooFine, welded
+from antdsl.fields.face_points import Lattice, LatticeTooFine, cell_of, flow_cuts, welded
 from antdsl.fields.flow import Flow, Map, Source, falling, laid, nearest, spread
 from antdsl.fields.path_cost import Land
 from antdsl.fields.solved import Grounds, Solved, least_cost
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.protocol import Flags, Floats, Index, Meshes
-from antdsl.runtime.binding.flow_cells import cell_of, flow_cuts
 from antdsl.runtime.binding.reuse import Built
 from antdsl.runtime.moving.obstacles import mesh_of
 from antdsl.scene.setting import BorderFlow, FlowData, Painted, SolvedFlow, SpreadFlow, Target

@@ -32,8 +32,7 @@ from antdsl.runtime.feet import walking
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.moving.moving_geometry import curve
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
-from antdsl.scene.origin import world_origin
-from antdsl.scene.setting import FlowData, MeshData, Setting
+from antdsl.scene.setting import FlowData, MeshData, Setting, world_origin
 
 
 class BindError(ValueError):

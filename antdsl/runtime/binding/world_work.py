@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl import limits
-from antdsl.fields.face_points import Floats, LatticeTooFine, slots_of
-from antdsl.runtime.binding.flow_cells import flow_cuts
+from antdsl.fields.face_points import Floats, LatticeTooFine, flow_cuts, slots_of
 from antdsl.scene.geometry.meshes import mesh_area
 from antdsl.scene.setting import MeshData, Painted, Setting
 

@@ -10,21 +10,7 @@ import numpy as np
 
 from antdsl.casting.grid_rays import AHEAD, Grid, fetch_rays, first_hit
 from antdsl.casting.tolerances import FURTHER
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I16,
-    I32,
-    I64,
-    U8,
-    Array1,
-    Array2,
-    Array3,
-    inlined,
-    kernel,
-    scratch,
-)
+from antdsl.machine_code.kernels import BOOL, F32, F64, I16, I32, I64, U8, Array1, Array2, Array3, inlined, kernel, scratch
 from antdsl.numerics.kernel_vectors import dot, minus, of, put
 from antdsl.runtime.feet.bodies import body_at
 from antdsl.runtime.feet.gaits import HIP, REACHED, SINK

@@ -14,36 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I16,
-    I64,
-    U8,
-    Array1,
-    Array2,
-    Array3,
-    independent,
-    inlined,
-    kernel,
-)
+from antdsl.machine_code.kernels import BOOL, F32, F64, I16, I64, U8, Array1, Array2, Array3, independent, inlined, kernel
 from antdsl.numerics.kernel_vectors import dot, minus
 from antdsl.runtime.feet import trunk
 from antdsl.runtime.feet.bodies import body_at, orthonormal_axes, to_body, to_world
-from antdsl.runtime.feet.gaits import (
-    FOOT_Y,
-    HIP,
-    LENGTH,
-    MOST_CYCLES,
-    OFF,
-    REACH,
-    REACHED,
-    REST_X,
-    REST_Z,
-    SINK,
-    gait_at,
-)
+from antdsl.runtime.feet.gaits import FOOT_Y, HIP, LENGTH, MOST_CYCLES, OFF, REACH, REACHED, REST_X, REST_Z, SINK, gait_at
 from antdsl.runtime.feet.state import NOTHING, STANDS
 
 _F = np.float32

@@ -6,4 +6,4 @@ the ground under their feet, with heads (`heads`) out of walls. `orienting` says
 something else than the ground's normal. `falling` lets those drop whose ground was dug away; `moving_geometry` carries agents
 with things that move; `walks` leads those whom the scene leads. `contacts` parts bodies that overlap, once all species have
 walked: `capsules` and `capsule_distances` measure pairs, `cutting` cuts steps into others, `separation` parts pairs,
-`corrections` walks what parting asks for, `rounds` says for which agents that is not enough."""
+`corrections` walks what parting asks for and says for which agents that is not enough."""

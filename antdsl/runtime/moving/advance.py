@@ -27,17 +27,18 @@ from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Footing, Ground, Move
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import Columns, Vector
 from antdsl.runtime.moving.falling import in_the_air
-from antdsl.runtime.moving.headings import AT_ONCE, FACE, STANDS, share
 from antdsl.runtime.moving.heads import RAISED
-from antdsl.runtime.moving.least_speed import LEAST, no_slower
 from antdsl.runtime.moving.obstacles import slide, slowed
 from antdsl.runtime.moving.orienting import orient
 from antdsl.runtime.moving.rises import find_walls
 from antdsl.runtime.moving.strides import Held, Outset, glide, set_out, stride
 from antdsl.runtime.moving.tilting import Posture, TurnLimits, follow, pace
 from antdsl.runtime.moving.velocities import (
+    AT_ONCE,
+    FACE,
+    STANDS,
     Abilities,
     Arrival,
     Bodies,
@@ -49,10 +50,12 @@ from antdsl.runtime.moving.velocities import (
     Times,
     Walked,
     arrive,
+    share,
 )
-from antdsl.runtime.moving.walks import led, walks_of
+from antdsl.runtime.moving.walks import is_led, led, walks_of
 from antdsl.runtime.world import Population, World
 
+LEAST = "min_speed"  # a register of those species alone that ask for it
 _F = np.float32
 _ON_FACES = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
 _ARRIVING = 64  # agents who are let arrive by themselves, for whom a thread pays
@@ -242,3 +245,17 @@ class _Crowd:
     def _arrive(self, rows: NDArray[np.intp], walked: Walked, arrival: Arrival) -> None:
         work = partial(arrive, rows, walked, arrival)
         parallel.in_parts(work, len(rows), self.threads, _ARRIVING)
+
+
+def no_slower(world: World, population: Population, step: Vector, up: Columns, dt: np.float32) -> Vector:
+    """Steps (mm) that obstacles have bent: of those who have to keep moving as long as the least speed asks for along the same
+    way, if that is free."""
+    now = population.now
+    if LEAST not in now or not world.plan.of_kind("obstacle"):
+        return step
+    size, wanted = vec.length(step), np.minimum(np.maximum(now[LEAST], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt
+    short = (size > _F(1e-9)) & (size < wanted * _F(0.999)) & ~population.quarantined & ~is_led(world, population)
+    if not short.any():
+        return step
+    longer = vec.scale(step, np.where(short, wanted / np.where(size > 0, size, _F(1)), _F(0)))
+    return vec.choose(short, slide(world, population, longer, up, now["radius"]), step)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from antdsl.numerics import elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot
-from antdsl.runtime.moving import cutting, rounds
+from antdsl.runtime.moving import corrections, cutting
 from antdsl.runtime.moving.capsules import Crowd, Near, find
 from antdsl.runtime.moving.corrections import Corrections, Feet, came, stands
 from antdsl.runtime.moving.separation import DEAD, FINE, arrays, faced, parted
@@ -93,18 +93,18 @@ def resolve(world: World, began: Stood, dt: float) -> None:
     work = arrays(len(near.rows), len(near.i))
     for left in range(effort.rounds - 1, -1, -1):
         asked = _apart(near, agents, which, held, walked, deep, effort, share, cut, work)
-        some, wanted = rounds.led(asked)
+        some, wanted = corrections.led(asked)
         rows = near.rows.take(some)
         got = walking.walk(rows, wanted)
         _note_pushes(crowd, rows, cut, some, wanted, got)
         if not left:
             break
         cut, held = np.zeros_like(cut), held.copy()
-        touched = rounds.missed(near, some, wanted, got, held)
+        touched = corrections.missed(near, some, wanted, got, held)
         if not touched.any():
             break
         near.measure(cut, touched)
-        seen = rounds.visible(near, touched)
+        seen = corrections.visible(near, touched)
         if seen is None:
             break
         which = seen

@@ -15,7 +15,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.elementary_loops import atan2
 from antdsl.numerics.kernel_vectors import VectorColumns, cross, dot, minus, of, plus, times
 from antdsl.numerics.vectors import Vector
-from antdsl.runtime.moving.headings import FACE, STANDS
+from antdsl.runtime.moving.velocities import FACE, STANDS
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]

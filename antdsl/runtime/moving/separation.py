@@ -7,19 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F64,
-    I64,
-    Array1,
-    Array2,
-    Array3,
-    Strided2,
-    called,
-    independent,
-    inlined,
-    kernel,
-)
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, called, independent, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, put, times
 from antdsl.numerics.sorting import listed
 from antdsl.runtime.moving.capsule_distances import Bodies, measured_some

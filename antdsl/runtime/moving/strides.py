@@ -8,17 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl.ground.mesh.stretches import finish
-from antdsl.ground.mesh.walk import (
-    DONE,
-    LEFT_OUT,
-    ROWS_AHEAD,
-    WAITS,
-    bring_near,
-    counted,
-    keep,
-    put_down,
-    walked,
-)  # fmt: skip
+from antdsl.ground.mesh.walk import DONE, LEFT_OUT, ROWS_AHEAD, WAITS, bring_near, counted, keep, put_down, walked  # fmt: skip
 from antdsl.ground.mesh.walkers import Clearances, Placed, Surface
 from antdsl.ground.plane import straight
 from antdsl.machine_code.kernels import (
@@ -37,10 +27,9 @@ from antdsl.machine_code.kernels import (
     three,
 )  # fmt: skip
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
-from antdsl.runtime.moving.headings import STANDS
 from antdsl.runtime.moving.rises import WIDEST, half_of
 from antdsl.runtime.moving.tilting import stood
-from antdsl.runtime.moving.velocities import Abilities, Arrival, Drive, PushTimes, arrived, pushed
+from antdsl.runtime.moving.velocities import STANDS, Abilities, Arrival, Drive, PushTimes, arrived, pushed
 
 _F = np.float32
 _ZERO = _F(0)

@@ -48,8 +48,8 @@ from antdsl.numerics.kernel_vectors import (
     unit,
 )  # fmt: skip
 from antdsl.numerics.vectors import Vector
-from antdsl.runtime.moving.headings import LEANS, STANDS
 from antdsl.runtime.moving.rises import find_walls, reaches
+from antdsl.runtime.moving.velocities import LEANS, STANDS
 from antdsl.runtime.world import Population, World
 
 # Of walls: normal and direction ahead (3, k), angle, how far, over how much.

@@ -4,5 +4,5 @@ Counts in a file are held against its size before anything is allocated, and a r
 judged first. `meshes` chooses a reader by the file's ending: `obj_file`, `ply` and `ply_body`, `stl_file`, `gltf_mesh`, `usd`.
 `mesh_text` is the tokenizer of text files, `polygons` the triangulator of all, `import_notes` what a reader left out or changed.
 `points` and `arrays` read places and .npz files, `painted` reads values on vertices. `closed` tells whether triangles close to a
-body, `welding` moves near vertices to one place, `live_faces` says which triangles are ground, `matrices` applies transforms with
+body, `live_faces` says which triangles are ground, `matrices` applies transforms with
 every sum written out."""

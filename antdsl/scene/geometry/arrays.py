@@ -1,4 +1,5 @@
-"""Reading of NPZ files with suspicion, from bytes or an open archive: no pickle, no compression, sizes held against the file.
+"""Arrays of files: values as float64, and NPZ files read with suspicion, from bytes or an open archive: no pickle, no
+compression, sizes held against the file.
 
 The layout is NumPy's own (NEP 1 inside an uncompressed zip): what `numpy.savez` writes can be read here."""
 
@@ -77,3 +78,9 @@ def parse_npy(data: bytes, name: str) -> NDArray[Any]:
     if len(shape) > 8 or prod(shape) * dtype.itemsize != len(data) - 10 - length:
         raise ArrayFileError(f"has an array `{name}` with a shape that does not fit its size")
     return np.frombuffer(data, dtype, offset=10 + length).reshape(shape)
+
+
+def to_float64(values: NDArray[Any]) -> NDArray[np.float64]:
+    """A copy as float64. NumPy would warn of a signalling NaN in it; readers check that values are finite."""
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.float64)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics.model import printable
-from antdsl.numerics.float64 import to_float64
+from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.polygons import strip_triangles
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -25,11 +25,7 @@ _EXPORT = "export it again, as glTF 2.0"
 _NODES = 65_536
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives
 # What a reader must know to understand a file at all. Others change how it looks, and are passed over.
-_COMPRESSED = {
-    "KHR_draco_mesh_compression": "Draco",
-    "EXT_meshopt_compression": "meshopt",
-    "KHR_meshopt_compression": "meshopt",
-}
+_COMPRESSED = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt", "KHR_meshopt_compression": "meshopt"}
 _HARMLESS = (
     "KHR_mesh_quantization",
     "KHR_texture_transform",

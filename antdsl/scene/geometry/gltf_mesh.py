@@ -25,7 +25,7 @@ from antdsl.scene.geometry.gltf_file import (
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import after, applied, determinant, of_parts, still
 from antdsl.scene.geometry.mesh_text import VERTICES, MeshError
-from antdsl.scene.geometry.polygon_mesh import PolygonMesh
+from antdsl.scene.geometry.polygons import PolygonMesh
 
 Floats = NDArray[np.float64]
 Beside = Callable[[str, int], bytes]

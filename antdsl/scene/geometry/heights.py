@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.numerics.float64 import to_float64
-from antdsl.scene.geometry.arrays import ArrayFileError, read_archive
+from antdsl.scene.geometry.arrays import ArrayFileError, read_archive, to_float64
 from antdsl.scene.geometry.mesh_text import MeshError
 
 Floats = NDArray[np.float64]

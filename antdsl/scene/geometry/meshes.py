@@ -18,8 +18,7 @@ from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.obj_file import read_obj
 from antdsl.scene.geometry.ply import HeaderError
 from antdsl.scene.geometry.ply_body import read_ply
-from antdsl.scene.geometry.polygon_mesh import PolygonMesh
-from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
+from antdsl.scene.geometry.polygons import PolygonMesh, TooManyCorners, triangulate
 from antdsl.scene.geometry.stl_file import read_stl
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.setting import MeshData

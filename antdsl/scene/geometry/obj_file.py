@@ -21,7 +21,7 @@ from antdsl.scene.geometry.mesh_text import (
     plain_text,
     shown,
 )
-from antdsl.scene.geometry.polygon_mesh import PolygonMesh
+from antdsl.scene.geometry.polygons import PolygonMesh
 
 # Keywords without geometry: names, looks, numbers that belong to vertices.
 _SILENT = frozenset(b"vn vt g o s mg usemtl mtllib usemap maplib shadow_obj trace_obj lod bevel c_interp d_interp".split())

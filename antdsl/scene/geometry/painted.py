@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.numerics.float64 import to_float64
-from antdsl.scene.geometry.arrays import ArrayFileError, read_arrays
+from antdsl.scene.geometry.arrays import ArrayFileError, read_arrays, to_float64
 from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
 from antdsl.scene.geometry.ply_body import read_columns
 

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.numerics.float64 import to_float64
+from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_text import Block, MeshError, blocks, plain_text, shown
 from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
-from antdsl.scene.geometry.polygon_mesh import PolygonMesh
-from antdsl.scene.geometry.polygons import strip_triangles
+from antdsl.scene.geometry.polygons import PolygonMesh, strip_triangles
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]

@@ -267,3 +267,18 @@ def strip_triangles(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
     found[odd] = found[odd][:, [1, 0, 2]]
     apart = (found[:, 0] != found[:, 1]) & (found[:, 1] != found[:, 2]) & (found[:, 0] != found[:, 2])
     return np.asarray(found[apart & (since[2:] >= 2)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolygonMesh:
+    """`points` float64[n, 3] in the file's units; `counts` int64[p]: corners of each polygon; `indices` int64[counts.sum()]: the
+    point of each corner, which a reader need not have checked."""
+
+    points: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    indices: NDArray[np.int64]
+
+    @staticmethod
+    def of_triangles(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> PolygonMesh:
+        """A mesh of triangles (m, 3)."""
+        return PolygonMesh(points, np.full(len(triangles), 3), triangles.reshape(-1))

@@ -8,11 +8,11 @@ import struct
 import numpy as np
 
 from antdsl import limits
-from antdsl.numerics.float64 import to_float64
+from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import different
 from antdsl.scene.geometry.mesh_text import Floats, MeshError, Whole, blocks, check_count, check_text, plain_text, shown
-from antdsl.scene.geometry.polygon_mesh import PolygonMesh
+from antdsl.scene.geometry.polygons import PolygonMesh
 
 _HEAD, _FACE = 84, 50  # bytes before the first face, and of each
 _BEFORE_SOLID = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*")

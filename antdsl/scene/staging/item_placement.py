@@ -90,10 +90,7 @@ def check_crowds(
 
 
 def beside(
-    place: stage_of.PlaceData,
-    surfaces: Mapping[str, stage_of.MeshData],
-    solids: Mapping[str, stage_of.SolidData],
-    up: str,
+    place: stage_of.PlaceData, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData], up: str
 ) -> bool:
     """Whether no surface lies below or above the disc in which a crowd is to begin, or in its ball where it begins by area."""
     if place.around is None or place.radius is None:

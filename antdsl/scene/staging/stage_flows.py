@@ -134,9 +134,7 @@ def _unknown(report: Report, scene: Scene, path: tuple[str, ...], what: str, nam
 
 
 def stage_flows(
-    staging: Staging,
-    items: Mapping[str, tuple[stage_of.ItemData, ...]],
-    curves: Mapping[str, NDArray[np.float64]],
+    staging: Staging, items: Mapping[str, tuple[stage_of.ItemData, ...]], curves: Mapping[str, NDArray[np.float64]]
 ) -> tuple[dict[str, stage_of.FlowData], dict[str, stage_of.Painted]]:
     """All flows and maps of a scene, by name."""
     flows: dict[str, stage_of.FlowData] = {}

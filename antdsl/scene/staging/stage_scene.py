@@ -27,26 +27,11 @@ from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, sound, with
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
-from antdsl.scene.model import (
-    UNIT_MM,
-    CurveThing,
-    HeightThing,
-    MeshThing,
-    UsdCamera,
-    UsdThing,
-    millimetres,
-)
+from antdsl.scene.model import UNIT_MM, CurveThing, HeightThing, MeshThing, UsdCamera, UsdThing, millimetres
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.item_placement import check_crowds, items_of
-from antdsl.scene.staging.mesh_imports import (
-    check_live,
-    close_solid,
-    mesh_imports,
-    report_distances,
-    report_losses,
-    weld_thing,
-)
+from antdsl.scene.staging.mesh_imports import check_live, close_solid, mesh_imports, report_distances, report_losses, weld_thing
 from antdsl.scene.staging.moves import MeshMoves, Moves
 from antdsl.scene.staging.size_checks import check_cells, check_scale, refuse_if_many
 from antdsl.scene.staging.stage_crowd import length, place, point, walk
@@ -152,9 +137,7 @@ def stage(
     camera = usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
     starts = {
         name: stage_of.FieldStart(
-            start.start,
-            point(staging, places, start.around, start.radius, "fields", name),
-            length(scene, start.radius),
+            start.start, point(staging, places, start.around, start.radius, "fields", name), length(scene, start.radius)
         )
         for name, start in model.fields.items()
     }

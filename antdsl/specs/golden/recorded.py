@@ -22,8 +22,7 @@ from antdsl.bounded import TooLarge, read_bounded
 from antdsl.program.model import Program
 from antdsl.runtime import World, state_hash
 from antdsl.specs.cases import Run
-from antdsl.specs.golden.differences import Difference, differences
-from antdsl.specs.golden.fingerprints import columns, digest
+from antdsl.specs.golden.fingerprints import Difference, columns, differences, digest
 from antdsl.whole import write_whole
 
 STATIONS = 48

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.plan.lowering import clips, pair_values
-from antdsl.plan.lowering.rules import chance, logic, numbers, places, senses, vectors
+from antdsl.plan.lowering.rules import chance, logic, numbers, places, senses
 from antdsl.plan.lowering.sets import gather, reduce
 from antdsl.plan.lowering.values import Value
 from antdsl.plan.lowering.writer import Rules, Writer
@@ -13,7 +13,7 @@ from antdsl.program import model
 
 OPERATIONS: dict[str, Callable[[Writer, model.Op], Value]] = {
     **numbers.RULES,
-    **vectors.RULES,
+    **numbers.VECTOR_RULES,
     **logic.RULES,
     **chance.RULES,
     **places.RULES,

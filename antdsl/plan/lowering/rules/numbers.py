@@ -1,4 +1,4 @@
-"""Rules for numbers, and for the signs that numbers share with vectors."""
+"""Rules for numbers and vectors, and for the signs that they share. A vector is three nodes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, scalar, single
+from antdsl.plan.lowering.expressions import lower, scalar, single, vector
 from antdsl.plan.lowering.values import Value, Vec
 from antdsl.plan.lowering.writer import Writer
 from antdsl.plan.simplify import value
@@ -153,4 +153,58 @@ RULES = {
     "abs": _plain("abs"), "floor": _plain("floor"), "sqrt": _plain("sqrt"), "sin": _plain("sin"), "cos": _plain("cos"),
     "exp": _plain("exp"), "log": _plain("log"), "min": _plain("min"), "max": _plain("max"),
     "clamp": _clamp, "ramp": _ramp, "mix": _mix, "rising": _rising, "falling": _falling, "around": _around,
+}  # fmt: skip
+
+
+def _length(w: Writer, e: model.Op) -> Value:
+    return values.length(w.b, vector(w, e.args[0]))  # type: ignore[arg-type]
+
+
+def _unit(w: Writer, e: model.Op) -> Value:
+    return values.unit(w.b, vector(w, e.args[0]))  # type: ignore[arg-type]
+
+
+def _pair(w: Writer, e: model.Op) -> tuple[Vec, Vec]:
+    return vector(w, e.args[0]), vector(w, e.args[1])  # type: ignore[arg-type]
+
+
+def _dot(w: Writer, e: model.Op) -> Value:
+    return values.dot(w.b, *_pair(w, e))
+
+
+def _cross(w: Writer, e: model.Op) -> Value:
+    return values.cross(w.b, *_pair(w, e))
+
+
+def _angle(w: Writer, e: model.Op) -> Value:
+    return values.angle_between(w.b, *_pair(w, e))
+
+
+def _way(w: Writer, e: model.Expr) -> Vec:
+    """A direction of length 1; `up` and `heading` are so already."""
+    if isinstance(e, model.Attribute) and e.of is None and e.name in ("up", "heading"):
+        return vector(w, e)
+    return values.unit(w.b, vector(w, e))
+
+
+def _rotate(w: Writer, e: model.Op) -> Value:
+    return values.rotate(w.b, vector(w, e.args[0]), _way(w, e.args[1]), scalar(w, e.args[2]))  # type: ignore[arg-type]
+
+
+def _project(w: Writer, e: model.Op) -> Value:
+    way = _way(w, e.args[1])  # type: ignore[arg-type]
+    return values.scale(w.b, way, values.dot(w.b, vector(w, e.args[0]), way))  # type: ignore[arg-type]
+
+
+def _limit(w: Writer, e: model.Op) -> Value:
+    return values.limit(w.b, vector(w, e.args[0]), scalar(w, e.args[1]))  # type: ignore[arg-type]
+
+
+def _vector(w: Writer, e: model.Op) -> Value:
+    return Vec(*(scalar(w, a) for a in e.args if a is not None))
+
+
+VECTOR_RULES = {
+    "length": _length, "unit": _unit, "dot": _dot, "cross": _cross, "angle": _angle, "rotate": _rotate, "project": _project,
+    "limit": _limit, "vector": _vector,
 }  # fmt: skip

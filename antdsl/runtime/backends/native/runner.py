@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
-from antdsl.numerics.cores import EACH, cores
+from antdsl.numerics.host import EACH, cores
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, PAIRS, POPULATION, THREADS, WORLD, Does, Instruction, Scope
 from antdsl.runtime.backends.metering import Metered
@@ -76,13 +76,7 @@ class Block:
         firsts = range(0, len(bounds), len(lanes))
         self._rounds = [Round(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
 
-    def _timed(
-        self,
-        world: World,
-        population: Population,
-        values: dict[ir.Node, Any],
-        timed: Metered,
-    ) -> list[tuple[int, int]]:
+    def _timed(self, world: World, population: Population, values: dict[ir.Node, Any], timed: Metered) -> list[tuple[int, int]]:
         lines, chunks, began = self.code.lines, self._rounds[0].chunks, perf_counter()
         for each in chunks:
             each.times = None if lines is None else Times(lines, each.lane.ticks, timed.lane())

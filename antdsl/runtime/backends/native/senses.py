@@ -12,7 +12,7 @@ from antdsl.machine_code.kernels.values import text_type
 from antdsl.machine_code.kinds import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.numerics import randomness
-from antdsl.numerics.philox import UNIT
+from antdsl.numerics.randomness import UNIT
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Lower, Writer
 from antdsl.runtime.backends.native.fours import quadruples

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 from antdsl.diagnostics.model import printable
-from antdsl.reader.refusal import Refusal
+from antdsl.reader.protocol import Refusal
 
 _NO_MEMORY = ("failed to map segment", "annot allocate memory")  # what loaders of libraries say without memory
 _SESSION = re.compile(r",@anon:0x[0-9a-fA-F]+:[^@]*-session\.\w+@")  # a layer that USD adds to each stage

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.reader import client, confinement
-from antdsl.reader.protocol import Message, ProtocolError
-from antdsl.reader.refusal import Refusal
+from antdsl.reader.protocol import Message, ProtocolError, Refusal
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.closure import Closure
 from antdsl.scene.geometry.usd.errors import UsdError, missing_extra

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from antdsl.reader.refusal import Refusal
+from antdsl.reader.protocol import Refusal
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.errors import pxr, words_of
 

@@ -1,0 +1,124 @@
+"""What can only be told of a definition as a whole: that what its parts name is there, that deformers have what they need, and
+how long it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from antdsl import limits
+from antdsl.bodies.agents.boxes import rest_box
+from antdsl.bodies.agents.definition import Binding, Definition, Shape
+from antdsl.bodies.files.definition_document import Parts, Place
+from antdsl.bodies.files.definition_parts import check_legs, misnamed
+from antdsl.bodies.files.documents import DEFORMERS, DOCUMENTED_DEFORMERS
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.source import Span
+
+
+def whole(parts: Parts, report: Report) -> Definition | None:
+    """The definition with its length measured where none is given; None where one of the complaints is an error."""
+    found = parts.definition
+    sound = report.ok  # else a shape may be missing only because its file could not be read
+    _sizes(found, parts.whole, report)
+    for name, layer in found.layers.items():
+        for binding in (*layer.static, *layer.deforming):
+            _binding(found, binding, parts.layers.get(name), report, sound)
+    for name, group in found.groups.items():
+        place = parts.groups.get(name)
+        for joint, _ in group.members:
+            if joint not in found.rig.names:
+                _unknown(report, place, "joint", joint, found.rig.names)
+        channels = [each.name for each in found.rig.channels]
+        for channel in group.channels:
+            if channel not in channels:
+                _unknown(report, place, "channel", channel, channels, warn=True)
+    for shape in found.shapes.values():
+        _shape(found, shape, parts.whole, report)
+    for what, name, span, known in misnamed(found.variation, found.groups, found.materials, parts.varied):
+        near = nearest_name(name, known)
+        report.error("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
+    check_legs(found, parts.walking, report)
+    if not report.ok:
+        return None
+    return _measured(found, parts, report)
+
+
+def _sizes(found: Definition, place: Span | None, report: Report) -> None:
+    points = sum(len(shape.points) for shape in found.shapes.values())
+    if points > limits.BODY_POINTS:
+        words = f"the shapes have {points:,} points together, more than {limits.BODY_POINTS:,}"
+        report.error("too-large", words, place, "use lighter meshes")
+    size = sum(c.translation.nbytes + c.rotation.nbytes + c.scale.nbytes + c.values.nbytes for c in found.clips.values())
+    if size > limits.CLIP_BYTES:
+        report.error("too-large", f"the clips take more than {limits.CLIP_BYTES:,} bytes", place, "give fewer samples a second")
+    for what, named in (("shapes", found.shapes), ("layers", found.layers), ("clips", found.clips)):
+        if len(named) > limits.BODY_PARTS:
+            report.error("too-large", f"there are more than {limits.BODY_PARTS:,} {what}", place, None)
+
+
+def _unknown(report: Report, place: Place | None, what: str, name: str, known: object, *, warn: bool = False) -> None:
+    near = nearest_name(name, known)  # type: ignore[arg-type]
+    say = report.warning if warn else report.error
+    span = place.of(name) if place else None
+    say("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
+
+
+def _binding(found: Definition, binding: Binding, place: Place | None, report: Report, sound: bool) -> None:
+    if binding.transform and binding.transform not in found.rig.names:
+        _unknown(report, place, "joint", binding.transform, found.rig.names)
+    shape = found.shapes.get(binding.shape)
+    if shape is None and sound:
+        _unknown(report, place, "shape", binding.shape, found.shapes)
+    if binding.deformer and binding.deformer not in DOCUMENTED_DEFORMERS:
+        near = nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
+        words = f"no deformer `{binding.deformer[:60]}` comes with antdsl"
+        span = place.of(binding.deformer) if place else None
+        report.warning("unknown-name", words, span, f'write `"{near}"`' if near else "one of your own has to be registered")
+    elif shape is not None and binding.deformer:
+        span = place.of(binding.deformer) if place else None
+        if binding.deformer.rpartition("+")[2] in DEFORMERS and shape.capture is None:
+            words = f"no point of `{shape.name}` follows a joint, and `{binding.deformer}` needs that"
+            report.error("bad-body", words, span, "take the shape from a glTF or USD file with a skin, or bind it under `static`")
+        if binding.deformer.startswith("blendshape") and shape.blend is None:
+            words = f"`{shape.name}` has no shapes to blend, and `{binding.deformer}` needs them"
+            help = "take it from a file with morph targets, or add `blendshape_shapenames` and `blendshape_channels`"
+            report.error("bad-body", words, span, help)
+
+
+def _shape(found: Definition, shape: Shape, place: Span | None, report: Report) -> None:
+    if shape.capture is not None:
+        missing = [name for name in shape.capture.names if name not in found.rig.names]
+        if missing:
+            near = nearest_name(missing[0], found.rig.names)
+            words = f"points of `{shape.name}` follow the joint `{missing[0][:60]}`, which the rig does not have"
+            report.error(
+                "unknown-name", words, place, f"did you mean `{near}`?" if near else "give the rig the joints of the skin"
+            )
+    channels = [each.name for each in found.rig.channels]
+    blended = shape.blend.shapes if shape.blend else shape.between.shapes if shape.between else ()
+    for name in blended:
+        if name not in found.shapes:
+            near = nearest_name(name, found.shapes)
+            words = f"`{shape.name}` blends with the shape `{name[:60]}`, which is not there"
+            report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else None)
+    for name in shape.blend.channels if shape.blend else ():
+        if name not in channels:
+            near = nearest_name(name, channels)
+            words = f"`{shape.name}` blends by the channel `{name[:60]}`, which the rig does not have"
+            report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else "add it to the rig's `channels`")
+
+
+def _measured(found: Definition, parts: Parts, report: Report) -> Definition | None:
+    if not parts.measured:
+        return found
+    with np.errstate(all="ignore"):
+        least, most = rest_box(found)
+        length = float((np.abs(most - least) * np.abs(np.array(found.front))).sum())
+    if not np.isfinite(length) or length <= 1e-9:
+        words = "the body has no length that could be measured along its front"
+        report.warning("missing-key", words, parts.whole, 'add `"length": 1` to its definition')
+        return replace(found, length=1.0)
+    return replace(found, length=length)

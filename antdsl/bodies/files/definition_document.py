@@ -1,0 +1,388 @@
+"""A definition file: JSON of our own that names the parts of an agent definition, each inside the file in its documented form or
+as `{"file": "rig.json"}`, a path below the file's folder or a granted root."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from antdsl import limits
+from antdsl.bodies.agents.definition import Clip, Definition, Rig
+from antdsl.bodies.files import definition_parts
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.clip_document import read_clip, read_marks
+from antdsl.bodies.files.definition_parts import Places, VariationPlaces, read_gaits, read_legs, read_metadata
+from antdsl.bodies.files.documents import read_group, read_layer, read_rig
+from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, ending
+from antdsl.bodies.files.shape_references import read_includes, read_shapes
+from antdsl.scene.model import UNIT_MM
+from antdsl.source import Span
+
+KNOWN = (
+    "antdsl_body", "name", "from", "front", "up", "units", "length", "rig", "shapes", "shapelib_includes", "layers", "clips",
+    "groups", "metadata", "materials", "legs", "gaits", "idle", "variation",
+)  # fmt: skip
+_UNIT = re.compile(rf"(?:(\d{{1,6}}(?:\.\d{{1,9}})?) )?({'|'.join(UNIT_MM)})")
+_AXES = {sign + letter: np.eye(3)[axis] * (1 if sign == "+" else -1) for axis, letter in enumerate("xyz") for sign in "+-"}
+_OF_CLIP = ("file", "clip", "name", "loop", "stride", "marks", "feet", "rate", "prim")
+T = TypeVar("T")
+Axis = tuple[float, float, float]
+
+
+@dataclass(slots=True)
+class Place:
+    """A part's own text: the values it was read by and the node it was read from."""
+
+    values: Values
+    node: Node
+
+    def of(self, *texts: str) -> Span:
+        """Where the first of some texts stands in the part; the part's own place where none does."""
+        waiting = [self.node]
+        while waiting:
+            node = waiting.pop(0)
+            if isinstance(node.value, str) and node.value in texts:
+                return self.values.span(node)
+            if isinstance(node.value, dict):
+                waiting += node.value.values()
+            elif isinstance(node.value, list) and not node.numbers:
+                waiting += [each for each in node.value if isinstance(each, Node)]
+        return self.values.head(self.node)
+
+
+@dataclass(slots=True)
+class Parts:
+    """A definition that was read, and where its parts stand; `measured`: whether its length is still to be."""
+
+    definition: Definition
+    layers: dict[str, Place] = field(default_factory=dict)
+    groups: dict[str, Place] = field(default_factory=dict)
+    walking: Places = field(default_factory=Places)
+    varied: VariationPlaces = field(default_factory=dict)
+    whole: Span | None = None
+    measured: bool = True
+
+
+def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Parts | None:
+    """The definition in a file, less what can only be told of the whole of it."""
+    if _is_part(values, node):
+        return None
+    entries = values.object(node, "a definition", KNOWN, {"antdsl_body": "1"})
+    if entries is None or not values.version(entries, "antdsl_body", 1):
+        return None
+    base = _base(values, entries, files, name)
+    rig = _one(values, entries.get("rig"), "a rig", read_rig, files)[0] if "rig" in entries else base.rig if base else None
+    if rig is None:
+        if "rig" not in entries and "from" not in entries:
+            words = "a definition has joints: a `rig`, or a file to take all of it `from`"
+            values.report.error("missing-key", words, values.head(node), 'add `"rig": {"file": "rig.json"}`')
+        return None
+    base = base or Definition(name, rig)
+    base = replace(base, rig=rig, name=values.text(entries.get("name"), "the name of the body") or base.name)
+    unit = _unit(values, entries.get("units"), base.unit)
+    base = replace(base, unit=unit)
+    front, up = _axes(values, entries, base)
+    base = replace(base, front=front, up=up)
+    shapes, materials = dict(base.shapes), dict(base.materials)
+    if "materials" in entries:
+        materials |= _materials(values, entries["materials"])
+    if "shapelib_includes" in entries:
+        read_includes(values, entries["shapelib_includes"], files, shapes, materials)
+    if "shapes" in entries:
+        read_shapes(values, entries["shapes"], files, unit, shapes, materials)
+    parts = Parts(base, whole=values.head(node))
+    layers = _all(values, entries.get("layers"), "a layer", read_layer, files, lambda each: each.name, parts.layers)
+    groups = _all(values, entries.get("groups"), "a transform group", read_group, files, lambda each: each.name, parts.groups)
+    clips = _clips(values, entries.get("clips"), files, rig, dict(base.clips))
+    metadata = dict(base.metadata)
+    if "metadata" in entries:
+        metadata |= _one(values, entries["metadata"], "metadata", read_metadata, files)[0] or {}
+    length = values.number(entries.get("length"), "a length", 1e-9)
+    parts.measured = length is None
+    if "variation" in entries:
+        base = replace(base, variation=definition_parts.read_variation(values, entries["variation"], parts.varied))
+    parts.definition = replace(
+        base, shapes=shapes, materials=materials, layers={**base.layers, **layers}, groups={**base.groups, **groups},
+        clips=clips, metadata=metadata, length=length or base.length, **_walking(values, entries, parts.walking),
+    )  # fmt: skip
+    return parts
+
+
+def _walking(values: Values, entries: Mapping[str, Node], places: Places) -> dict[str, Any]:
+    """The legs, gaits and idle clip that a file names."""
+    found: dict[str, Any] = {}
+    for key, read in (("legs", read_legs), ("gaits", read_gaits)):
+        if key in entries:
+            found[key] = read(values, entries[key], places)
+    if "idle" in entries:
+        found["idle"] = values.text(entries["idle"], "the name of a clip") or ""
+        places.spans["idle",] = values.span(entries["idle"])
+    return found
+
+
+# Keys by which a part in a file of its own is known, with what it is and how a definition names it.
+_SIGNS = (
+    ("rig_version", "a rig", '"rig": {"file": "…"}'),
+    ("antdsl_clip", "a clip", '"clips": [{"file": "…"}]'),
+    ("static", "a layer", '"layers": [{"file": "…"}]'),
+    ("deforming", "a layer", '"layers": [{"file": "…"}]'),
+    ("members", "a transform group", '"groups": [{"file": "…"}]'),
+    ("asset", "glTF", '"from": "body.gltf"'),
+)
+
+
+def _is_part(values: Values, node: Node) -> bool:
+    """Complains of a file that is a part of a definition, and not one."""
+    if not isinstance(node.value, dict) or "antdsl_body" in node.value:
+        return False
+    for key, what, line in _SIGNS:
+        if key in node.value:
+            words = f"this is {what}, not a definition, which names it as one of its parts"
+            values.report.error("wrong-kind", words, values.key(node, key), f'write a file `{{"antdsl_body": 1, {line}}}`')
+            return True
+    return False
+
+
+def _base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: str) -> Definition | None:
+    """The definition of a glTF or USD file that all else is added to."""
+    node = entries.get("from")
+    if node is None:
+        return None
+    inner: Mapping[str, Node] | None = {"file": node}
+    if isinstance(node.value, dict):
+        inner = values.object(node, "a file to begin from", ("file", "prim", "rate"), {"file": '"body.glb"'})
+    path = values.text((inner or {}).get("file"), "the path of a glTF or USD file")
+    if inner is None or path is None:
+        return None
+    place = values.span(inner["file"])
+    if files.closed(path, place):
+        return None
+    if ending(path) not in (*GLTF, *USD):
+        kinds = ", ".join(f".{kind}" for kind in (*GLTF, *USD))
+        files.report.error("wrong-kind", f"`{path[-80:]}` has no joints", place, f"one of {kinds} is read here")
+        return None
+    prim = values.text(inner.get("prim"), "the path of a prim") or ""
+    rate = values.number(inner.get("rate"), "samples a second", 1.0, 1000.0) or 0.0
+    found = files.body(path, place, prim, rate)
+    return None if found is None else replace(found, name=name)
+
+
+def _file(values: Values, node: Node) -> tuple[str, Span] | None:
+    """The path of a part that lies in a file of its own: an object with `file` and nothing else."""
+    if not isinstance(node.value, dict) or set(node.value) != {"file"}:
+        return None
+    path = values.text(node.value["file"], "the path of a file")
+    return None if path is None else (path, values.span(node.value["file"]))
+
+
+def _one(
+    values: Values, node: Node | None, what: str, read: Callable[[Values, Node], T], files: BodyFiles
+) -> tuple[T | None, Place | None]:
+    """A part, inside the file or in one of its own, and where it stands."""
+    if node is None:
+        return None, None
+    named = _file(values, node)
+    if named is None:
+        return read(values, node), Place(values, node)
+    kept: list[Node] = []
+
+    def noted(inside: Values, top: Node) -> T:
+        kept.append(top)
+        return read(inside, top)
+
+    found, inside = files.part(named[0], what, noted, named[1])
+    return found, Place(inside, kept[0]) if inside is not None and kept else None
+
+
+def _all(
+    values: Values, node: Node | None, what: str, read: Callable[[Values, Node], T | None], files: BodyFiles,
+    name: Callable[[T], str], places: dict[str, Place],
+) -> dict[str, T]:  # fmt: skip
+    """The parts of a list by name, each of which may lie in a file of its own."""
+    found: dict[str, T] = {}
+    for each in _counted(values, node, f"{what.partition(' ')[2]}s"):
+        part, place = _one(values, each, what, read, files)
+        if part is None or place is None:
+            continue
+        own = name(part)
+        if own in found:
+            values.twice(each, f"there are two {what.partition(' ')[2]}s `{own}`", places[own].values.head(places[own].node))
+            continue
+        found[own], places[own] = part, place
+    return found
+
+
+def _counted(values: Values, node: Node | None, what: str) -> list[Node]:
+    items = [] if node is None else values.items(node, what)
+    if node is not None and len(items) > limits.BODY_PARTS:
+        values.report.error("too-large", f"there are more than {limits.BODY_PARTS:,} {what}", values.head(node), None)
+        return []
+    return items
+
+
+# ---- clips
+
+
+def _clips(values: Values, node: Node | None, files: BodyFiles, rig: Rig, found: dict[str, Clip]) -> dict[str, Clip]:
+    """The clips of a list: inside the file, in files of their own, out of glTF or USD files, or those of `from` with other
+    settings."""
+    first: dict[str, Span] = {}
+    for each in _counted(values, node, "clips"):
+        if isinstance(each.value, dict) and "antdsl_clip" not in each.value:
+            entries = values.object(each, "a clip", _OF_CLIP)
+            new = _referred_clips(values, each, entries, files, rig, found) if entries is not None else []
+        else:
+            clip = read_clip(values, each, rig)
+            new = [clip] if clip is not None else []
+        for clip in new:
+            if clip.name in first or (clip.name in found and _brings_its_own(each)):
+                labelled = first.get(clip.name, values.head(node)) if node is not None else values.head(each)
+                values.twice(each, f"there are two clips `{clip.name}`", labelled)
+                continue
+            found[clip.name], first[clip.name] = clip, values.head(each)
+    return found
+
+
+def _brings_its_own(node: Node) -> bool:
+    return isinstance(node.value, dict) and ("file" in node.value or "antdsl_clip" in node.value)
+
+
+def _referred_clips(
+    values: Values, node: Node, entries: Mapping[str, Node], files: BodyFiles, rig: Rig, own: dict[str, Clip]
+) -> list[Clip]:
+    wanted = values.text(entries.get("clip"), "the name of a clip")
+    place = values.head(node)
+    if "file" in entries:
+        path = values.text(entries["file"], "the path of a file")
+        if path is None:
+            return []
+        place = values.span(entries["file"])
+        clips = _clips_of(values, entries, path, place, files, rig)
+    elif wanted is None:
+        values.report.error("missing-key", "a clip has no `file`", place, 'add `"file": "walk.json"`, or `"clip": "Walk"`')
+        return []
+    else:
+        clips = own
+    if wanted is not None:
+        if wanted not in clips:
+            values.unknown(values.span(entries["clip"]), "clip", wanted, clips)
+            return []
+        clips = {wanted: clips[wanted]}
+    if "file" not in entries and wanted is not None:
+        own.pop(wanted)
+    name = values.text(entries.get("name"), "the name of a clip")
+    if name is not None and len(clips) > 1:
+        words = f"a name is given, and the file has {len(clips)} clips"
+        values.report.error("wrong-value", words, values.span(entries["name"]), f'add `"clip": "{next(iter(clips))}"`')
+        return []
+    made = []
+    for clip in clips.values():
+        stride = values.number(entries.get("stride"), "a stride", 0.0)
+        made.append(
+            replace(
+                clip,
+                name=name or clip.name,
+                loop=values.truth(entries.get("loop"), "whether the clip loops", clip.loop),
+                stride=clip.stride if stride is None else stride,
+                marks=read_marks(values, entries["marks"], clip.duration) if "marks" in entries else clip.marks,
+                feet=values.truth(entries.get("feet"), "whether feet stand while it plays", clip.feet),
+            )
+        )
+    return made
+
+
+def _clips_of(values: Values, entries: Mapping[str, Node], path: str, place: Span, files: BodyFiles, rig: Rig) -> dict[str, Clip]:
+    """The clips of a file: one of a text, all of a glTF or USD file, less the joints that the rig does not have."""
+    if ending(path) not in (*GLTF, *USD):
+        if ending(path) != "json" and not files.closed(path, place):
+            kinds = ", ".join(f".{kind}" for kind in ("json", *GLTF, *USD))
+            files.report.error("wrong-kind", f"`{path[-80:]}` is no file of clips", place, f"one of {kinds} is read")
+        if ending(path) != "json":
+            return {}
+        clip, _ = files.part(path, "a clip", lambda inside, node: read_clip(inside, node, rig), place)
+        return {} if clip is None else {clip.name: clip}
+    prim = values.text(entries.get("prim"), "the path of a prim") or ""
+    rate = values.number(entries.get("rate"), "samples a second", 1.0, 1000.0) or 0.0
+    body = files.body(path, place, prim, rate, rig)
+    found = {}
+    for name, clip in (body.clips if body else {}).items():
+        found[name] = _of_rig(files, clip, rig, place)
+    return found
+
+
+def _of_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
+    """A clip of another file for this rig: joints and channels that it does not have are told of and left out."""
+    names, channels = set(rig.names), {each.name for each in rig.channels}
+    joints = [number for number, joint in enumerate(clip.joints) if joint in names]
+    numbers = [number for number, channel in enumerate(clip.channels) if channel in channels]
+    strangers = [joint for joint in clip.joints if joint not in names] + [c for c in clip.channels if c not in channels]
+    if not strangers:
+        return clip
+    shown = ", ".join(f"`{each[:40]}`" for each in strangers[:4]) + (" …" if len(strangers) > 4 else "")
+    words = f"the clip `{clip.name}` moves what the rig does not have: {shown}"
+    files.report.warning("body-left-out", words, place)
+    return replace(
+        clip, joints=tuple(clip.joints[k] for k in joints), translation=clip.translation[:, joints],
+        rotation=clip.rotation[:, joints], scale=clip.scale[:, joints],
+        shear=None if clip.shear is None else clip.shear[:, joints],
+        channels=tuple(clip.channels[k] for k in numbers), values=clip.values[:, numbers],
+    )  # fmt: skip
+
+
+# ---- axes, units, colours
+
+
+def unit_mm(text: object) -> float:
+    """Return the millimetres of a unit of lengths such as `mm` or `6 mm`, 0 where a text is none."""
+    found = _UNIT.fullmatch(text) if isinstance(text, str) else None
+    return float(found[1] or 1) * UNIT_MM[found[2]] if found else 0.0
+
+
+def _unit(values: Values, node: Node | None, otherwise: float) -> float:
+    if node is None:
+        return otherwise
+    unit = unit_mm(node.value)
+    if not unit:
+        known = ", ".join(f"`{unit}`" for unit in UNIT_MM)
+        words = f"the unit of lengths is one of {known}, or a number of them"
+        values.report.error("wrong-value", words, values.span(node), 'write `"mm"`, or `"6 mm"`')
+        return otherwise
+    return unit
+
+
+def _axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tuple[Axis, Axis]:
+    """The axes that a body looks along and stands along."""
+    found = {"front": base.front, "up": base.up}
+    for key in found:
+        node = entries.get(key)
+        if node is None:
+            continue
+        if not isinstance(node.value, str) or node.value not in _AXES:
+            letter = node.value if isinstance(node.value, str) and f"+{node.value}" in _AXES else "z" if key == "front" else "y"
+            words = f"`{key}` is one of the axes `+x` `-x` `+y` `-y` `+z` `-z`"
+            values.report.error("wrong-value", words, values.span(node), f'write `"+{letter}"`')
+            continue
+        x, y, z = _AXES[node.value].tolist()
+        found[key] = (x, y, z)
+    if any(a and b for a, b in zip(found["front"], found["up"], strict=True)):
+        node = entries.get("up", entries.get("front"))
+        place = values.span(node) if node is not None else None
+        values.report.error("wrong-value", "a body looks and stands along the same axis", place, 'write `"up": "+y"`')
+    return found["front"], found["up"]
+
+
+def _materials(values: Values, node: Node) -> dict[str, tuple[float, float, float]]:
+    if not isinstance(node.value, dict):
+        values.wrong(node, "an object of base colours", 'write `{"NAME": [0.5, 0.4, 0.3]}`')
+        return {}
+    found = {}
+    for name, each in node.value.items():
+        colour = values.numbers(each, "a colour", 3, 0.0, 1.0)
+        if colour is not None:
+            found[name] = (float(colour[0]), float(colour[1]), float(colour[2]))
+    return found

@@ -1,0 +1,278 @@
+"""Parts of a definition file that only antdsl has: legs with their gaits, variation, and metadata.
+
+In: values of the JSON tree. Out: parts of a `Definition`. What needs the complete definition is checked after it was read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+from antdsl import limits
+from antdsl.bodies.agents.definition import Colour, Definition, Gait, Leg, Variation
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.json_text import Node
+from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.source import Span
+
+VariationPlaces = dict[tuple[str, str], Span]
+_LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # times as large as in the rest pose
+
+
+_LEG = {"name": '"left"', "upper": '"…"', "lower": '"…"', "foot": '"…"'}
+_GAIT = {"name": '"walk"', "speed": "10", "stride": "5", "duty": "0.6", "lift": "0.5", "phases": "[0, 0.5]"}
+
+
+@dataclass(slots=True)
+class Places:
+    """Where legs, gaits and their values stand in a file; those of a cache stand nowhere."""
+
+    spans: dict[tuple[str, ...], Span] = field(default_factory=dict)
+
+    def of(self, *path: str) -> Span | None:
+        """The place of `legs NAME KEY`, `gaits NAME KEY` or `idle`; of what it is in where it has none of its own."""
+        while path and path not in self.spans:
+            path = path[:-1]
+        return self.spans.get(path)
+
+
+def read_legs(values: Values, node: Node, places: Places) -> tuple[Leg, ...]:
+    """The list `legs`: each with a name of its own and the joints `upper`, `lower` and `foot`."""
+    found: dict[str, Leg] = {}
+    places.spans["legs",] = values.head(node)
+    for entries, each in _entries(values, node, "legs", "a leg", _LEG, limits.LEGS):
+        texts = {key: values.text(entries[key], f"the {'name' if key == 'name' else 'joint'} of a leg") for key in _LEG}
+        name, upper, lower, foot = (texts[key] for key in _LEG)
+        if name is None or upper is None or lower is None or foot is None:
+            continue
+        if name in found:
+            values.twice(entries["name"], f"there are two legs `{name}`", places.spans["legs", name, "name"])
+            continue
+        found[name] = Leg(name, upper, lower, foot)
+        _note(values, places, ("legs", name), each, entries)
+    return tuple(found.values())
+
+
+def read_gaits(values: Values, node: Node, places: Places) -> tuple[Gait, ...]:
+    """The list `gaits`, from slow to fast whatever the order in the file."""
+    found: dict[str, Gait] = {}
+    places.spans["gaits",] = values.head(node)
+    for entries, each in _entries(values, node, "gaits", "a gait", _GAIT, limits.GAITS):
+        name = values.text(entries["name"], "the name of a gait")
+        speed = values.number(entries["speed"], "a speed", 0.0)
+        stride = values.number(entries["stride"], "a stride", limits.LEAST_STRIDE)
+        duty = values.number(entries["duty"], "the share of the cycle that a foot stands", *limits.DUTY)
+        lift = values.number(entries["lift"], "how high a foot swings", 0.0)
+        phases = values.numbers(entries["phases"], "phases of the legs", least=0.0, most=1.0)
+        if name is None or speed is None or stride is None or duty is None or lift is None or phases is None:
+            continue
+        if name in found:
+            values.twice(entries["name"], f"there are two gaits `{name}`", places.spans["gaits", name, "name"])
+            continue
+        found[name] = Gait(name, speed, stride, duty, lift, tuple(phases.tolist()))
+        _note(values, places, ("gaits", name), each, entries)
+    return tuple(sorted(found.values(), key=lambda gait: gait.speed))
+
+
+def _entries(
+    values: Values, node: Node, what: str, one: str, needed: dict[str, str], most: int
+) -> list[tuple[Mapping[str, Node], Node]]:
+    """The objects of a list that have all that is needed."""
+    items = values.items(node, what)
+    if len(items) > most:
+        values.report.error("too-large", f"a body has at most {most:,} {what}", values.head(node), None)
+        return []
+    read = ((values.object(each, one, tuple(needed), needed), each) for each in items)
+    return [(entries, each) for entries, each in read if entries is not None and all(key in entries for key in needed)]
+
+
+def _note(values: Values, places: Places, path: tuple[str, ...], node: Node, entries: Mapping[str, Node]) -> None:
+    places.spans[path] = values.head(node)
+    for key, inner in entries.items():
+        places.spans[*path, key] = values.head(inner) if isinstance(inner.value, list) else values.span(inner)
+
+
+# ---- checks
+
+
+def check_legs(found: Definition, places: Places, report: Report) -> None:
+    """Complains of legs whose joints are not there or do not hang below each other, of gaits that do not fit the legs, and of an
+    idle clip that is not there."""
+    for leg in found.legs:
+        _leg(found, leg, places, report)
+    for gait in found.gaits:
+        if len(gait.phases) != len(found.legs):
+            count = len(found.legs)
+            words = f"`{gait.name}` has {len(gait.phases)} phases, and the body has {count} leg{'' if count == 1 else 's'}"
+            help = "give a phase for each leg, in the order of `legs`" if count else 'add `"legs": […]`'
+            report.error("wrong-value", words, places.of("gaits", gait.name, "phases"), help)
+    for slow, fast in pairwise(found.gaits):
+        if not slow.speed < fast.speed:
+            words = f"the gaits `{slow.name}` and `{fast.name}` have the same speed"
+            labels = [Label(place, "here first") for place in (places.of("gaits", slow.name, "speed"),) if place is not None]
+            place = places.of("gaits", fast.name, "speed")
+            report.error("wrong-value", words, place, "give each its own, or delete one", labels=tuple(labels))
+    if found.legs and not found.gaits:
+        line = 'add `"gaits": [{"name": "walk", "speed": …, "stride": …, "duty": 0.6, "lift": …, "phases": […]}]`'
+        report.warning("missing-key", "the body has legs and no gait, so they follow the clips alone", places.of("legs"), line)
+    if found.idle and found.idle not in found.clips:
+        near = nearest_name(found.idle, found.clips)
+        words = f"there is no clip `{found.idle[:60]}`"
+        report.error("unknown-name", words, places.of("idle"), f'write `"{near}"`' if near else None)
+
+
+def _leg(found: Definition, leg: Leg, places: Places, report: Report) -> None:
+    names = found.rig.names
+    known = True
+    for key, joint in (("upper", leg.upper), ("lower", leg.lower), ("foot", leg.foot)):
+        if joint not in names:
+            near = nearest_name(joint, names)
+            words, help = f"there is no joint `{joint[:60]}`", f'write `"{near}"`' if near else None
+            report.error("unknown-name", words, places.of("legs", leg.name, key), help)
+            known = False
+    if not known:
+        return
+    for key, above, below in (("lower", leg.upper, leg.lower), ("foot", leg.lower, leg.foot)):
+        if above not in above_of(found, below):
+            words = f"`{below[:60]}` does not hang below `{above[:60]}`"
+            report.error("bad-rig", words, places.of("legs", leg.name, key), "name joints from the hip down: upper, lower, foot")
+
+
+def above_of(found: Definition, joint: str) -> list[str]:
+    """The joints above one, the nearest first."""
+    names, parents = found.rig.names, found.rig.parents
+    way: list[str] = []
+    number = int(parents[names.index(joint)])
+    while number >= 0 and len(way) < len(names):
+        way.append(names[number])
+        number = int(parents[number])
+    return way
+
+
+def read_variation(values: Values, node: Node, places: VariationPlaces) -> Variation:
+    """`{"scale": {"head": [0.9, 1.2]}, "materials": {"fur": [[0.4, 0.3, 0.2], [0.1, 0.1, 0.1]]}}` of a definition file."""
+    entries = values.object(node, "variation", ("scale", "materials")) or {}
+    scales: dict[str, tuple[float, float]] = {}
+    for name, each in _named(values, entries.get("scale"), "scales", '{"head": [0.9, 1.2]}'):
+        ends = values.numbers(each, "the least and the greatest scale", 2, _LEAST_SCALE, _MOST_SCALE)
+        if ends is not None:
+            scales[name] = (float(min(ends)), float(max(ends)))
+            places["scale", name] = values.span(each)
+    materials: dict[str, tuple[Colour, ...]] = {}
+    for name, each in _named(values, entries.get("materials"), "colours", '{"fur": [[0.4, 0.3, 0.2], [0.1, 0.1, 0.1]]}'):
+        found = [values.numbers(colour, "a colour", 3, 0.0, 1.0) for colour in values.items(each, "colours")]
+        given = [(float(c[0]), float(c[1]), float(c[2])) for c in found if c is not None]
+        if len(given) == len(found) and 2 <= len(given) <= limits.BODY_PARTS:
+            materials[name] = tuple(given)
+            places["materials", name] = values.span(each)
+        elif len(given) == len(found):
+            words = f"{len(given)} colours for `{name}` are no way that a colour may lie on"
+            values.report.error("wrong-count", words, values.head(each), "write two colours, or more")
+    return Variation(scales, materials)
+
+
+def misnamed(
+    variation: Variation, groups: Iterable[str], materials: Iterable[str], places: VariationPlaces
+) -> list[tuple[str, str, Span | None, list[str]]]:
+    """What it names that the definition does not have: what that is, its name, where it stands, and what there is."""
+    found = []
+    for key, what, named, known in (
+        ("scale", "transform group", variation.scales, sorted(groups)),
+        ("materials", "material", variation.materials, sorted(materials)),
+    ):
+        found += [(what, name, places.get((key, name)), known) for name in named if name not in known]
+    return found
+
+
+def _named(values: Values, node: Node | None, what: str, sample: str) -> Iterable[tuple[str, Node]]:
+    if node is None:
+        return ()
+    if not isinstance(node.value, dict):
+        values.wrong(node, f"an object of {what} by name", f"write `{sample}`")
+        return ()
+    return node.value.items()
+
+
+@dataclass(frozen=True, slots=True)
+class Typed:
+    """A value whose type is written beside it: an object with the keys `type` and `value`, and no other."""
+
+    type: str
+    value: Any
+
+
+# Types with the number of numbers that a value has; 0: one that is no list of numbers.
+_TYPES = {
+    "int": 0, "float": 0, "string": 0, "dict": 0, "array": 0, "vector2": 2, "vector": 3, "vector3": 3, "vector4": 4,
+    "quaternion": 4, "matrix2": 4, "matrix3": 9, "matrix": 16, "matrix4": 16,
+}  # fmt: skip
+
+
+def read_metadata(values: Values, node: Node) -> dict[str, Any]:
+    """The entries of a metadata document; what is wrong is told of and left out."""
+    if not isinstance(node.value, dict):
+        values.wrong(node, "metadata, which is an object `{ … }`,", None)
+        return {}
+    return _plain_entries(values, node.value)
+
+
+def _plain_entries(values: Values, entries: Mapping[str, Node]) -> dict[str, Any]:
+    return {key: _value(values, each) for key, each in entries.items()}
+
+
+def _value(values: Values, node: Node) -> Any:
+    if isinstance(node.value, bool) or node.value is None:
+        help = f"write `{int(node.value)}`" if node.value is not None else "leave the key out"
+        values.wrong(node, "a text, a number, a list or an object", help)
+        return 0
+    if isinstance(node.value, list):
+        return list(node.value) if node.numbers else [_value(values, each) for each in values.nodes(node)]
+    if isinstance(node.value, dict):
+        if set(node.value) == {"type", "value"}:
+            return _typed(values, node.value)
+        return _plain_entries(values, node.value)
+    return node.value
+
+
+def _typed(values: Values, entries: Mapping[str, Node]) -> Typed | None:
+    kind, inner = entries["type"], entries["value"]
+    name = values.text(kind, "the name of a type")
+    value = _value(values, inner)
+    if name is None:
+        return None
+    if name not in _TYPES:
+        values.unknown(values.span(kind), "type of metadata", name, _TYPES, warn=True)
+    elif not _fits(name, value):
+        count = _TYPES[name]
+        if count and isinstance(value, list):
+            words = f"a value of the type `{name}` is a list of {count} numbers"
+            values.report.error("wrong-value", words, values.head(inner), None)
+            return Typed(name, value)
+        wanted = f"a list of {count} numbers" if count else f"a value of the type `{name}`"
+        whole = isinstance(value, float) and name == "int"
+        values.wrong(inner, wanted, f"write `{round(value)}`, or the type `float`" if whole else None)
+    return Typed(name, value)
+
+
+def _fits(name: str, value: Any) -> bool:
+    count = _TYPES[name]
+    if count:
+        numbers = isinstance(value, list) and all(isinstance(each, int | float) for each in value)
+        return numbers and len(value) == count
+    wanted = {"int": int, "float": int | float, "string": str, "dict": dict, "array": list}[name]
+    return isinstance(value, wanted)
+
+
+def plain_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """Metadata as JSON has it: typed values as objects with their type."""
+    return {key: _plain(value) for key, value in metadata.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Typed):
+        return {"type": value.type, "value": _plain(value.value)}
+    if isinstance(value, Mapping):
+        return plain_metadata(value)
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value

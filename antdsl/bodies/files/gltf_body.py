@@ -1,0 +1,172 @@
+"""A glTF file as an agent definition: nodes are joints, meshes shapes, morph targets blend shapes, animations clips.
+
+Kept of the nodes are the joints of skins, what is animated, what holds a mesh, and all above them, so that the world transform of
+a joint is that of its node. Khronos Group, glTF 2.0 Specification, 2021, sections 3.5, 3.7 and 3.11."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.definition import Binding, BodyError, Definition, Layer, Rig
+from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
+from antdsl.bodies.files.gltf_clips import read_clips
+from antdsl.bodies.files.gltf_shapes import GltfBody, read_shape, rigid, unused
+from antdsl.scene.geometry.gltf_file import Gltf, GltfError, node_parents, nodes_below, scene_roots
+
+Floats = NDArray[np.float64]
+LAYER = "body"
+_EXPORT = "export it again, as glTF 2.0"
+
+
+def read_gltf(
+    data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None = None
+) -> tuple[Definition, list[str]]:
+    """Return the definition in a file's bytes, and sentences about what of it is not read.
+
+    Animations are sampled about `rate` times a second, so that each ends on a sample; what they do not key stays as in the rest
+    pose of the file, or of `pose` for the joints that it has. `beside(path, cap)` reads a file beside it. Raises BodyError."""
+    with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
+        try:
+            return _read(data, name, beside, rate, pose)
+        except GltfError as why:
+            raise BodyError(str(why), why.help, why.code or "bad-body") from None
+
+
+def _read(
+    data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None
+) -> tuple[Definition, list[str]]:
+    body = GltfBody(Gltf(data, beside))
+    parents = node_parents(body.file)
+    kept = _kept(body.file, parents)
+    body.joint = _unique_names(body.file, kept)
+    rig = _rig(body, kept, parents)
+    layer = _layer(body)
+    rig = replace(rig, channels=tuple(body.channels.values()))
+    clips = read_clips(body.file, body.joint, body.weights, _posed(rig, pose), rate)
+    found = Definition(
+        name, rig, body.shapes, {LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
+        materials=body.materials, front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), unit=1000.0,
+    )  # fmt: skip
+    return found, list(body.left_out)
+
+
+# ---- rig
+
+
+def _kept(file: Gltf, parents: list[int]) -> list[int]:
+    """The nodes that become joints, parents before children, as the file's scene has them."""
+    nodes = file.top("nodes")
+    roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
+    wanted: set[int] = set()
+    for number in nodes_below(file, roots):
+        if "mesh" in nodes[number] and "skin" not in nodes[number]:
+            wanted.add(number)
+    for skin in file.top("skins"):
+        wanted.update(file.number_of(joint, "node", len(nodes)) for joint in file.listed(skin, "joints"))
+    for animation in file.top("animations"):
+        for channel in file.objects(animation, "channels"):
+            target = file.object(channel, "target")
+            node = file.index(target, "node", len(nodes))
+            if node is not None and target.get("path") != "weights":
+                wanted.add(node)
+    for number in list(wanted):
+        above = parents[number]
+        while above >= 0 and above not in wanted:
+            wanted.add(above)
+            above = parents[above]
+    if not wanted:
+        wanted.update(roots[:1])
+    if not wanted:
+        raise BodyError("has no nodes", _EXPORT)
+    if len(wanted) > limits.JOINTS:
+        raise BodyError(f"has {len(wanted):,} joints, more than {limits.JOINTS:,}", code="too-large")
+    tops = [number for number in wanted if parents[number] < 0]
+    order = sorted(tops, key=lambda number: (number not in roots, roots.index(number) if number in roots else number))
+    return [number for number in nodes_below(file, order) if number in wanted]
+
+
+def _unique_names(file: Gltf, kept: list[int]) -> dict[int, str]:
+    found: dict[int, str] = {}
+    taken: set[str] = set()
+    for number in kept:
+        name = unused(file.name(file.top("nodes")[number], f"node{number}"), taken)
+        taken.add(name)
+        found[number] = name
+    return found
+
+
+def _rig(body: GltfBody, kept: list[int], parents: list[int]) -> Rig:
+    place = {number: count for count, number in enumerate(kept)}
+    rest = np.array([local_matrix(body.file, body.file.top("nodes")[number]) for number in kept]).reshape(-1, 4, 4)
+    return Rig(
+        tuple(body.joint[number] for number in kept),
+        np.array([place.get(parents[number], -1) for number in kept], np.int32),
+        rest,
+    )
+
+
+def _posed(rig: Rig, pose: Rig | None) -> Rig:
+    """Return a rig with the rest pose of the joints of another one that have the same names."""
+    if pose is None:
+        return rig
+    rest, known = rig.rest.copy(), {name: number for number, name in enumerate(pose.names)}
+    for number, name in enumerate(rig.names):
+        if name in known:
+            rest[number] = pose.rest[known[name]]
+    return replace(rig, rest=rest)
+
+
+def local_matrix(file: Gltf, node: dict[str, Any]) -> Floats:
+    """The matrix float64[4, 4] of a node."""
+    if "matrix" in node:
+        found = file.floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
+        return np.concatenate([found[:3], [[0.0, 0.0, 0.0, 1.0]]])
+    translation, rotation, scale = local_parts(file, node)
+    return matrix_of(translation, rotation, scale)
+
+
+def local_parts(file: Gltf, node: dict[str, Any]) -> tuple[Floats, Floats, Floats]:
+    """Translation, rotation and scale of a node that has no matrix."""
+    rotation = unit_quaternion(file.floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)))
+    return file.floats(node, "translation", (0.0, 0.0, 0.0)), rotation, file.floats(node, "scale", (1.0, 1.0, 1.0))
+
+
+# ---- shapes
+
+
+def _layer(body: GltfBody) -> Layer:
+    """The layer of all meshes, which are read into shapes on the way."""
+    file = body.file
+    nodes, meshes, skins = file.top("nodes"), file.top("meshes"), file.top("skins")
+    known: dict[tuple[int, ...], str] = {}
+    static, deforming = [], []
+    roots = scene_roots(file)
+    shown = nodes_below(file, roots) if roots else list(range(len(nodes)))
+    for number in shown:
+        node = nodes[number]
+        mesh, skin = file.index(node, "mesh", len(meshes)), file.index(node, "skin", len(skins))
+        if mesh is None:
+            continue
+        morphs = any("targets" in each for each in file.objects(meshes[mesh], "primitives"))
+        key = (mesh, -1 if skin is None else skin, number if morphs else -1)
+        if key not in known:
+            name = unused(file.name(meshes[mesh], file.name(node, f"mesh{mesh}")), body.shapes)
+            if not read_shape(body, name, meshes[mesh], None if skin is None else skins[skin], node):
+                continue
+            known[key] = name
+        shape = body.shapes[known[key]]
+        if shape.blend is not None:
+            body.weights[number] = shape.blend.channels
+        if skin is None and not morphs:
+            static.append(Binding(body.joint[number], shape.name))
+            continue
+        if skin is None:
+            body.shapes[shape.name] = replace(shape, capture=rigid(body.joint[number], len(shape.points)))
+        deforming.append(Binding("", shape.name, deformer="blendshape+linearskinning" if morphs else "linearskinning"))
+    return Layer(LAYER, tuple(static), tuple(deforming))

@@ -1,0 +1,143 @@
+"""An agent definition as a glTF 2.0 file: joints are nodes, the layer that is drawn meshes and skins, blend shapes morph targets,
+clips animations. glTF has metres, +y up and +z ahead, and the definition is told in these."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import __version__
+from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer
+from antdsl.bodies.agents.other_axes import in_axes
+from antdsl.bodies.agents.transforms import matrix_of, parts_of
+from antdsl.bodies.files.gltf_clips import write_settings
+from antdsl.bodies.files.gltf_writer import Entry, GltfWriter, ShapeParts
+
+FRONT, UP, METRE = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0
+_PLAIN = (0.3, 0.3, 0.3)  # of what has the colour of a state, which nobody has here
+_STILL: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+
+
+def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, list[str]]:
+    """The bytes of a .gltf (`text`) or .glb file of a definition with the shapes of one layer, and sentences about what of it
+    glTF does not have."""
+    made = _Written(in_axes(body, FRONT, UP, METRE), layer)
+    data = made.writer.bytes(text, scene=0, scenes=[{"nodes": made.roots}])
+    return data, [*made.notes, *_left_out(body, layer)]
+
+
+def _left_out(body: Definition, layer: Layer) -> list[str]:
+    drawn = {binding.shape for binding in (*layer.static, *layer.deforming)}
+    inputs = {s for shape in body.shapes.values() for s in (shape.blend.shapes if shape.blend else ())}
+    others = [name for name in body.shapes if name not in drawn | inputs]
+    found = [f"the layer `{name}` is left out: glTF has one" for name in body.layers if name != layer.name]
+    found += [f"the shape `{name}` is left out: no layer that is written has it" for name in others[:4]]
+    if body.groups:
+        found.append("transform groups are left out: glTF has none")
+    if body.metadata:
+        found.append("metadata is left out")
+    if body.legs or body.gaits:
+        found.append("legs and gaits are left out: glTF has none")
+    if any("dualquat" in binding.deformer for binding in layer.deforming):
+        found.append("dual quaternion skinning is linear there: glTF has no other")
+    if any(shape.between for shape in body.shapes.values()):
+        found.append("in-betweens are morph targets of their own, with the weights that they have at each sample")
+    return found
+
+
+class _Written:
+    """The parts of a file, made in order."""
+
+    def __init__(self, body: Definition, layer: Layer) -> None:
+        self.body, self.writer, self.notes = body, GltfWriter(f"antdsl {__version__}"), list[str]()
+        self.nodes: dict[str, int] = {}
+        self.roots: list[int] = []
+        self._morphs: list[tuple[int, ShapeParts]] = []
+        self._joints()
+        self._materials = {name: self._material(name, colour) for name, colour in body.materials.items()}
+        self._parts: dict[str, ShapeParts] = {}
+        for binding in (*layer.static, *layer.deforming):
+            self._bind(binding)
+        for clip in body.clips.values():
+            self._clip(clip)
+
+    def _joints(self) -> None:
+        rig = self.body.rig
+        moved = {joint for clip in self.body.clips.values() for joint in clip.joints}
+        parts = parts_of(rig.rest)
+        again = matrix_of(parts[0], parts[1], parts[2])
+        for number, name in enumerate(rig.names):
+            entry: Entry = {"name": name}
+            if np.abs(again[number] - rig.rest[number]).max() > 1e-6 and name not in moved:
+                entry["matrix"] = rig.rest[number].T.ravel().tolist()
+            else:
+                for (path, still), part in zip(_STILL.items(), parts, strict=False):
+                    if np.abs(part[number] - np.array(still)).max() > 1e-12:
+                        entry[path] = part[number].tolist()
+            self.nodes[name] = self.writer.add("nodes", entry)
+            if rig.parents[number] < 0:
+                self.roots.append(self.nodes[name])
+            else:
+                above = self.writer.entry("nodes", self.nodes[rig.names[rig.parents[number]]])
+                above.setdefault("children", []).append(self.nodes[name])
+
+    def _material(self, name: str, colour: tuple[float, float, float]) -> int:
+        pbr = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.55}
+        return self.writer.add("materials", {"name": name, "pbrMetallicRoughness": pbr})
+
+    def _bind(self, binding: Binding) -> None:
+        """A mesh: one that follows its own joints beside them, any other in its joint's node, or below where that has one."""
+        shape = self.body.shapes[binding.shape]
+        if binding.shape not in self._parts:
+            self._parts[binding.shape] = ShapeParts(self.writer, self.body, shape, shape.normals)
+            for name in shape.materials:
+                if name and name not in self._materials:
+                    self._materials[name] = self._material(name, _PLAIN)
+        parts = self._parts[binding.shape]
+        mesh = parts.mesh(shape.name, self._materials)
+        if "skinning" in binding.deformer and shape.capture is not None:
+            node = self.writer.add("nodes", {"name": shape.name, "mesh": mesh, "skin": parts.skin(self.nodes, self.roots[0])})
+            self.roots.append(node)
+        else:
+            node = self.nodes.get(binding.transform, self.roots[0])
+            if "mesh" in self.writer.entry("nodes", node):
+                below = self.writer.add("nodes", {"name": f"{binding.transform}.{shape.name}"})
+                self.writer.entry("nodes", node).setdefault("children", []).append(below)
+                node = below
+            self.writer.entry("nodes", node)["mesh"] = mesh
+        if parts.targets is not None:
+            rest = parts.targets.weights(self.body.rig.defaults[None])[0].tolist()
+            self.writer.entry("meshes", mesh)["weights"] = rest
+            self._morphs.append((node, parts))
+
+    def _clip(self, clip: Clip) -> None:
+        times = self.writer.accessor(np.arange(clip.samples) / clip.rate, bounds=True)
+        samplers: list[Entry] = []
+        channels: list[Entry] = []
+
+        def key(node: int, path: str, values: NDArray[np.float32]) -> None:
+            channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
+            samplers.append({"input": times, "output": self.writer.accessor(values), "interpolation": "LINEAR"})
+
+        for number, joint in enumerate(clip.joints):
+            if joint in self.nodes:
+                for path, part in (("translation", clip.translation), ("rotation", clip.rotation), ("scale", clip.scale)):
+                    key(self.nodes[joint], path, part[:, number])
+        if clip.shear is not None and np.abs(clip.shear).max() > 1e-6:
+            self.notes.append(f"the shear of the clip `{clip.name}` is left out: glTF has none")
+        values = np.tile(self.body.rig.defaults, (clip.samples, 1))
+        known = [each.name for each in self.body.rig.channels]
+        for number, channel in enumerate(clip.channels):
+            if channel in known:
+                values[:, known.index(channel)] = clip.values[:, number]
+        used = {channel for shape in self.body.shapes.values() if shape.blend for channel in shape.blend.channels}
+        if set(clip.channels) - used:
+            self.notes.append(f"channels of the clip `{clip.name}` that weigh no morph target are left out")
+        for node, parts in self._morphs:
+            assert parts.targets is not None and parts.shape.blend is not None
+            if set(parts.shape.blend.channels) & set(clip.channels):
+                key(node, "weights", parts.targets.weights(values).reshape(-1))
+        if channels:
+            self.writer.add(
+                "animations", {"name": clip.name, "samplers": samplers, "channels": channels, "extras": write_settings(clip)}
+            )

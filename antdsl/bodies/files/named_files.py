@@ -1,0 +1,195 @@
+"""Files that a definition names: below the folder of the file that names them, or of a granted root; and what is wrong with them
+as complaints, with the place where they are named."""
+
+from __future__ import annotations
+
+import os
+import posixpath
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+from antdsl import limits
+from antdsl.bodies.agents.definition import BodyError, Definition, Rig
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.documents import read_part
+from antdsl.bodies.files.gltf_body import read_gltf
+from antdsl.bodies.files.json_text import Node
+from antdsl.diagnostics import Report
+from antdsl.scene.geometry.usd.errors import UsdError
+from antdsl.scene.paths import PathRefused, Roots, read_named
+from antdsl.source import Span
+
+T = TypeVar("T")
+GLTF, USD, MESHES = ("glb", "gltf"), ("usd", "usda", "usdc", "usdz"), ("obj", "ply", "stl")
+RATE = 30.0  # samples a second of animations whose file has none of its own
+_ROOTED = re.compile("[A-Za-z][A-Za-z0-9_]{1,31}:")
+_VARIABLE = re.compile(r"\$(?:\{([A-Za-z][A-Za-z0-9_]*)\}|([A-Za-z][A-Za-z0-9_]*))/(.*)", re.DOTALL)
+# What other programs write and nothing here reads, with what to do instead.
+_CLOSED = {
+    "bclip": "its format is not published: export the clip as glTF or USD, or write it as a clip in JSON",
+    "clip": "it is a channel file of Houdini: export the clip as glTF or USD, or write it as a clip in JSON",
+    "bgeo": "it is a packed form of Houdini's own: export the shapes as glTF, USD, OBJ or PLY",
+    "geo": "it is a form of Houdini's own: export the shapes as glTF, USD, OBJ or PLY",
+    "sc": "it is packed: export the shapes as glTF, USD, OBJ or PLY",
+    "fbx": "its format is not published: export it as glTF or USD; Blender reads it and writes both",
+    "abc": "Alembic has no joints: export the body as glTF or USD",
+    "blend": "export it from Blender as glTF: File, Export, glTF 2.0",
+    "dae": "export it as glTF",
+    "bvh": "import it where the body was made, and export both as glTF",
+}
+
+
+def ending(path: str) -> str:
+    """The ending of a file's name in lower case, without its dot."""
+    name = path.rsplit("/", 1)[-1]
+    return name.rsplit(".", 1)[-1].lower() if "." in name else ""
+
+
+@dataclass(slots=True)
+class BodyFiles:
+    """`folder`: what is put before a path that names no root, such as `bodies/`; `named`: the file that a person named on the
+    command line, by the text under which it goes here; `read`: definitions that were read before, by path and settings."""
+
+    roots: Roots
+    report: Report
+    folder: str = ""
+    named: dict[str, Path] = field(default_factory=dict)
+    kept: dict[tuple[str, str, float, bool], Definition | None] = field(default_factory=dict)
+
+    def full(self, path: str) -> str:
+        """A path as the roots take it."""
+        return path if _ROOTED.match(path) else self.folder + path
+
+    def bytes_of(self, path: str, cap: int) -> bytes:
+        """All of a file; PathRefused says why not."""
+        return read_named(self.named[path], cap) if path in self.named else self.roots.read(path, cap)
+
+    def refused(self, why: PathRefused, place: Span | None) -> None:
+        self.report.error(why.code, str(why), place, why.help)
+
+    def closed(self, path: str, place: Span | None) -> bool:
+        """Complains of a kind of file that cannot be read here, and of what can be done instead."""
+        kind = ending(path)
+        if kind not in _CLOSED:
+            return False
+        self.report.error("wrong-kind", f"`{path[-80:]}` cannot be read here", place, _CLOSED[kind])
+        return True
+
+    def part(self, path: str, what: str, read: Callable[[Values, Node], T], place: Span | None) -> tuple[T | None, Values | None]:
+        """A part in a JSON file of its own, and the values of that file, for later complaints."""
+        if self.closed(path, place):
+            return None, None
+        kept: list[Values] = []
+
+        def noted(values: Values, node: Node) -> T:
+            kept.append(values)
+            return read(values, node)
+
+        try:
+            data = self.bytes_of(self.full(path), limits.BODY_TEXT_BYTES)
+        except PathRefused as why:
+            self.refused(why, place)
+            return None, None
+        found, report = read_part(data, self.shown(path), what, noted)
+        self.report.extend(report)
+        return found, kept[0] if kept else None
+
+    def shown(self, path: str) -> str:
+        """How a file is called in complaints."""
+        full = self.full(path)
+        beside = next(iter(self.named.values()), None)
+        if full in self.named or beside is None or _ROOTED.match(full):
+            return str(self.named.get(full, full))
+        return str(beside.parent / full)
+
+    def body(
+        self, path: str, place: Span | None, prim: str = "", rate: float = 0.0, pose: Rig | None = None
+    ) -> Definition | None:
+        """Return the definition in a glTF or USD file, read once. `prim`: of USD, what lies at and below it; `rate`: samples a
+        second of its animations, 0 for the file's own; `pose`: for what animations of a glTF file do not key."""
+        full = self.full(path)
+        pose = pose if ending(path) in GLTF else None
+        plain = self.kept.get((full, prim, rate, False))
+        posed = pose is not None and (plain is None or _rests_apart(plain.rig, pose))
+        key = (full, prim, rate, posed)
+        if key not in self.kept:
+            self.kept[key] = self._body(path, place, prim, rate, pose)
+        return self.kept[key]
+
+    def _body(self, path: str, place: Span | None, prim: str, rate: float, pose: Rig | None) -> Definition | None:
+        full, kind = self.full(path), ending(path)
+        name = posixpath.basename(full.rpartition(":")[2]).rpartition(".")[0] or "body"
+        try:
+            if kind in USD:
+                found, left_out = self._usd(full, prim or "/", name, rate)
+            else:
+                data = self.bytes_of(full, limits.BODY_BYTES)
+                found, left_out = read_gltf(data, name, self._beside(full), rate or RATE, pose)
+        except UsdError as why:
+            self.report.error(why.code, str(why), place, why.help)
+            return None
+        except PathRefused as why:
+            self.refused(why, place)
+            return None
+        except BodyError as why:
+            self.report.error(why.code, f"`{self.shown(path)}` {why}", place, why.help)
+            return None
+        for sentence in left_out:
+            self.report.warning("body-left-out", f"of `{self.shown(path)}`: {sentence}", place)
+        return found
+
+    def _beside(self, full: str) -> Callable[[str, int], bytes]:
+        """Reads what a file names relative to its own folder."""
+        folder = full[: full.rfind("/") + 1] or (f"{full.partition(':')[0]}:" if _ROOTED.match(full) else "")
+        return lambda path, cap: self.bytes_of(folder + path, cap)
+
+    def _usd(self, full: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
+        """As `read_usd`; of a file that a person named by a link, the file that it leads to."""
+        from antdsl.bodies.files.usd_definition import read_usd
+
+        roots, text = self.roots, full
+        if full in self.named:
+            found = self.named[full].resolve()
+            roots, text = Roots(found.parent, self.roots.granted), found.name
+        return read_usd(roots, text, prim, name, rate)
+
+    def included(self, condensed: str, absolute: str) -> str:
+        """The path of a shape library that is named twice: by a condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) below
+        the definition's folder or a granted root, and by an absolute one, which is taken only where a root grants its folder.
+        PathRefused where neither can be had."""
+        found = _VARIABLE.fullmatch(condensed)
+        path = condensed
+        if found:
+            variable, rest = found[1] or found[2], found[3]
+            path = rest if variable in ("HIP", "HIPFILE") else f"{variable}:{rest}"
+        try:
+            self.roots.exists(self.full(path))
+            return path
+        except PathRefused as first:
+            granted = self._granted(absolute)
+            if granted is None:
+                raise first from None
+            self.roots.exists(granted)
+            return granted
+
+    def _granted(self, absolute: str) -> str | None:
+        """An absolute path by the name of the root that grants it."""
+        whole = os.path.normpath(absolute)
+        for name, folder in (("", self.roots.folder), *sorted(self.roots.granted.items())):
+            root = os.path.abspath(folder)
+            if absolute and whole.startswith(root + os.sep):
+                below = Path(whole).relative_to(root).as_posix()
+                if name:
+                    return f"{name}:{below}"
+                if below.startswith(self.folder):
+                    return below[len(self.folder) :]
+        return None
+
+
+def _rests_apart(one: Rig, other: Rig) -> bool:
+    """Return whether any joint of two rigs has another rest pose in each."""
+    known = {name: number for number, name in enumerate(other.names)}
+    return any((one.rest[k] != other.rest[known[name]]).any() for k, name in enumerate(one.names) if name in known)

@@ -1,0 +1,112 @@
+"""Reads an agent definition: a definition file in JSON, a glTF file or a USD file. All agents of a kind share what is read.
+
+What was read is cached for as long as its files stay the same: a preview opens its scene at every edit."""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+
+from antdsl.bodies.agents.definition import Definition, spoken
+from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.files.definition_checks import whole
+from antdsl.bodies.files.definition_document import Parts, read_document
+from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, ending
+from antdsl.diagnostics import Report
+from antdsl.scene.paths import Roots, Sought, note, open_again, sought
+from antdsl.source import Span
+
+MOST = 8  # definitions kept
+Stamp = tuple[int, ...]
+
+
+def read_definition(
+    path: Path | str, roots: Roots | None = None, place: Span | None = None, *, prim: str = "", rate: float = 0.0
+) -> tuple[Definition | None, Report]:
+    """The definition in a .json, .glb, .gltf or USD file, or None and why there is none.
+
+    A `Path` is one that a person named, whose own folder is the root of what it names in turn unless `roots` says otherwise; a
+    text is one that a file names at `place`, and lies below `roots`. Of a USD file `prim` is what is read; animations are
+    sampled about `rate` times a second (0: as often as the file's own frames, or 30 times)."""
+    report = Report()
+    if isinstance(path, Path):
+        text = path.name
+        roots = roots or Roots(path.resolve().parent)
+        files = BodyFiles(roots, report, named={text: path})
+        shown = str(path)
+    else:
+        text = shown = path
+        folder = text[: max(text.rfind("/"), text.find(":")) + 1]
+        files = BodyFiles(roots or Roots(Path.cwd()), report, folder)
+        text = text[len(folder) :]
+    if files.closed(shown, place):
+        return None, report
+    kind = ending(shown)
+    name = text.rpartition(".")[0] or "body"
+    if kind in GLTF or kind in USD:
+        found = files.body(text, place, prim, rate)
+        return (whole(Parts(found, whole=place), report) if found is not None else None), report
+    if kind != "json":
+        kinds = ", ".join(f".{each}" for each in ("json", *GLTF, *USD))
+        report.error("wrong-kind", f"`{shown[-80:]}` is no file of a body", place, f"one of {kinds} is read")
+        return None, report
+
+    def document(values: Values, node: Node) -> Parts | None:
+        values.report = report
+        return read_document(values, node, files, name)
+
+    parts, _ = files.part(text, "a definition", document, place)
+    return (None if parts is None else whole(parts, report)), report
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kept:
+    """A definition with all files that it was read from: the root of each, and what its size, time and number were."""
+
+    definition: Definition
+    files: dict[Path, tuple[Path | None, Stamp]]
+
+
+_kept: OrderedDict[tuple[object, ...], Kept] = OrderedDict()
+
+
+def definition_at(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
+    """As `read_definition` of a path that a scene names, with names as the language writes them; one that was read before
+    without a complaint is not read again."""
+    key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.granted.items())))
+    known = _kept.get(key)
+    if known is not None and all(_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
+        _kept.move_to_end(key)
+        for path, (root, _) in known.files.items():
+            note(path, root)
+        return known.definition, Report()
+    with sought() as files:
+        found, report = read_definition(text, roots, place)
+    found = None if found is None else spoken(found)
+    _kept.pop(key, None)
+    stamps = _stamps(files)
+    if found is not None and not report.sorted() and all(stamp is not None for _, stamp in stamps.values()):
+        _kept[key] = Kept(found, {path: (root, stamp) for path, (root, stamp) in stamps.items() if stamp is not None})
+        while len(_kept) > MOST:
+            _kept.popitem(last=False)
+    return found, report
+
+
+def _stamps(files: Sought) -> dict[Path, tuple[Path | None, Stamp | None]]:
+    return {path: (root, _stamp(path, root)) for path, root in files.items()}
+
+
+def _stamp(path: Path, root: Path | None) -> Stamp | None:
+    """What tells that a file was changed; None where it is not there."""
+    try:
+        handle = open_again(path, root)
+    except OSError:
+        return None
+    try:
+        told = os.fstat(handle)
+    finally:
+        os.close(handle)
+    return told.st_size, told.st_mtime_ns, told.st_ino, told.st_ctime_ns

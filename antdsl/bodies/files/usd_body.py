@@ -1,0 +1,248 @@
+"""A USD file as an agent definition by UsdSkel: skeletons are joints, skinned meshes shapes, blend shapes with their in-betweens
+shapes to blend with, animations clips.
+
+A skeleton's own place in the stage is a joint of the skeleton's name above its joints; a mesh that follows no joint has a joint
+of its own, where it stands. Units and axes are the stage's. This runs in the reader's process; `usd_definition` requests it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.definition import Binding, BodyError, Clip, Definition, Layer, Rig
+from antdsl.bodies.agents.packed import packed
+from antdsl.bodies.agents.transforms import followed_by, one_sign, unit_quaternion
+from antdsl.bodies.files.gltf_clips import even_times
+from antdsl.bodies.files.gltf_shapes import rigid, unused
+from antdsl.bodies.files.usd_shapes import Skin, UsdBody, read_usd_shape
+from antdsl.reader.protocol import Refusal
+from antdsl.scene.geometry.matrices import has_inverse, inverse
+from antdsl.scene.geometry.usd.child.guard import Answer, guarded
+from antdsl.scene.geometry.usd.child.stage import OpenStage, open_stage
+from antdsl.scene.geometry.usd.errors import pxr
+
+if TYPE_CHECKING:
+    from antdsl.reader.protocol import Message
+
+Floats = NDArray[np.float64]
+LAYER = "body"
+
+
+@dataclass(slots=True)
+class _Skeleton:
+    """A skeleton's joints by the numbers that they have in the rig, by their paths."""
+
+    prim: Any
+    query: Any
+    paths: list[str]
+    names: list[str]
+
+
+@guarded
+def read_body(request: Message) -> Answer:
+    """The arrays that `packed` makes of the definition, and sentences `left_out` about what of the file is not read."""
+    said = request.document
+    try:
+        found, left_out = _definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
+    except BodyError as why:
+        raise Refusal(why.code, str(why), why.help, "prim", "body") from why
+    return {"left_out": left_out}, packed(found)
+
+
+def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
+    """The definition at and below a prim, and sentences about what is not read. `rate`: samples a second of its animations, 0 for
+    those of the stage. BodyError says why there is none."""
+    body = UsdBody(stage)
+    bindings = list(_bindings(stage))
+    skeletons = [_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
+    static, deforming = [], []
+    skins = {
+        str(target.GetPrim().GetPath()): (number, target) for number, (*_, targets) in enumerate(bindings) for target in targets
+    }
+    for mesh in stage.below(stage.prim):
+        if not mesh.IsA(pxr("UsdGeom").Mesh):
+            continue
+        path = str(mesh.GetPath())
+        skin = None
+        if path in skins and skins[path][1].HasJointInfluences():
+            number, target = skins[path]
+            skin = _skin(skeletons[number], mesh, target)
+        shape = read_usd_shape(body, mesh, skin)
+        if shape is None:
+            continue
+        if skin is None:
+            own = body.names[body.joint(mesh.GetName(), -1, _place(stage, mesh))]
+            if shape.blend is None:
+                static.append(Binding(own, shape.name))
+                continue
+            body.shapes[shape.name] = replace(shape, capture=rigid(own, len(shape.points)))
+        deforming.append(
+            Binding("", shape.name, deformer="linearskinning" if shape.blend is None else "blendshape+linearskinning")
+        )
+    if not body.names:
+        raise BodyError(f"has no skeleton and no mesh at or below `{prim}`", "name the prim of the body")
+    rig = Rig(
+        tuple(body.names), np.array(body.parents, np.int32), np.array(body.rest).reshape(-1, 4, 4), tuple(body.channels.values())
+    )
+    layer = Layer(LAYER, tuple(static), tuple(deforming))
+    geom = pxr("UsdGeom")
+    z_up = str(geom.GetStageUpAxis(stage.stage)).lower() == "z"
+    front, up = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)) if z_up else ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
+    clips = {clip.name: clip for clip in _clips(body, skeletons, rate)}
+    layers = {LAYER: layer} if body.shapes else {}
+    unit = float(geom.GetStageMetersPerUnit(stage.stage)) * 1000.0
+    found = Definition(name, rig, body.shapes, layers, clips, materials=body.materials, front=front, up=up, unit=unit)
+    return found, list(body.left_out)
+
+
+# ---- joints
+
+
+def _bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
+    """Each skeleton with what UsdSkel knows of it and of the meshes that follow it, in the order of the file."""
+    skel, usd = pxr("UsdSkel"), pxr("Usd")
+    cache, seen = skel.Cache(), set()
+    predicate = usd.TraverseInstanceProxies()
+    for prim in stage.below(stage.prim):
+        if prim.IsA(skel.Root):
+            cache.Populate(skel.Root(prim), predicate)
+            for binding in cache.ComputeSkelBindings(skel.Root(prim), predicate):
+                found = binding.GetSkeleton()
+                if found.GetPath() not in seen:
+                    seen.add(found.GetPath())
+                    yield found.GetPrim(), cache.GetSkelQuery(found), list(binding.GetSkinningTargets())
+    for prim in stage.below(stage.prim):
+        if prim.IsA(skel.Skeleton) and prim.GetPath() not in seen:
+            yield prim, cache.GetSkelQuery(skel.Skeleton(prim)), []
+
+
+def _skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
+    """Adds the joints of a skeleton."""
+    if not query:
+        raise BodyError(f"has a skeleton `{prim.GetPath()}` that does not hold together", "export it again")
+    paths = [str(path) for path in query.GetJointOrder()]
+    parents = list(query.GetTopology().GetParentIndices())
+    rest = query.ComputeJointLocalTransforms(body.stage.first, True)
+    bind = query.GetJointWorldBindTransforms()
+    if rest is None or len(rest) != len(paths) or len(bind) != len(paths):
+        raise BodyError(f"has a skeleton `{prim.GetPath()}` without a rest pose for each joint", "export it again")
+    leaves = [path.rsplit("/", 1)[-1] for path in paths]
+    top = body.joint(prim.GetName(), -1, _place(body.stage, prim))
+    names = []
+    for number, path in enumerate(paths):
+        if not -1 <= parents[number] < number:
+            raise BodyError(f"has a skeleton `{prim.GetPath()}` with joints before their parents", "export it again", "bad-rig")
+        name = leaves[number] if leaves.count(leaves[number]) == 1 else path
+        above = top if parents[number] < 0 else top + 1 + parents[number]
+        names.append(body.names[body.joint(name, above, column_matrix(rest[number]))])
+    return _Skeleton(prim, query, paths, names)
+
+
+def column_matrix(matrix: Any) -> Floats:
+    """USD's matrix for rows of coordinates as float64[4, 4] for columns."""
+    return np.ascontiguousarray(np.array(matrix, np.float64).reshape(4, 4).T)
+
+
+def _place(stage: OpenStage, prim: Any) -> Floats:
+    """The matrix of a prim in the stage, at rest."""
+    cache = pxr("UsdGeom").XformCache(stage.first)
+    return column_matrix(cache.GetLocalToWorldTransform(prim))
+
+
+def _skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
+    """The joints that a mesh follows: names, and matrices from the mesh's space into that of each joint as it was bound."""
+    own = pxr("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
+    paths = [str(path) for path in own] if own is not None and len(own) else skeleton.paths
+    number = {path: count for count, path in enumerate(skeleton.paths)}
+    missing = next((path for path in paths if path not in number), None)
+    if missing is not None:
+        raise BodyError(
+            f"has a mesh `{mesh.GetPath()}` that follows `{missing[:80]}`, which its skeleton does not have", "export it again"
+        )
+    bind = np.array([column_matrix(m) for m in skeleton.query.GetJointWorldBindTransforms()])[[number[path] for path in paths]]
+    if not all(has_inverse(matrix[:3]) for matrix in bind):
+        words = f"has a skeleton `{skeleton.prim.GetPath()}` with a bind transform that flattens"
+        raise BodyError(words, "export it again")
+    back = np.tile(np.eye(4), (len(bind), 1, 1))
+    back[:, :3] = [inverse(matrix[:3]) for matrix in bind]
+    found = followed_by(back, column_matrix(target.GetGeomBindTransform()))
+    return Skin(tuple(skeleton.names[number[path]] for path in paths), found, target)
+
+
+# ---- clips
+
+
+def _clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]:
+    """The animations that skeletons are bound to, then others of the file that fit one of them."""
+    skel = pxr("UsdSkel")
+    found: dict[str, Clip] = {}
+    done: set[str] = set()
+    cache = skel.Cache()
+    left = limits.CLIP_BYTES
+    waiting = [(each.query.GetAnimQuery(), each) for each in skeletons]
+    for prim in body.stage.below(body.stage.stage.GetPseudoRoot()):
+        if prim.IsA(skel.Animation):
+            query = cache.GetAnimQuery(skel.Animation(prim))
+            paths = {str(path) for path in query.GetJointOrder()} if query else set()
+            fits = next((each for each in skeletons if paths <= set(each.paths)), None)
+            if query and fits is None:
+                body.left_out[f"the animation `{prim.GetPath()}` moves joints that no skeleton has"] = None
+            elif query and fits is not None:
+                waiting.append((query, fits))
+    for query, skeleton in waiting:
+        path = str(query.GetPrim().GetPath()) if query else ""
+        if not path or path in done:
+            continue
+        done.add(path)
+        clip = _clip(body, query, skeleton, unused(query.GetPrim().GetName(), found), rate, left)
+        if clip is not None:
+            left -= clip.translation.nbytes + clip.rotation.nbytes + clip.scale.nbytes + clip.values.nbytes
+            found[clip.name] = clip
+    return list(found.values())
+
+
+def _clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left: int) -> Clip | None:
+    number = {path: count for count, path in enumerate(skeleton.paths)}
+    paths = [str(path) for path in query.GetJointOrder()]
+    columns = [count for count, path in enumerate(paths) if path in number]
+    order = [str(each) for each in query.GetBlendShapeOrder()]
+    shares = [count for count, each in enumerate(order) if each in body.channels]
+    per_second = float(body.stage.stage.GetTimeCodesPerSecond())
+    codes = sorted({*query.GetJointTransformTimeSamples(), *query.GetBlendShapeWeightTimeSamples()})
+    seconds = (codes[-1] - codes[0]) / per_second if codes else 0.0
+    if not (columns or shares):
+        return None
+    if seconds * (rate or per_second) > limits.CLIP_SAMPLES:
+        raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
+    times, rate = even_times(seconds, rate or per_second)
+    if len(times) * (len(columns) * 13 + len(shares)) * 8 > left:
+        raise BodyError(f"has clips of more than {limits.CLIP_BYTES:,} bytes when they are sampled", code="too-large")
+    joints = tuple(skeleton.names[number[paths[count]]] for count in columns)
+    translation, scale = (np.empty((len(times), len(joints), 3)) for _ in range(2))
+    rotation = np.empty((len(times), len(joints), 4))
+    weights = np.zeros((len(times), len(shares)))
+    for count, moment in enumerate(times):
+        code = pxr("Usd").TimeCode(codes[0] + float(moment) * per_second) if codes else pxr("Usd").TimeCode.Default()
+        if joints:
+            parts = query.ComputeJointLocalTransformComponents(code)
+            if parts is None or any(len(part) != len(paths) for part in parts):
+                raise BodyError(f"has an animation `{name}` without a transform for each of its joints", "export it again")
+            translation[count], scale[count] = (np.array(parts[k], np.float64).reshape(-1, 3)[columns] for k in (0, 2))
+            turns = [(*each.GetImaginary(), each.GetReal()) for each in parts[1]]
+            rotation[count] = np.array(turns, np.float64)[columns]
+        if shares:
+            given = query.ComputeBlendShapeWeights(code)
+            if given is None or len(given) != len(order):
+                raise BodyError(f"has an animation `{name}` without a weight for each of its blend shapes", "export it again")
+            weights[count] = np.array(given, np.float64)[shares]
+    if not all(np.isfinite(each).all() for each in (translation, rotation, scale, weights)):
+        raise BodyError(f"has an animation `{name}` with a value that is not finite", "export it again")
+    return Clip(
+        name, rate, joints, translation.astype(np.float32), one_sign(unit_quaternion(rotation)).astype(np.float32),
+        scale.astype(np.float32), None, tuple(order[count] for count in shares), weights.astype(np.float32),
+    )  # fmt: skip

@@ -1,0 +1,282 @@
+"""Meshes of a USD file as shapes: faces cut into triangles, points split where normals or texture coordinates differ, colours of
+materials, joints that points follow, and blend shapes with their in-betweens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.definition import Between, Blend, BodyError, Capture, Channel, Shape
+from antdsl.bodies.files.gltf_shapes import captured, unused
+from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
+from antdsl.scene.geometry.usd.child.stage import OpenStage
+from antdsl.scene.geometry.usd.errors import pxr
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+_EXPORT = "export it again"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """The joints that a mesh follows, matrices from its space to theirs, and UsdSkel's own knowledge of its weights."""
+
+    names: tuple[str, ...]
+    inverse: Floats
+    query: Any
+
+
+@dataclass(slots=True)
+class UsdBody:
+    """What is being read."""
+
+    stage: OpenStage
+    names: list[str] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    rest: list[Floats] = field(default_factory=list)
+    channels: dict[str, Channel] = field(default_factory=dict)
+    shapes: dict[str, Shape] = field(default_factory=dict)
+    materials: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    left_out: dict[str, None] = field(default_factory=dict)
+    points: int = 0
+
+    def joint(self, name: str, parent: int, rest: Floats) -> int:
+        """Adds a joint under a name that no other has."""
+        if len(self.names) >= limits.JOINTS:
+            raise BodyError(f"has more than {limits.JOINTS:,} joints", code="too-large")
+        if not np.isfinite(rest).all():
+            raise BodyError(f"has a joint `{name}` with a transform that is not finite", "export it again")
+        self.names.append(unused(name, self.names))
+        self.parents.append(parent)
+        self.rest.append(rest)
+        return len(self.names) - 1
+
+
+def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
+    """The shape of a mesh prim, which is added to the library with what it blends with; None where it has no faces."""
+    mesh, time = pxr("UsdGeom").Mesh(prim), body.stage.first
+    points = _rows(mesh.GetPointsAttr().Get(time), 3)
+    _counted(body, len(points))
+    if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
+        raise BodyError(f"has a mesh `{prim.GetPath()}` with a point that is not finite", _EXPORT)
+    corners, triangles, face = _triangles(mesh, prim, time, points)
+    if not len(triangles):
+        body.left_out[f"the mesh `{prim.GetPath()}` has no faces"] = None
+        return None
+    attributes = {"N": _normals(mesh, prim, time, points, corners), "uv": _uvs(prim, time, len(points), corners)}
+    source, triangles, kept = _split(corners, triangles, attributes)
+    _counted(body, max(0, len(source) - len(points)))
+    name = unused(prim.GetName(), body.shapes)
+    materials, material = _materials(body, prim, face)
+    normals, uvs = (None if kept[key] is None else np.asarray(kept[key], np.float32) for key in ("N", "uv"))
+    shape = Shape(
+        name, points[source].astype(np.float32), triangles.astype(np.int32), normals, uvs, materials, material,
+        {"vertex": source},
+    )  # fmt: skip
+    if skin is not None:
+        shape = replace(shape, capture=_capture(body, prim, skin, len(points), source, time))
+    body.shapes[name] = shape
+    blend = _blend(body, shape, prim, points, source)
+    if blend is not None:
+        body.shapes[name] = shape = replace(shape, blend=blend)
+    return shape
+
+
+def _counted(body: UsdBody, more: int) -> None:
+    body.points += more
+    if body.points > limits.BODY_POINTS:
+        raise BodyError(f"has more than {limits.BODY_POINTS:,} points, blend shapes among them", code="too-large")
+
+
+def _rows(given: Any, width: int) -> Floats:
+    found = np.array([] if given is None else given, np.float64)
+    if found.size % width:
+        raise BodyError(f"has values that are not {width} numbers each", _EXPORT)
+    return found.reshape(-1, width)
+
+
+def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Whole, Whole, Whole]:
+    """The point of each corner of the faces; triangles (n, 3) of corners; and the face of each triangle."""
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
+    if len(corners) > 3 * limits.MESH_FACES or len(counts) > limits.MESH_FACES:
+        raise BodyError(f"has a mesh `{prim.GetPath()}` of more than {limits.MESH_FACES:,} faces", code="too-large")
+    right = counts.sum() == len(corners) and (not len(counts) or counts.min() >= 0)
+    if not right or (len(corners) and (corners.min() < 0 or corners.max() >= len(points))):
+        raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that name missing points", _EXPORT)
+    try:
+        cut = triangulate(points, counts, corners)
+    except TooManyCorners as why:
+        raise BodyError(f"has a mesh `{prim.GetPath()}` that {why}", "cut it into smaller faces", "too-large") from None
+    found, face = cut.corners, cut.polygon
+    if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":
+        found = found[:, ::-1]
+    return corners, found, face
+
+
+def _normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Whole) -> Floats | None:
+    """A normal for each corner."""
+    primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("normals")
+    if primvar and primvar.HasValue():
+        return _of_corners(primvar.ComputeFlattened(time), str(primvar.GetInterpolation()), 3, len(points), corners)
+    return _of_corners(mesh.GetNormalsAttr().Get(time), str(mesh.GetNormalsInterpolation()), 3, len(points), corners)
+
+
+def _uvs(prim: Any, time: Any, points: int, corners: Whole) -> Floats | None:
+    """Texture coordinates for each corner: those called `st`, else the first that there are."""
+    given = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
+    known = [each for each in given if str(each.GetTypeName()) in ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]")]
+    known.sort(key=lambda each: each.GetPrimvarName() != "st")
+    if not known:
+        return None
+    return _of_corners(known[0].ComputeFlattened(time), str(known[0].GetInterpolation()), 2, points, corners)
+
+
+def _of_corners(given: Any, interpolation: str, width: int, points: int, corners: Whole) -> Floats | None:
+    values = _rows(given, width)
+    if not len(values) or not np.isfinite(values).all():
+        return None
+    if interpolation in ("vertex", "varying") and len(values) == points:
+        return np.asarray(values[corners])
+    if interpolation == "faceVarying" and len(values) == len(corners):
+        return values
+    return None
+
+
+def _split(
+    corners: Whole, triangles: Whole, attributes: dict[str, Floats | None]
+) -> tuple[Whole, Whole, dict[str, Floats | None]]:
+    """The point of the file that each point of the shape is, triangles of the shape's points, and attributes of these."""
+    columns = [corners[:, None].astype(np.float64), *(each for each in attributes.values() if each is not None)]
+    rows = np.concatenate(columns, axis=1)
+    _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    kept = {key: None if each is None else each[first] for key, each in attributes.items()}
+    return corners[first], number.reshape(-1)[triangles], kept
+
+
+def _capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Whole, time: Any) -> Capture:
+    found = skin.query.ComputeVaryingJointInfluences(points, time)
+    each = int(skin.query.GetNumInfluencesPerComponent())
+    if not found or each < 1 or each > limits.CAPTURED or any(len(part) != points * each for part in found):
+        raise BodyError(f"has a mesh `{prim.GetPath()}` without joints and weights for each of its points", _EXPORT)
+    joints = np.array(found[0], np.int64).reshape(points, each)
+    weights = np.array(found[1], np.float64).reshape(points, each)
+    if not np.isfinite(weights).all():
+        raise BodyError(f"has a mesh `{prim.GetPath()}` with a weight that is not finite", _EXPORT)
+    whole, shares, lone = captured(joints, np.maximum(weights, 0.0), len(skin.names))
+    if lone:
+        body.left_out[f"{lone:,} points of `{prim.GetPath()}` follow no joint, and were given to `{skin.names[0]}`"] = None
+    return Capture(skin.names, whole[source], shares[source], skin.inverse)
+
+
+def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Whole) -> Blend | None:
+    """The blend shapes of a mesh as shapes of the library; each is weighed by the channel of its name."""
+    skel = pxr("UsdSkel")
+    binding = skel.BindingAPI(prim)
+    tokens = [str(each) for each in binding.GetBlendShapesAttr().Get() or []]
+    targets = binding.GetBlendShapeTargetsRel().GetForwardedTargets()
+    if not tokens or len(tokens) != len(targets):
+        return None
+    names = []
+    for token, path in zip(tokens, targets, strict=True):
+        found = skel.BlendShape(prim.GetStage().GetPrimAtPath(path))
+        if not found:
+            raise BodyError(f"has a mesh `{prim.GetPath()}` that names a blend shape `{path}` which is not there", _EXPORT)
+        given = found.GetPointIndicesAttr().Get()
+        rows = np.arange(len(points)) if given is None or not len(given) else np.array(given, np.int64)
+        name = _moved(body, shape, unused(f"{shape.name}.{token}", body.shapes), source, points, rows,
+                      found.GetOffsetsAttr().Get(), found.GetNormalOffsetsAttr().Get())  # fmt: skip
+        inner: list[tuple[float, str]] = []
+        for each in found.GetInbetweens():
+            weight = each.GetWeight()
+            if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
+                body.left_out[f"an in-between of `{path}` has no weight, or one at which a whole shape applies"] = None
+                continue
+            own = unused(f"{name}.{each.GetAttr().GetName().rpartition(':')[2]}", body.shapes)
+            inner.append(
+                (float(weight), _moved(body, shape, own, source, points, rows, each.GetOffsets(), each.GetNormalOffsets()))
+            )
+        if inner:
+            inner.sort()
+            between = Between(tuple(each for _, each in inner), tuple(weight for weight, _ in inner))
+            body.shapes[name] = replace(body.shapes[name], between=between)
+        names.append(name)
+        body.channels.setdefault(token, Channel(token))
+    return Blend(tuple(names), tuple(tokens), ("P", "N") if shape.normals is not None else ("P",))
+
+
+def _moved(body: UsdBody, shape: Shape, name: str, source: Whole, points: Floats, rows: Whole, offsets: Any, turned: Any) -> str:
+    """Adds the shape that the offsets of some points make of a shape."""
+    _counted(body, len(source))
+    moves = _rows(offsets, 3)
+    right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))
+    if not right or not np.isfinite(moves).all():
+        raise BodyError(f"has a blend shape `{name}` with offsets that do not fit its mesh", _EXPORT)
+    whole = np.zeros_like(points)
+    whole[rows] = moves
+    normals = shape.normals
+    turns = _rows(turned, 3)
+    if normals is not None and len(turns) == len(rows) and np.isfinite(turns).all():
+        of_points = np.zeros_like(points)
+        of_points[rows] = turns
+        normals = (normals + of_points[source]).astype(np.float32)
+    body.shapes[name] = Shape(
+        name, (points + whole)[source].astype(np.float32), shape.faces, normals, shape.uvs, attributes=dict(shape.attributes)
+    )
+    return name
+
+
+# ---- colours
+
+
+def _materials(body: UsdBody, prim: Any, face: Whole) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
+    """Names of a mesh's materials, and the number of each triangle's; their colours go to the definition."""
+    names: list[str] = []
+
+    def number(bound: Any) -> int:
+        name, colour = bound
+        body.materials.setdefault(name, colour)
+        if name not in names:
+            names.append(name)
+        return names.index(name)
+
+    whole = _material(body, prim) or _display(prim)
+    subsets = pxr("UsdShade").MaterialBindingAPI(prim).GetMaterialBindSubsets()
+    if whole is None and not subsets:
+        return (), None
+    most = int(face.max()) + 1
+    of_face = np.full(most, number(whole or ("default", (1.0, 1.0, 1.0))), np.int32)
+    for subset in subsets:
+        bound = _material(body, subset.GetPrim())
+        if bound is not None:
+            rows = np.array(subset.GetIndicesAttr().Get(body.stage.first) or [], np.int64)
+            of_face[rows[(rows >= 0) & (rows < most)]] = number(bound)
+    return tuple(names), of_face[face]
+
+
+def _material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]] | None:
+    """The material that is bound to a prim, with its base colour; white where that is a texture."""
+    material = pxr("UsdShade").MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    if not material:
+        return None
+    shader = material.ComputeSurfaceSource()[0]
+    given = shader.GetInput("diffuseColor") if shader else None
+    value = given.Get() if given else None
+    if given and given.HasConnectedSource():
+        body.left_out[f"the texture of `{material.GetPath()}` is not read"] = None
+    colour = (1.0, 1.0, 1.0) if value is None or len(value) != 3 else tuple(float(min(max(c, 0.0), 1.0)) for c in value)
+    return material.GetPrim().GetName(), (colour[0], colour[1], colour[2])
+
+
+def _display(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
+    """A single colour that a mesh is shown in."""
+    primvar = pxr("UsdGeom").Gprim(prim).GetDisplayColorPrimvar()
+    value = primvar.Get() if primvar and primvar.HasValue() else None
+    if value is None or len(value) != 1:
+        return None
+    red, green, blue = (float(min(max(c, 0.0), 1.0)) for c in value[0])
+    return f"{prim.GetName()}_colour", (red, green, blue)

@@ -1,0 +1,148 @@
+"""What this machine gives this process: cores, memory, and the processor's name. The control groups (cgroups) of Linux that
+limit a process count: its own, and those around it."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
+from math import inf
+from pathlib import Path, PurePosixPath
+
+_PROCESSORS = Path("/proc/cpuinfo")  # Linux
+_PROCESS = Path("/proc/self")  # Linux
+_SYSTEM = Path("/proc/meminfo")
+GROUPS, OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+EACH = 4  # parts of machine code for each of several threads: who comes late, or has slow ones, takes fewer
+
+
+@cache
+def cores() -> int:
+    """How many threads may run at once here: no more than the cores that this process may run on, and than what its control group
+    (that of a container, say) may use of them, rounded up."""
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        own = OWN.read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError:
+        return there
+    return max(1, min([there, *map(math.ceil, allowed(own, GROUPS))]))
+
+
+def allowed(own: str, groups: Path) -> Iterator[float]:
+    """How many cores' time the control groups of a process may use: its own, and those around it, as far as they have a limit.
+
+    `own`: what Linux tells of the process's groups, a line `number:controllers:path` each; `groups`: the folder that all are in
+    (Linux kernel documentation, Control Group v2, `cpu.max`; CFS Bandwidth Control, of the first version)."""
+    for folder, is_first in group_folders(own, groups, "cpu"):
+        with suppress(OSError, ValueError):
+            quota, period = _first(folder) if is_first else _second(folder)
+            if quota > 0 and period > 0:
+                yield quota / period
+
+
+def _first(folder: Path) -> tuple[int, int]:
+    quota, period = (int((folder / f"cpu.cfs_{name}_us").read_text()) for name in ("quota", "period"))
+    return quota, period  # a quota of -1 is none
+
+
+def _second(folder: Path) -> tuple[int, int]:
+    quota, period = (folder / "cpu.max").read_text().split()  # a quota of `max` is none
+    return int(quota), int(period)
+
+
+def group_folders(own: str, groups: Path, controller: str) -> Iterator[tuple[Path, bool]]:
+    """Folders of the groups that a controller limits a process by, and whether they are of the first version of control groups.
+
+    `own`: what Linux says of the process's groups, a line `number:controllers:path` each. `groups`: the folder of all groups."""
+    for line in own.splitlines():
+        controllers, _, path = line.partition(":")[2].partition(":")
+        if controllers and controller not in controllers.split(","):
+            continue
+        root = groups / controller if controllers else groups
+        parts = [part for part in PurePosixPath(path).parts if part not in ("/", "..")]
+        for depth in range(len(parts) + 1):
+            yield root.joinpath(*parts[:depth]), bool(controllers)
+
+
+def address_space() -> float:
+    """Bytes of address space that this process, and each one that it starts, may have; infinite without a limit."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return inf
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return inf if most == resource.RLIM_INFINITY else most
+
+
+def available_memory() -> int | None:
+    """Bytes that this process can still have without swapping, its control groups' limits included; None where the system does
+    not say, as on others than Linux."""
+    found: list[int] = []
+    with suppress(OSError, ValueError, StopIteration):
+        lines = _SYSTEM.read_text(encoding="ascii", errors="replace").splitlines()
+        found.append(next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")))
+    with suppress(OSError):
+        found += left(OWN.read_text(encoding="utf-8", errors="surrogateescape"), GROUPS)
+    return min(found, default=None)
+
+
+def left(own: str, groups: Path) -> Iterator[int]:
+    """Bytes that each control group with a limit has left; `own` and `groups` as `group_folders` has them. Files that the
+    system keeps in memory count as free, since it drops them when it has to."""
+    for folder, is_first in group_folders(own, groups, "memory"):
+        names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if is_first else ("memory.max", "memory.current")
+        with suppress(OSError, ValueError):  # a limit of `max` is none
+            most, used = (int((folder / name).read_text()) for name in names)
+            yield max(0, most - used + _files(folder))
+
+
+def _files(folder: Path) -> int:
+    words = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+    return sum(int(words.get(name, 0)) for name in ("active_file", "inactive_file"))
+
+
+def peak_memory() -> int:
+    """The most memory that this process has used at once, in bytes; 0 where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else peak * 1024)
+
+
+def memory() -> tuple[int, int]:
+    """What this process uses now, and the most that it has used since it was started, in bytes. Where the system tells the most
+    alone, that twice: it may be that of the process which started this one."""
+    try:
+        whole = _kilobytes(_PROCESS / "status")
+        return 1024 * whole["VmRSS"], 1024 * whole["VmHWM"]
+    except (OSError, KeyError):
+        return peak_memory(), peak_memory()
+
+
+def _kilobytes(path: Path) -> dict[str, int]:
+    """The amounts in a file with lines such as `VmRSS:  123 kB`."""
+    found = {}
+    for line in path.read_text(encoding="ascii", errors="replace").splitlines():
+        name, _, value = line.partition(":")
+        words = value.split()
+        if len(words) == 2 and words[1] == "kB" and words[0].isdigit():
+            found[name] = int(words[0])
+    return found
+
+
+@cache
+def processor() -> str:
+    """The processor's name as the system tells it."""
+    import platform  # it imports much, and commands that need no name start without it
+
+    try:
+        lines = _PROCESSORS.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or "unknown processor"

@@ -1,0 +1,134 @@
+"""Writing in a thread beside the simulation, in order: frames and checkpoints, with lines that tell of them.
+
+A thread, and no process: it is handed arrays as they are and nobody changes any more, where a process would need them copied
+into memory that both see; and nearly all that it does (checksums, hashes, files) is done without the interpreter's lock."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.cache_reader import checkpoint_path, frame_path
+from antdsl.outputs.cache.hashes import HASHES, Line, read_lines, with_checkpoint
+from antdsl.outputs.cache.npz import npz_file
+from antdsl.outputs.cache.zip_parts import Stored
+from antdsl.whole import AppendedFile, sync_files, write_whole
+
+_MOST = 3  # works handed over that are not done: one under way, and those that wait for it
+
+Results = Mapping[str, Any]
+Work = Callable[[], Results]
+Arrays = Mapping[str, NDArray[Any]]
+Found = dict[str, Any]
+
+
+class Scribe:
+    """Writes into a cache's folder, in order: frames whole, a line with the hash after each, checkpoints only when all frames
+    before them are on the disk. What is done gives `seconds` by name. To be closed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._lines = AppendedFile(folder / HASHES)
+        self._unsynced: list[Path] = []
+        self._last: dict[int, Line] = {}  # the line of the frame that was written last
+
+    def frame(self, frame: int, file: Stored, line: Line) -> Found:
+        """Write a frame as this file, and its line."""
+        began = time.perf_counter()
+        path = frame_path(self.folder, frame)
+        write_whole(path, file.parts, sync=False)
+        self._unsynced.append(path)
+        self._line(frame, line)
+        return _spent("write", began)
+
+    def _line(self, frame: int, line: Line) -> None:
+        self._last = {frame: line}
+        self._lines.write([line.text(frame)])
+
+    def checkpoint(self, frame: int, arrays: Arrays) -> Found:
+        """Write a checkpoint, durably, after everything before it, its hash included: one without is from before there were
+        any."""
+        began = time.perf_counter()
+        file = npz_file(arrays)
+        lines = self._last or read_lines(self.folder / HASHES)
+        self._line(frame, with_checkpoint(frame, lines[frame], file))
+        found = self.sync()
+        write_whole(checkpoint_path(self.folder, frame), file.parts)
+        found["seconds"] |= {"checkpoint": time.perf_counter() - began - found["seconds"]["sync"]}
+        return found
+
+    def sync(self) -> Found:
+        """See that all that was written is on the disk."""
+        began = time.perf_counter()
+        sync_files(self._unsynced)
+        self._unsynced.clear()
+        self._lines.sync()
+        return _spent("sync", began)
+
+    def close(self) -> None:
+        """Nothing more is written."""
+        self._lines.close()
+
+
+def _spent(what: str, since: float) -> Found:
+    return {"seconds": {what: time.perf_counter() - since}}
+
+
+class Behind:
+    """Does what is handed over, one after the other. `told` gets what each gave, in the caller's thread: when the next is handed
+    over, or at the end.
+
+    After an error nothing more is done; it is raised by what is called next."""
+
+    def __init__(self, told: Callable[[Results], None]) -> None:
+        self._told = told
+        self._work: SimpleQueue[Work | None] = SimpleQueue()
+        self._found: SimpleQueue[Results | None] = SimpleQueue()  # one for each work, None where it was not done
+        self._left = 0  # works of which nothing has been heard
+        self._problem: BaseException | None = None
+        # a daemon: a disk that never answers must not keep the program from ending; all it could leave is a file beside its place
+        self._thread = threading.Thread(target=self._live, name="cache writer", daemon=True)
+        self._thread.start()
+
+    def hand_over(self, work: Work) -> None:
+        """Have work done; waits where too much is under way."""
+        self._hear(_MOST - 1)
+        self.check()
+        self._left += 1
+        self._work.put(work)
+
+    def finish(self) -> None:
+        """Wait until all is done and the thread has ended; raises nothing of its own."""
+        if self._thread.is_alive():
+            self._work.put(None)
+            self._thread.join()
+        self._hear(self._left)
+
+    def check(self) -> None:
+        """Raise what went wrong."""
+        if self._problem is not None:
+            raise self._problem
+
+    def _hear(self, most: int) -> None:
+        """Tell of what was found out since; waits until nothing is to be heard of so many works at most."""
+        while self._left > most or not self._found.empty():
+            found = self._found.get()
+            self._left -= 1
+            if found is not None:
+                self._told(found)
+
+    def _live(self) -> None:
+        while (work := self._work.get()) is not None:
+            found = None
+            if self._problem is None:
+                try:
+                    found = work()
+                except BaseException as problem:  # raised in the caller's thread
+                    self._problem = problem
+            self._found.put(found)

@@ -1,0 +1,219 @@
+"""What poses of agents need, in the frames of a cache: clips, what agents show beside them, and feet. One row an agent of the
+species, by id.
+
+`clips.SPECIES.MACHINE.FIELD`: `clip`, `before` and `earlier` int16 count the clips of the species in the manifest, -1 for
+none; `turns`, `weight`, `fade` and the like float32. What concerns `earlier` is in a frame only where anybody has such a clip.
+
+`wears.SPECIES` uint64: a mask of layers of the body, bit k for layer k of the species' `wears` in the manifest.
+`channels.SPECIES.NAME` float32: the value that a state sets, NaN where none does. `looks.SPECIES.GROUP` float32[n, 3]: where
+the joints of a transform group look, by the heading, the body's up and what is right of both. `leans.SPECIES` float32[n, 2]:
+how much each turns, to the left above 0, and climbs, from -1 to 1, where clips go by that.
+
+`feet.SPECIES.FIELD`: `P` float32[n, L, 3], scene units: where each foot stands or swings, in the order of the body's legs;
+`down` uint8[n, L]: which stand; `phase` float32[n]: of the gait; `rise` float32[n] (scene units) and `tilt` float32[n, 4] (x y
+z w): how much higher than it rests and turned from `orient` the trunk is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.driving import Driven
+from antdsl.bodies.agents.leg_ik import PlacedFeet
+from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS, MachineClips
+from antdsl.bodies.agents.varied_bodies import Draws
+from antdsl.numerics import parallel
+from antdsl.numerics.randomness import uniform
+from antdsl.outputs.cache import frame_loops
+from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.runtime.world import Population, World
+from antdsl.scene.setting import CrowdData, Setting
+
+_AXES = ("x", "y", "z")
+Arrays = Mapping[str, NDArray[Any]]
+# By field, the register behind `MACHINE.` and its type in a frame.
+_REGISTERS = {
+    "clip": ("clip", np.int16), "turns": ("clip_turns", np.float32), "weight": ("clip_weight", np.float32),
+    "before": ("clip_before", np.int16), "before_turns": ("clip_before_turns", np.float32),
+    "before_weight": ("clip_before_weight", np.float32), "fade": ("clip_fade", np.float32),
+    "earlier": ("clip_earlier", np.int16), "earlier_turns": ("clip_earlier_turns", np.float32),
+    "earlier_weight": ("clip_earlier_weight", np.float32), "earlier_fade": ("clip_earlier_fade", np.float32),
+}  # fmt: skip
+_USUAL = tuple(field for field in FIELDS if field not in EARLIER)
+_CLIPS, _SHARES = ("clip", "before"), ("turns", "weight", "before_turns", "before_weight", "fade")
+
+
+def playing(population: Population) -> Iterator[str]:
+    """The machines that play clips, in text order."""
+    return (machine.name for machine in population.plan.machines if f"{machine.name}.clip" in population.plan.registers)
+
+
+def clips_playing(population: Population, rows: NDArray[np.intp] | None = None, threads: int = 1) -> dict[str, NDArray[Any]]:
+    """The arrays of a species: of its agents at some rows, of all by id where none are given."""
+    found: dict[str, NDArray[Any]] = {}
+    for machine in playing(population):
+        now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTERS.items()}
+        early = now["earlier_fade"] > 0
+        fields = FIELDS if early.any() and (early & (now["fade"] > 0)).any() else _USUAL
+        named = f"clips.{population.name}.{machine}."
+        found |= {named + field: array for field, array in _told(population, rows, now, fields, threads).items()}
+    return found
+
+
+def _told(
+    population: Population, rows: NDArray[np.intp] | None, now: Arrays, fields: Sequence[str], threads: int
+) -> dict[str, NDArray[Any]]:
+    """The first of the fields, the usual ones or more."""
+    found: dict[str, NDArray[Any]] = {}
+    if rows is None:
+        found = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
+        of = [tuple([arrays[field] for field in some]) for arrays in (now, found) for some in (_CLIPS, _SHARES)]
+        work = partial(frame_loops.playing, of[0], of[1], population.ranks(), of[2], of[3])
+        parallel.in_parts(work, len(population), threads)
+    rows = population.in_id_order() if rows is None else rows
+    for field in fields[len(found) :]:
+        found[field] = now[field].take(rows).astype(_REGISTERS[field][1], copy=False)
+    return found
+
+
+def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> MachineClips | None:
+    """What a machine of `count` agents plays; None where the arrays do not say."""
+    parts: list[NDArray[Any] | None] = []
+    for field in FIELDS:
+        found = arrays.get(f"clips.{species}.{machine}.{field}")
+        if found is not None and found.shape == (count,):
+            parts.append(np.nan_to_num(np.asarray(found, _REGISTERS[field][1])))
+        elif field in EARLIER:
+            parts.append(None)
+        else:
+            return None
+    return MachineClips(*parts)  # type: ignore[arg-type]
+
+
+def machines_of(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[MachineClips, ...] | None:
+    """What the machines of a species play in a frame with `count` agents of it; None where the frame does not say."""
+    found = [machine_clips(species.name, machine, arrays, count) for machine in species.playing]
+    return None if any(each is None for each in found) else tuple(each for each in found if each is not None)
+
+
+def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[Any]]:
+    """The arrays of a species whose feet are worked out; none for others. `scale`: scene units in a millimetre."""
+    feet = world.feet.get(species)
+    if feet is None:
+        return {}
+    n, legs = len(feet), feet.legs
+    place, down = np.empty((n, legs, 3), np.float32), np.empty((n, legs), np.uint8)
+    rise, tilt = np.empty(n, np.float32), np.empty((n, 4), np.float32)
+    of = parallel.plain(feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope)  # leg by leg, as they mostly lie
+    work = partial(frame_loops.feet, *of, scale, place.reshape(n, 3 * legs), down, rise, tilt)
+    parallel.in_parts(work, n, world.options.threads)
+    values: dict[str, NDArray[Any]] = {"P": place, "down": down, "phase": feet.phase.copy(), "rise": rise, "tilt": tilt}
+    return {f"feet.{species}.{name}": array for name, array in values.items()}
+
+
+def feet_of(species: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
+    """The feet of a species in a frame with `count` agents of it that have so many legs; None where the frame does not say."""
+    shapes = {"P": (count, legs, 3), "down": (count, legs), "phase": (count,), "rise": (count,), "tilt": (count, 4)}
+    found = {name: arrays.get(f"feet.{species}.{name}") for name in shapes}
+    if not legs or any(array is None or array.shape != shapes[name] for name, array in found.items()):
+        return None
+    place, phase, rise, tilt = (np.asarray(found[name], np.float32) for name in ("P", "phase", "rise", "tilt"))
+    return PlacedFeet(place, np.asarray(found["down"], np.uint8), phase, rise, tilt)
+
+
+def layers_worn(population: Population, setting: Setting) -> tuple[str, ...]:
+    """The layers that agents of a species may show beside the body's own: those of its states, then those of the scene."""
+    by_scene = (name for crowd in _crowds(population, setting) for part in crowd.wears for name in part if name)
+    return tuple(dict.fromkeys((*population.plan.wears, *by_scene)))[: limits.LAYERS_WORN]
+
+
+def shown(population: Population, setting: Setting, some: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
+    """The arrays of a species: of its agents at some rows, of all by id where none are given."""
+    name, now, plan = population.name, population.now, population.plan
+    rows = population.in_id_order() if some is None else some
+    arrays: dict[str, NDArray[Any]] = {}
+    layers = layers_worn(population, setting)
+    if layers:
+        mask = np.zeros(len(rows), np.uint64)
+        for layer in plan.wears:
+            _put_on(population, now[f"wear#{layer}"], some, _bit(layers, layer), mask)
+        for worn in _by_scene(population, rows, setting, layers):
+            mask |= worn
+        arrays[f"wears.{name}"] = mask
+    for channel in plan.channels:
+        said = now[f"channel#{channel}.said"][rows]
+        arrays[f"channels.{name}.{channel}"] = np.where(said, now[f"channel#{channel}"][rows], np.float32(np.nan))
+    for group in plan.looks:
+        parts = [now[f"look#{group}.{axis}"][rows] for axis in _AXES]
+        arrays[f"looks.{name}.{group}"] = np.stack(parts, axis=1).astype(np.float32)
+    if "lean#turn" in plan.registers:
+        arrays[f"leans.{name}"] = np.stack([now["lean#turn"][rows], now["lean#slope"][rows]], axis=1)
+    return arrays
+
+
+def _put_on(
+    population: Population, on: NDArray[np.bool_], some: NDArray[np.intp] | None, bit: np.uint64, mask: NDArray[np.uint64]
+) -> None:
+    """Put a bit into the masks of the agents who have it on: of those at some rows, of all by id where none are given."""
+    if some is None:
+        frame_loops.worn(on, population.ranks(), bit.view(np.int64), mask.view(np.int64))
+    else:
+        mask |= np.where(on[some], bit, np.uint64(0))
+
+
+def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
+    """The mask of each of `count` agents of a species in a frame; nobody wears anything where the frame does not say."""
+    found = arrays.get(f"wears.{species.name}")
+    if not species.wears or found is None or found.shape != (count,):
+        return np.zeros(count, np.uint64)
+    return np.asarray(found, np.uint64) & np.uint64((1 << len(species.wears)) - 1)
+
+
+def layers_of(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
+    """The layers of a mask."""
+    return tuple(layer for k, layer in enumerate(species.wears) if mask >> k & 1)
+
+
+def driven(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> Driven:
+    """What states say of channels and looks in a frame, for the agents of a species by id, and what their bodies differ by; what
+    the frame has not is left out."""
+    count = len(ids)
+    channels = {name: arrays.get(f"channels.{species.name}.{name}") for name in species.channels}
+    looks = {name: arrays.get(f"looks.{species.name}.{name}") for name in species.looks}
+    lean = arrays.get(f"leans.{species.name}")
+    return Driven(
+        {name: np.asarray(v, np.float32) for name, v in channels.items() if v is not None and v.shape == (count,)},
+        {name: np.asarray(v, np.float32) for name, v in looks.items() if v is not None and v.shape == (count, 3)},
+        Draws(ids, seed, species.name),
+        None if lean is None or lean.shape != (count, 2) else np.asarray(lean, np.float32),
+    )
+
+
+def _crowds(population: Population, setting: Setting) -> Iterator[CrowdData]:
+    return (crowd for crowd in setting.crowds if crowd.species == population.name)
+
+
+def _by_scene(
+    population: Population, rows: NDArray[np.intp], setting: Setting, layers: tuple[str, ...]
+) -> Iterator[NDArray[np.uint64]]:
+    """What the scene dresses agents in: of each part one layer, drawn by the agent's id and the scene's seed for its whole life;
+    those who are born wear what the line of their parent says."""
+    crowds = [crowd for crowd in _crowds(population, setting) if crowd.wears]
+    if not crowds:
+        return
+    group, ids = population.now["group"][rows], population.ids[rows]
+    for crowd in crowds:
+        for k, part in enumerate(crowd.wears):
+            bits = np.array([_bit(layers, layer) for layer in part], np.uint64)
+            drawn = uniform(setting.seed, 0, population.name, f"wear {crowd.group} {k}", 0, ids)
+            which = np.minimum((drawn * np.float32(len(part))).astype(np.intp), len(part) - 1)
+            yield np.where(group == crowd.group, bits[which], np.uint64(0))
+
+
+def _bit(layers: tuple[str, ...], layer: str) -> np.uint64:
+    return np.uint64(1 << layers.index(layer)) if layer in layers else np.uint64(0)

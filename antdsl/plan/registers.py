@@ -1,0 +1,84 @@
+"""Registers of agents: the names of those for values per pair, a slot of an id and a value for each other that an agent keeps
+one about; how many bytes they take; and when a block reads them.
+
+A `load` is evaluated where it is first asked for. Where one stands both before and after a store to its register, in regions
+that do not share a value, it has to be read before the region that they have in common; `early_loads` says which and where."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from antdsl.plan import ir
+from antdsl.plan.ir import Kind, SpeciesPlan
+from antdsl.plan.traverse import needed, operands, placed
+
+_BYTES = {Kind.F32: 4, Kind.BOOL: 1, Kind.I32: 4, Kind.I64: 8}
+_OWN = 8  # its id
+
+
+def written(statement: ir.Statement) -> str | None:
+    """The register that a statement changes at once."""
+    if isinstance(statement, ir.Store):
+        return statement.register
+    return statement.own if isinstance(statement, ir.Give) else None
+
+
+def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
+    """Loads to evaluate just before the statement at a place, in the region that holds it."""
+    places: dict[ir.Node, list[tuple[int, ...]]] = {}
+    stores: dict[str, list[tuple[int, ...]]] = {}
+    for path, statement in placed(block):
+        for node in needed(operands(statement)):
+            if node.op == "load":
+                places.setdefault(node, []).append(path)
+        register = written(statement)
+        if register is not None:
+            stores.setdefault(register, []).append(path)
+    found: dict[tuple[int, ...], list[ir.Node]] = {}
+    for node, paths in places.items():
+        if any(paths[0] <= store < paths[-1] for store in stores.get(node.attrs[0], ())):
+            found.setdefault(_meeting(paths), []).append(node)
+    return found
+
+
+def _meeting(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
+    """Place of the first statement, in the smallest block around all these places, that holds the first of them."""
+    first, depth = paths[0], min(len(p) for p in paths) - 1
+    while any(p[:depth] != first[:depth] for p in paths):
+        depth -= 1
+    return first[: depth + 1]
+
+
+def places(species: ir.SpeciesPlan) -> dict[ir.Statement, int]:
+    """Every statement of a species by its place in the text."""
+    blocks = (species.born, species.decide, species.act, species.blend)
+    return {statement: k for k, statement in enumerate(statement for block in blocks for _, statement in placed(block))}
+
+
+def kept_senses(species: ir.SpeciesPlan) -> tuple[ir.Node, ...]:
+    """Lazy nodes whose value holds for the whole step: none of its parts is written in between."""
+    return tuple(node for node in species.lazy if all(part.op != "load" for part in needed((node,))))
+
+
+def memory(species: SpeciesPlan) -> dict[str, int]:
+    """Bytes an agent by what they are for: `attribute` (the author's and those that every animal has), `memory` (states, `keep`,
+    latches, waiting times), `pair` (values per pair), all kept from step to step, and `temp`, in use during a step only."""
+    found = {"attribute": _OWN, "pair": 0, "memory": 0, "temp": 0}
+    for register in species.registers.values():
+        found[register.role] += _BYTES[register.kind]
+    return found
+
+
+def slot_names(name: str, count: int) -> list[tuple[str, str]]:
+    """The registers of a value per pair, slot by slot: of the other's id (I64, -1 for a free slot), of the value (F32)."""
+    return [(f"{name}|{k}.id", f"{name}|{k}") for k in range(count)]
+
+
+def pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
+    """The values per pair among the registers of a species, by name, each with its slots as `slot_names` gives them."""
+    counts: dict[str, int] = {}
+    for register in registers:
+        name, slot, number = register.partition("|")
+        if slot and number.isdecimal():
+            counts[name] = counts.get(name, 0) + 1
+    return {name: slot_names(name, count) for name, count in counts.items()}

@@ -1,0 +1,176 @@
+"""Ground and obstacles as meshes, once; those that move again in each frame, and without faces where there are none any more.
+Curves as their points, and flows as arrows on the ground. Solids in pieces of a few bricks each; a piece is sent again when
+something was dug in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from antdsl.ground.solid import Volume
+from antdsl.outputs.cache.solid_pieces import Piece, joined
+from antdsl.outputs.flow_arrows import arrows
+from antdsl.preview.binary_packets import pack
+from antdsl.preview.viewing.seen import Packets, Seen
+from antdsl.runtime import World
+from antdsl.runtime.moving.moving_geometry import vertices_at
+from antdsl.scene.setting import MeshData, SolvedFlow
+
+_SIDE = 2  # bricks side by side in a piece
+_EVERY = 0.1  # seconds between two showings while it plays
+_AGAIN = 1.0  # seconds after which flows that are solved while it runs are shown again
+
+
+class Meshes:
+    """The slots `mesh:NAME`. A mesh that an edit left alone is not sent again."""
+
+    def __init__(self) -> None:
+        self._world: World | None = None
+        self._frame = 0
+        self._given: dict[str, tuple[MeshData, bytes] | None] = {}  # None: it moves
+
+    def packets(self, seen: Seen) -> Packets:
+        world, moves = seen.world, seen.world.setting.moves.meshes
+        if world is self._world and (not moves or world.frame == self._frame):
+            return
+        fresh, self._world, self._frame = world is not self._world, world, world.frame
+        for name in sorted(self._given.keys() - world.setting.surfaces.keys() - world.setting.obstacles.keys()):
+            del self._given[name]
+            nothing = {"position": np.empty(0, np.float32), "face": np.empty(0, np.uint32)}
+            yield f"mesh:{name}", pack(f"mesh:{name}", nothing, role="", moves=False)
+        for role, meshes in (("ground", world.setting.surfaces), ("obstacle", world.setting.obstacles)):
+            for name, mesh in meshes.items():
+                if name in moves:
+                    self._given[name] = None
+                elif not fresh or self._known(name, mesh, world):
+                    continue
+                vertices = vertices_at(world, name, world.frame) if name in moves else mesh.vertices - world.origin
+                slot = f"mesh:{name}"
+                yield (
+                    slot,
+                    pack(
+                        slot,
+                        {"position": vertices.astype(np.float32), "face": mesh.faces.astype(np.uint32)},
+                        role=role,
+                        moves=name in moves,
+                    ),
+                )
+
+    def _known(self, name: str, mesh: MeshData, world: World) -> bool:
+        before, origin = self._given.get(name) or (None, b"")
+        same = (
+            before is not None
+            and origin == world.origin.tobytes()
+            and (before is mesh or (np.array_equal(before.vertices, mesh.vertices) and np.array_equal(before.faces, mesh.faces)))
+        )
+        self._given[name] = mesh, world.origin.tobytes()
+        return same
+
+
+class Curves:
+    """The slots `curve:NAME`; those that move in each frame."""
+
+    def __init__(self) -> None:
+        self._world: World | None = None
+        self._frame = 0
+
+    def packets(self, seen: Seen) -> Packets:
+        world = seen.world
+        moves = world.setting.moves
+        if world is self._world and (not moves.curves or world.frame == self._frame):
+            return
+        fresh, self._world, self._frame = world is not self._world, world, world.frame
+        for name, points in world.setting.curves.items():
+            if not fresh and name not in moves.curves:
+                continue
+            if name in moves.curves:
+                points = moves.points(moves.curves[name], world.frame)
+            closed = len(points) > 2 and bool(np.array_equal(points[0], points[-1]))
+            slot = f"curve:{name}"
+            yield slot, pack(slot, {"point": (points - world.origin).astype(np.float32)}, closed=closed)
+
+
+class Flows:
+    """The slots `flow:NAME` of those that some page looks at."""
+
+    def __init__(self) -> None:
+        self._world: World | None = None
+        self._given: set[str] = set()
+        self._solved = 0.0
+
+    def packets(self, seen: Seen) -> Packets:
+        world = seen.world
+        if world is not self._world:
+            self._world, self._given = world, set()
+        solved = {name for name in seen.wanted.flows if isinstance(world.setting.flows.get(name), SolvedFlow)}
+        if solved and seen.now - self._solved >= _AGAIN:
+            self._given -= solved
+            self._solved = seen.now
+        wanted = (seen.wanted.flows & world.flows.keys()) - self._given
+        if not wanted:
+            return
+        self._given |= wanted
+        found = arrows(world, 1.0)
+        for name in sorted(wanted):
+            if f"flow.{name}.P" in found:
+                slot = f"flow:{name}"
+                yield slot, pack(slot, {"from": found[f"flow.{name}.P"], "way": found[f"flow.{name}.V"]})
+
+
+class Solids:
+    """The slots `solid:NAME:N`; a packet without faces takes a piece away."""
+
+    def __init__(self) -> None:
+        self._volumes: dict[str, Volume] = {}
+        self._bricks: dict[str, dict[int, dict[int, Piece]]] = {}  # by solid, piece and brick
+        self._shown: set[tuple[str, int]] = set()  # pieces that pages have faces of
+        self._last = -1.0
+
+    def packets(self, seen: Seen) -> Packets:
+        if not seen.wanted.solids or (seen.going and seen.now - self._last < _EVERY):
+            return
+        self._last = seen.now
+        for name in self._volumes.keys() - seen.world.solids.keys():
+            for piece in sorted(self._bricks.pop(name)):
+                yield from self._given(name, piece, [], self._volumes[name])
+            del self._volumes[name]
+        for name, volume in seen.world.solids.items():
+            yield from self._solid(name, volume)
+
+    def _solid(self, name: str, volume: Volume) -> Packets:
+        kept = self._bricks.setdefault(name, {})
+        before = set(kept)
+        anew = self._volumes.get(name) is not volume  # after a seek or an edit: another one, as it was then
+        if anew:
+            self._volumes[name] = volume
+            kept.clear()
+        touched = set()
+        for brick, vertices, faces in volume.surface(changed_only=not anew):
+            piece = _piece(brick, volume.bricks.shape)
+            kept.setdefault(piece, {})[brick] = vertices, faces
+            touched.add(piece)
+        for piece in sorted(touched):
+            yield from self._given(name, piece, kept[piece].values(), volume)
+        if anew:
+            for piece in sorted(before - set(kept)):
+                yield from self._given(name, piece, [], volume)
+
+    def _given(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> Packets:
+        """The packet of a piece; nothing for one that has no faces and never had."""
+        vertices, faces = joined(list(bricks))
+        if not len(faces) and (name, piece) not in self._shown:
+            return
+        (self._shown.add if len(faces) else self._shown.discard)((name, piece))
+        slope = np.asarray(volume.gradient(vertices), np.float64) if len(vertices) else np.empty((0, 3))
+        normal = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
+        slot = f"solid:{name}:{piece}"
+        arrays = {"position": vertices.astype(np.float32), "normal": normal.astype(np.float32), "face": faces.astype(np.uint32)}
+        yield slot, pack(slot, arrays, solid=name)
+
+
+def _piece(brick: int, shape: tuple[int, int, int]) -> int:
+    """The number of the piece that a brick is in."""
+    at = np.unravel_index(brick, shape)
+    a, b, c = (-(-side // _SIDE) for side in shape)
+    return int(np.ravel_multi_index([int(k) // _SIDE for k in at], (a, b, c)))

@@ -1,0 +1,335 @@
+"""The neighbourhood of an agent in the plane of its own ground: for the velocity by which it meets nobody, and for the widest
+gap; and the cell grids by which neighbours are found.
+
+Vectors of the plane are given by their parts ahead and to the left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, independent, inlined, kernel
+from antdsl.numerics import parallel
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import Vec3, cross, direction, dot, flat, put
+from antdsl.numerics.vectors import Vector
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.senses.clear_velocity import Others, clear_velocities, widest_gaps
+from antdsl.senses.neighbours import CellGrid, Pairs
+
+Vectors32 = tuple[Array1[F32], Array1[F32], Array1[F32]]
+Vectors64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
+
+_COARSER = 4  # quarters of an octave
+_FASTEST = 1e9  # mm/s that count at most
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+# Of each place in the table: distance, species, id, and which pair of the species' it is; then how many places are taken
+Nearest = tuple[Array2[F32], Array2[I64], Array2[I64], Array2[I64], Array1[I64]]
+
+
+def clear_velocity(
+    world: World, population: Population, rows: Rows, wish: Vector, within: Floats, horizon: Floats, most: Floats
+) -> tuple[NDArray[np.float32], ...]:
+    """Velocities (mm/s, x y z) along the ground of some agents, nearest to a wish, by which they meet none of the `most` nearest
+    others of any species `within` mm, on their side of the ground, for `horizon` s. Each is as it was when the step began."""
+    threads = world.options.threads
+    plane = Plane.of(population, rows, threads)
+    moves = plane.moves(population, rows, wish, threads)
+    others = _others(world, population, rows, within, most, moves.own, plane)
+    sound = np.where(horizon > 0, np.minimum(horizon, 1e6), 1e6)
+    x, y = clear_velocities(others, moves.velocity, moves.wish, moves.fastest, sound, world.dt, threads)
+    return plane.raised(x, y, threads)
+
+
+def widest_gap(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[NDArray[np.float32], ...]:
+    """Unit ways (x y z) of some agents along their ground into the widest gap between the `most` nearest others of any species
+    `within` mm, on their side of the ground; 0 without any."""
+    plane = Plane.of(population, rows, world.options.threads)
+    others = _others(world, population, rows, within, most, None, plane)
+    return plane.raised(*widest_gaps(others.x, others.y, others.there), world.options.threads)
+
+
+def _others(
+    world: World, population: Population, rows: Rows, within: Floats, most: Floats, own: Vector | None, plane: Plane
+) -> Others:
+    """The nearest others of all species, at most `most` of each agent; their velocities where its `own` is given."""
+    count = np.minimum(np.where(most > 0, most, 0), limits.NEIGHBOURS).astype(np.intp)
+    n, widest = len(rows), int(count.max(initial=0))
+    place = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
+    reach = np.where(within > 0, within, -1).astype(np.float32)
+    ids, radius = population.ids[rows], _radius(population, rows)
+    far = float(reach.max(initial=0.0, where=np.isfinite(reach)))
+    shape = (n, widest)
+    x, y, vx, vy, room = (np.zeros(shape) for _ in range(5))
+    there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+    nearest = np.empty(shape, np.float32), *(np.empty(shape, np.int64) for _ in range(3)), np.zeros(n, np.int64)
+    up, ahead, left = (_plain(each) for each in (plane.up, plane.ahead, plane.left))
+    moving = ahead if own is None else _plain(own)
+    asking = Asking(ids, radius, ahead, left, own is not None, moving)
+    columns = OtherColumns(x, y, vx, vy, room, there, first)
+    found = []
+    for number, (name, other) in enumerate(world.populations.items()):
+        if not len(other) or not widest:
+            continue
+        p = _near(world, other, ids if other is population else None, place, reach, far)
+        theirs = _plain(vec.named(other.start, "up"))
+        _choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
+        found.append((number, name, other, p))
+    for number, name, other, p in found:
+        velocity = _plain(vec.named(other.start, "velocity"))
+        asked = Asked(number, other is population, population.name < name, velocity, _radius(other))
+        _lay(nearest, asking, asked, p.j, (p.dx, p.dy, p.dz), columns)
+    return Others(*columns)
+
+
+def _plain(vectors: vec.Columns) -> Vector:
+    """The same, as kernels read them."""
+    x, y, z = parallel.plain(*vectors)
+    return x, y, z
+
+
+def _near(
+    world: World, other: Population, ids: NDArray[np.int64] | None, place: Any, reach: NDArray[np.float32], far: float
+) -> Pairs:
+    """Pairs of places and of those of a species within their `reach`, at most `far` (mm); `ids`: of the places, if they are of
+    this species."""
+    grid = grid_for(world, other, far if far > 0 else 1.0)
+    return grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=ids, threads=world.options.threads)
+
+
+def _radius(population: Population, rows: Rows | slice = slice(None)) -> Floats:
+    radius = population.start["radius"][rows].astype(np.float64)
+    return np.where(np.isfinite(radius) & (radius > 0), radius, 0.0)
+
+
+@inlined
+def _dot(a: Vec3, b: Vec3) -> F64:
+    return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+
+
+@kernel
+def _choose(
+    i: Array1[I64], j: Array1[I64], distance: Array1[F32], up: Vectors64, theirs: Vectors32, ids: Array1[I64], number: I64,
+    most: Array1[I64], nearest: Nearest,
+) -> None:  # fmt: skip
+    """Put those of a species' pairs (agent i sees j) that stand on i's side of the ground into the tables of the nearest, at most
+    so many of each agent, by distance, then species, then id."""
+    far, species, names, pairs, taken = nearest
+    for k in range(i.size):
+        a, b = i[k], j[k]
+        if not _dot((up[0][a], up[1][a], up[2][a]), known(theirs[0][b], theirs[1][b], theirs[2][b])) > 0.0:
+            continue
+        d, name, at = distance[k], ids[b], taken[a]
+        while at > 0:
+            before = at - 1
+            if far[a, before] < d:
+                break
+            if far[a, before] == d:
+                if species[a, before] < number:
+                    break
+                if species[a, before] == number and names[a, before] < name:
+                    break
+            at = before
+        if at >= most[a]:
+            continue
+        last = min(taken[a], most[a] - 1)
+        taken[a] = last + 1
+        while last > at:
+            far[a, last], species[a, last] = far[a, last - 1], species[a, last - 1]
+            names[a, last], pairs[a, last] = names[a, last - 1], pairs[a, last - 1]
+            last -= 1
+        far[a, at], species[a, at], names[a, at], pairs[a, at] = d, number, name, k
+
+
+class Asking(NamedTuple):
+    """Agents that ask: their ids, radii, planes, and velocities if these count (`moves`)."""
+
+    ids: Array1[I64]
+    radius: Array1[F64]
+    ahead: Vectors64
+    left: Vectors64
+    moves: BOOL
+    velocity: Vectors64
+
+
+class Asked(NamedTuple):
+    """Those of a species: its number, the `same` as that of the agents that ask, else `sooner` by name or not."""
+
+    number: I64
+    same: BOOL
+    sooner: BOOL
+    velocity: Vectors32
+    radius: Array1[F64]
+
+
+class OtherColumns(NamedTuple):
+    """The columns of `Others`."""
+
+    x: Array2[F64]
+    y: Array2[F64]
+    vx: Array2[F64]
+    vy: Array2[F64]
+    room: Array2[F64]
+    there: Array2[BOOL]
+    first: Array2[BOOL]
+
+
+@kernel
+def _lay(nearest: Nearest, asking: Asking, asked: Asked, j: Array1[I64], way: Vectors32, columns: OtherColumns) -> None:
+    """Fill the columns with those in the tables who are of one species."""
+    ids, radius, ahead, left, moves, own = asking
+    number, same, sooner, theirs, other = asked
+    x, y, vx, vy, room, there, first = columns
+    _, species, names, pairs, taken = nearest
+    for a in range(taken.size):
+        ax, ay, az = ahead[0][a], ahead[1][a], ahead[2][a]
+        lx, ly, lz = left[0][a], left[1][a], left[2][a]
+        for c in range(taken[a]):
+            if species[a, c] != number:
+                continue
+            k = pairs[a, c]
+            b = j[k]
+            wx, wy, wz = np.float64(way[0][k]), np.float64(way[1][k]), np.float64(way[2][k])
+            x[a, c] = _dot((wx, wy, wz), (ax, ay, az))
+            y[a, c] = _dot((wx, wy, wz), (lx, ly, lz))
+            if moves:
+                tx, ty, tz = known(theirs[0][b], theirs[1][b], theirs[2][b])
+                mx, my, mz = own[0][a] - tx, own[1][a] - ty, own[2][a] - tz
+                vx[a, c] = _dot((mx, my, mz), (ax, ay, az))
+                vy[a, c] = _dot((mx, my, mz), (lx, ly, lz))
+            room[a, c] = radius[a] + other[b]
+            there[a, c] = True
+            first[a, c] = ids[a] < names[a, c] if same else sooner
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moves:
+    """How some agents move: their velocities `own` in space, these and those that they wish by their parts ahead and to the left,
+    and how fast (mm/s) each may be, float64."""
+
+    own: Vector
+    velocity: tuple[Floats, Floats]
+    wish: tuple[Floats, Floats]
+    fastest: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """The ground of some agents: unit `up`, `ahead` along their heading and `left`, float64."""
+
+    up: Vector
+    ahead: Vector
+    left: Vector
+
+    @classmethod
+    def of(cls, population: Population, rows: Rows, threads: int) -> Plane:
+        """That of the agents of some rows, as the step began."""
+        up, heading = (vec.named(population.start, name) for name in ("up", "heading"))
+        found = np.empty((3, 3, len(rows)))
+        parallel.in_parts(partial(_stand, rows, up, heading, *found), len(rows), threads, parallel.LIGHT)
+        return cls(*(tuple(each) for each in found))
+
+    def moves(self, population: Population, rows: Rows, wish: Vector, threads: int) -> Moves:
+        """How these agents move, with the velocities (mm/s) in space that they wish; what is no number is 0."""
+        start = population.start
+        velocity, speed = vec.named(start, "velocity"), start["max_speed"]
+        wished, n = tuple(np.ascontiguousarray(component, np.float64) for component in wish), len(rows)
+        own, laid, fastest = np.empty((3, n)), np.empty((4, n)), np.empty(n)
+        work = partial(_move, rows, velocity, speed, wished, self.ahead, self.left, own, laid, fastest)
+        parallel.in_parts(work, n, threads, parallel.LIGHT)
+        return Moves((own[0], own[1], own[2]), (laid[0], laid[1]), (laid[2], laid[3]), fastest)
+
+    def raised(self, x: Floats, y: Floats, threads: int) -> tuple[NDArray[np.float32], ...]:
+        """Vectors of such parts."""
+        made = np.empty((3, len(x)), np.float32)
+        parallel.in_parts(partial(_lift, self.ahead, self.left, x, y, made), len(x), threads, parallel.LIGHT)
+        return tuple(made)
+
+
+@inlined
+def known(x: Any, y: Any, z: Any) -> Vec3:
+    """A vector in float64, 0 where it is no number."""
+    a, b, c = np.float64(x), np.float64(y), np.float64(z)
+    good = np.isfinite(a) and np.isfinite(b) and np.isfinite(c)
+    return (a if good else 0.0), (b if good else 0.0), (c if good else 0.0)
+
+
+@inlined
+def _of(vectors: Vectors64, k: I64) -> Vec3:
+    return vectors[0][k], vectors[1][k], vectors[2][k]
+
+
+@inlined
+def _known_of(vectors: tuple[Array1[Any], Array1[Any], Array1[Any]], k: I64) -> Vec3:
+    return known(vectors[0][k], vectors[1][k], vectors[2][k])
+
+
+@kernel
+def _stand(
+    rows: Array1[I64],
+    up: Vectors32,
+    heading: Vectors32,
+    above: Array2[F64],
+    ahead: Array2[F64],
+    left: Array2[F64],
+    begin: I64,
+    end: I64,
+) -> None:
+    """`Plane.of` some rows, from the `begin`-th to before the `end`-th: their axes (3, n)."""
+    for k in independent(begin, end):
+        row = rows[k]
+        u = _known_of(up, row)
+        way = direction(flat(_known_of(heading, row), u), u)
+        put(above, k, u)
+        put(ahead, k, way)
+        put(left, k, cross(u, way))
+
+
+@kernel
+def _move(
+    rows: Array1[I64],
+    velocity: Vectors32,
+    max_speed: Array1[F32],
+    wish: Vectors64,
+    ahead: Vectors64,
+    left: Vectors64,
+    own: Array2[F64],
+    laid: Array2[F64],
+    fastest: Array1[F64],
+    begin: I64,
+    end: I64,
+) -> None:
+    """`Plane.moves` of some rows, from the `begin`-th to before the `end`-th: velocities (3, n), and their parts and those of the
+    wish (4, n)."""
+    for k in independent(begin, end):
+        row = rows[k]
+        v, w, x, y = _known_of(velocity, row), _known_of(wish, k), _of(ahead, k), _of(left, k)
+        put(own, k, v)
+        laid[0, k], laid[1, k], laid[2, k], laid[3, k] = dot(v, x), dot(v, y), dot(w, x), dot(w, y)
+        speed = np.float64(max_speed[row])
+        fastest[k] = min(speed if speed > 0.0 else 0.0, _FASTEST)
+
+
+@kernel
+def _lift(ahead: Vectors64, left: Vectors64, x: Array1[F64], y: Array1[F64], made: Array2[F32], begin: I64, end: I64) -> None:
+    """`Plane.raised`, from the `begin`-th to before the `end`-th, to `made` (3, n)."""
+    for k in independent(begin, end):
+        for axis in range(3):
+            made[axis, k] = np.float32(ahead[axis][k] * x[k] + left[axis][k] * y[k])
+
+
+def grid_for(world: World, other: Population, widest: float) -> CellGrid:
+    """Where the others are, in cells that suit a radius: finding them in wider ones costs less than sorting them again."""
+    size = float(np.ceil(4 * np.log2(widest)))
+    known = [(k, grid) for (name, k), grid in list(world.grids.items()) if name == other.name and size <= k <= size + _COARSER]
+    if known:
+        return min(known, key=lambda each: each[0])[1]
+    x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
+    grid = world.grids[other.name, size] = CellGrid(x, y, z, other.ids, widest, world.options.threads)
+    return grid

@@ -1,0 +1,80 @@
+"""Whether what a scene and its program name exists: species of the program in the crowd, files of bodies, scenes of specs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from antdsl import limits
+from antdsl.diagnostics import Fix, Label, Report
+from antdsl.program.consequences import in_one
+from antdsl.program.model import Program, Thing
+from antdsl.program.traverse import parts
+from antdsl.scene.library_bodies import BODY_WORDS
+from antdsl.scene.load import Scene
+from antdsl.scene.paths import PathRefused, Roots
+
+_MEANT = re.compile(r"did you mean `([^`]+)`\?")
+
+
+def bodies(scene: Scene, program: Program, report: Report) -> None:
+    """Complains of each line of the crowd whose body cannot be had."""
+    first: dict[str, int] = {}
+    for number, line in enumerate(scene.model.crowd):
+        if line.body is None:
+            continue
+        place = scene.span("crowd", number, "body")
+        earlier = first.setdefault(line.species, number)
+        known = scene.model.crowd[earlier].body
+        if known != line.body:
+            report.error(
+                "wrong-value", f"`{line.species}` has another body above", place,
+                f"write `{known}` in both, or make it another species",
+                labels=(Label(scene.span("crowd", earlier, "body"), "the first one"),),
+            )  # fmt: skip
+        elif line.body not in BODY_WORDS and earlier == number:
+            try:
+                size = scene.roots.exists(line.body)
+            except PathRefused as refused:
+                report.error(refused.code, str(refused), place, refused.help)
+                continue
+            if size > limits.BODY_BYTES:
+                report.error("too-large", f"`{line.body}` has {size:,} bytes, more than {limits.BODY_BYTES:,}", place)
+
+
+def absent_species(scene: Scene, program: Program, report: Report) -> None:
+    """Complain about species whom agents look for, or collide with, and nobody says what they are."""
+    absent = [name for name, thing in program.world.items() if thing.kind == "species" and name not in program.species]
+    if not absent:
+        return
+    every = list(parts(tuple(program.species.values())))
+    asked = {each.name for each in every if isinstance(each, Thing)} | {
+        of for each in every if isinstance(of := getattr(each, "of", None), str)
+    }
+    for name in absent:
+        if name in asked:
+            message = f"the program asks of the species `{name}`, which no line of the crowd brings"
+            advice = f"add to `crowd`: `- {{species: {name}, from: {name}.ant, count: 0}}`"
+            label = Label(program.world[name].span, "declared here")
+            report.error("missing-thing", message, scene.span("antdsl", key=True), advice, labels=(label,))
+
+
+def spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:
+    """Complaints about scenes that specs name and that are not there, one for each with all its places. The files are not
+    read."""
+    report = Report()
+    specs = program.specs if program else ()
+    named = (text for spec in specs for text in (spec.scene, spec.against.scene if spec.against else None))
+    for text in named:
+        if text is None or not text.text.endswith((".yaml", ".yml")):
+            continue
+        roots = Roots(Path(text.span.source.path).resolve().parent, grants or {})
+        try:
+            roots.exists(text.text)
+        except PathRefused as refused:
+            near = _MEANT.fullmatch(refused.help or "")
+            fix = Fix(text.span, f'"{near[1]}"') if near and "/" not in text.text else None
+            advice = refused.help or "name a scene that lies beside this program or below its folder"
+            report.error(refused.code, str(refused), text.span, advice, fix=fix)
+    return in_one(report)

@@ -1,0 +1,102 @@
+"""Settings of fields that a scene, or the person who runs it, gives another value (`set: {trail.half_life: 4 s}`), and whether
+fields work at the scene's frame rate: cells have to follow how fast scent spreads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from antdsl.diagnostics import Report
+from antdsl.program.model import Ask, Const, Dim, Expr, Field, Kind, Program, Rate, Type
+from antdsl.program.tables.effects import feeding
+from antdsl.program.traverse import parts
+from antdsl.program.types.folding import constant_behind
+from antdsl.scene.load import Scene
+from antdsl.scene.quantities import Quantity
+
+FADING = ("half_life", "evaporate", "keeps")  # of the ways to fade there is one
+_DIMS = {
+    "half_life": Dim(time=1),
+    "evaporate": Dim(time=-1),
+    "keeps": Dim(time=-1),
+    "diffuse": Dim(length=2, time=-1),
+    "limit": Dim(),
+}
+
+
+def dimension(program: Program, name: str) -> Dim | None:
+    """What a setting of a field is measured in; None when the name is none."""
+    field, _, word = name.partition(".")
+    return _DIMS.get(word) if field in program.fields and name not in program.params else None
+
+
+def settable(program: Program) -> list[str]:
+    """The names of all settings of fields that can be given another value."""
+    return [f"{field}.{word}" for field in program.fields for word in _DIMS]
+
+
+def refused(name: str, value: Quantity) -> str:
+    """Why a setting cannot have this value: what to write instead; nothing when it can."""
+    word = name.partition(".")[2]
+    if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
+        return "write a share from `0 %/step` to `100 %/step`"
+    above = word in ("half_life", "limit")
+    if value.number < 0 or (above and value.number == 0):
+        return f"write {'more than' if above else 'at least'} 0"
+    return ""
+
+
+def with_fields(program: Program, scene: Scene, values: Mapping[str, Quantity]) -> Program:
+    """The program with these settings of its fields; names that are none are left alone."""
+    fields = dict(program.fields)
+    for name, value in values.items():
+        dim = dimension(program, name)
+        if dim is None:
+            continue
+        field, _, word = name.partition(".")
+        place = scene.span("set", name) if name in scene.model.set else fields[field].span
+        const = Const(Type(Kind.NUMBER, dim), Rate.CONST, place, value.number, u=value.u, step=value.step)
+        fields[field] = with_field(fields[field], word, const)
+    return replace(program, fields=fields)
+
+
+def with_field(field: Field, word: str, value: Expr) -> Field:
+    """A field with another value of one setting; of the ways to fade there is one."""
+    values: dict[str, Any] = dict.fromkeys(FADING) if word in FADING else {}
+    return replace(field, **{**values, word: value})
+
+
+def largest_stable_diffusion(cell: float, dt: float) -> float:
+    """The most diffusion (mm²/s) at which scent in cells of `cell` mm never swings or goes below 0 in steps of `dt` s."""
+    return cell * cell / (4.0 * dt)
+
+
+def spreading(scene: Scene, program: Program, report: Report) -> None:
+    dt = float(1 / scene.model.fps)
+    for field in with_fields(program, scene, scene.model.set).fields.values():
+        cell, diffuse = _base(scene, field.cell), _base(scene, field.diffuse)
+        most = largest_stable_diffusion(cell, dt) if cell else 0.0
+        if cell and diffuse and diffuse > most * (1 + 1e-6):
+            report.error(
+                "unstable-field",
+                f"field `{field.name}` spreads faster than its cells of {cell:g} mm can follow at {1 / dt:g} frames a second",
+                field.diffuse.span if field.diffuse is not None else field.span,
+                f"write `diffuse` {most:g} mm^2/s or less, or a larger `cell`",
+            )  # fmt: skip
+    laying = feeding("field")
+    laid = {part.of for part in parts(tuple(program.species.values())) if isinstance(part, Ask) and part.op in laying}
+    for name, field in program.fields.items():
+        if name not in laid and name not in scene.model.fields:
+            report.warning(
+                "unlaid-field", f"no agent lays the field `{name}`, and the scene starts without it", field.span,
+                f"write `deposit {name} 1 /s` in a state, or in the scene `fields: {{{name}: {{start: 1}}}}`",
+            )  # fmt: skip
+
+
+def _base(scene: Scene, value: Expr | None) -> float | None:
+    """A constant setting in base units; None for none, or for one that follows from params."""
+    found = constant_behind(value) if value is not None else None
+    if found is None:
+        return None
+    return float(found.number * scene.model.unit_mm**found.u * float(1 / scene.model.fps) ** found.step)

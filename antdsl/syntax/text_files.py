@@ -1,0 +1,118 @@
+"""Path → Source: opening a stranger's file without waiting on it, running out of memory or guessing its encoding. Text → file:
+whole or not at all, through links, with the rights that the file has."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from antdsl import limits
+from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
+from antdsl.diagnostics.model import Report
+from antdsl.source import Source, Span
+from antdsl.whole import whole_file
+
+# First bytes of files that are something else.
+_OTHERS = (
+    (b"PK\x03\x04", "a zip archive"),
+    (b"PXR-USDC", "a USD scene"),
+    (b"#usda", "a USD scene"),
+    (b"\x89PNG", "a picture"),
+    (b"\xff\xd8\xff", "a picture"),
+    (b"GIF8", "a picture"),
+    (b"%PDF", "a PDF"),
+    (b"ply\n", "a mesh"),
+    (b"ply\r\n", "a mesh"),
+    (b"glTF", "a mesh"),
+    (b"\x93NUMPY", "an array"),
+    (b"\x7fELF", "a program"),
+    (b"\x1f\x8b", "a compressed file"),
+    (b"---\n", "YAML"),
+    (b"%YAML", "YAML"),
+    (b"<?xml", "XML"),
+    (b"<!DOCTYPE", "a web page"),
+    (b"\xff\xfe", "UTF-16 text"),
+    (b"\xfe\xff", "UTF-16 text"),
+)
+
+
+def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Source | None, Report]:
+    """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF). `handle`: the
+    file, where somebody has opened it already; it is closed.
+
+    Returns no source when it cannot be read; the report says why. Never raises for whatever the path names.
+    """
+    report = Report()
+    name = os.fspath(path)
+    data = _bytes(name, handle, report)
+    if data is None:
+        return None, report
+    return read_bytes(name, data)
+
+
+def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
+    """The same of bytes that come from elsewhere; `name` is what people know them by."""
+    report = Report()
+    if len(data) > limits.ANT_FILE_BYTES:
+        _too_large(name, report)
+        return None, report
+    for magic, kind in _OTHERS:
+        if data.startswith(magic):
+            report.error("not-an-ant-file", f"`{name}` looks like {kind}", None, _wanted(kind))
+            return None, report
+    text = _decode(name, data, report)
+    if text is None:
+        return None, report
+    return Source(name, text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")), report
+
+
+def _wanted(kind: str) -> str:
+    return "save it as UTF-8" if kind.startswith("UTF-16") else "name a text file that begins with `ant 1`"
+
+
+def _bytes(name: str, handle: int | None, report: Report) -> bytes | None:
+    if "\0" in name:
+        report.error("cannot-read", "file name with a zero character in it", None, "name a `.ant` file")
+        return None
+    try:
+        return read_handle(open_regular(name) if handle is None else handle, limits.ANT_FILE_BYTES)
+    except TooLarge:
+        _too_large(name, report)
+    except NotRegular as why:
+        report.error("cannot-read", f"`{name}` is {why.kind}", None, "name a `.ant` file")
+    except OSError as error:
+        reason = (error.strerror or "unknown reason").lower()
+        report.error("cannot-read", f"cannot read `{name}`: {reason}", None, "check the name and your right to read it")
+    return None
+
+
+def _too_large(name: str, report: Report) -> None:
+    most = limits.ANT_FILE_BYTES // limits.KIB
+    help = 'split it, and bring the parts in with `use "./part.ant" as part`'
+    report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, help)
+
+
+def _decode(name: str, data: bytes, report: Report) -> str | None:
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        shown = Source(name, data.decode("utf-8", errors="replace"))
+        place = len(data[: error.start].decode("utf-8"))
+        message = f"byte {error.start} is not UTF-8 text"
+        help = "save the file as UTF-8 in your editor"
+        report.error("not-utf8", message, Span(shown, place, place + 1), help)
+        return None
+
+
+def write(path: Path, text: str) -> None:
+    """Put a text in the place of a file that is there. Whoever reads it meanwhile, and whoever comes after a crash, sees the old
+    text or the new one. Raises OSError where that cannot be done; the old file is left as it was."""
+    place = path.resolve(strict=True)
+    if not os.access(place, os.W_OK):
+        # the folder would let us put another file in its place, but this one is not to be changed
+        raise PermissionError(13, "permission denied", str(path))
+    with whole_file(place) as file:
+        if os.chmod in os.supports_fd:  # before there is anything in it to read
+            os.chmod(file.fileno(), stat.S_IMODE(place.stat().st_mode))
+        file.write(text.encode("utf-8"))
