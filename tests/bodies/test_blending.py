@@ -10,6 +10,7 @@ import pytest
 from rigs import definition, matrix, still, turn
 
 from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, ClipTree, Playing, posed
+from antdsl.bodies.agents.clip_lists import playing_of
 from antdsl.bodies.agents.definition import Channel, Clip, TransformGroup
 from antdsl.bodies.agents.poses import Poses, clip_table
 
@@ -233,6 +234,37 @@ def test_agents_of_different_trees_are_each_as_alone() -> None:
         posed(clip_table(MADE), GROUPS, replace(playing, weights=playing.weights[:, :1]))
     with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
         posed(clip_table(MADE), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))
+
+
+def test_lists_of_each_agent_become_arrays_and_trees_that_are_shared() -> None:
+    """The second and the fourth agent have two layers; the third plays nothing."""
+    table = clip_table(MADE)
+    counts, layer_counts = np.array([2, 2, 0, 2]), np.array([1, 2, 1, 2])
+    playing = playing_of(
+        table, counts, np.array(["low", "high", "low", "high", "high", "nod"]), np.zeros(6), np.array([1, 3, 1, 2, 1, 1]),
+        np.array(["", "", "", "arm", "", "arm"]), np.array([0, 0, 0, 1, 0, 1]),
+        layer_counts, np.array([0, 0, 0, 0, 0, 0]), np.array([1, 1, 3, 1, 1, 1]), np.array([-1, -1, 0, -1, -1, 0]),
+    )  # fmt: skip
+    assert len(playing.trees) == 3 and playing.tree[1] == playing.tree[3]
+    found = posed(table, GROUPS, playing, local=True)
+    assert found.local is not None and found.local[:, 1, 0, 3].tolist() == [6, 6, 0, 4]
+    assert found.local[:, 0, 0, 3].tolist() == [6, 0, 0, 8]
+    plain = playing_of(table, np.array([2, 1]), np.array(["low", "high", "nod"]), np.zeros(3), np.array([1, 3, 1]))
+    assert sorted(len(tree.layers) for tree in plain.trees) == [1, 2]
+    assert posed(table, GROUPS, plain).world[0].tobytes() == found.world[0].tobytes()
+
+
+def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:
+    table, two = clip_table(MADE), np.array([1, 1])
+    names, zeros = np.array(["low", "high"]), np.zeros(2)
+    with pytest.raises(KeyError, match="fly"):
+        playing_of(table, two, np.array(["low", "fly"]), zeros, zeros)
+    with pytest.raises(ValueError, match="3 clip times where agents have 2"):
+        playing_of(table, two, names, np.zeros(3), zeros)
+    with pytest.raises(ValueError, match="agent 1: 0 layers have the parent -1"):
+        playing_of(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int), zeros, np.array([-1, 0]))
+    with pytest.raises(ValueError, match="all of them or none"):
+        playing_of(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int))
 
 
 @pytest.mark.parametrize("tree, why", [

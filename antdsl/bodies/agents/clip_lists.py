@@ -1,0 +1,103 @@
+"""What agents play, from lists of each of them, as in a file of agents: clip names, times, weights, groups and layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.blending import NO_PARENT, ClipTree, Playing
+from antdsl.bodies.agents.poses import REST, ClipTable
+
+Numbers = NDArray[Any]
+_NONE = -2  # of a clip or layer that an agent does not have
+
+
+def playing_of(
+    table: ClipTable,
+    counts: Numbers,
+    names: Numbers,
+    times: Numbers,
+    weights: Numbers,
+    groups: Numbers | None = None,
+    layer_ids: Numbers | None = None,
+    layer_counts: Numbers | None = None,
+    modes: Numbers | None = None,
+    layer_weights: Numbers | None = None,
+    parents: Numbers | None = None,
+) -> Playing:
+    """What n agents play, of their lists laid end to end.
+
+    `counts` [n] says how many clips each has; `names` (text), `times`, `weights`, `groups` (text, "" for the whole rig) and
+    `layer_ids` are agentclipnames, agentcliptimes, agentclipweights, agentcliptransformgroups and agentcliplayerids of all of
+    them. `layer_counts` [n] says how many layers each has; `modes`, `layer_weights` and `parents` are agentcliplayermodes,
+    agentcliplayerweights and agentcliplayerparents. Without layers the clips are blended by their weights. Agents whose lists of
+    groups, layer ids, modes and parents are the same share a tree.
+
+    Raises KeyError for a clip that the definition does not have, and ValueError, which names the agent, for lists that do not
+    fit each other or are no tree with one root."""
+    n, counts = len(counts), np.asarray(counts, np.int64)
+    if layer_counts is None:
+        layer_counts = np.ones(n, np.int64)
+        modes, layer_weights, parents = np.zeros(n, np.int32), np.ones(n, np.float32), np.full(n, NO_PARENT, np.int32)
+    layer_counts = np.asarray(layer_counts, np.int64)
+    if modes is None or layer_weights is None or parents is None:
+        raise ValueError("layers have modes, weights and parents, all of them or none")
+    of_clips = {"clip names": names, "clip times": times, "clip weights": weights, "groups": groups, "layer ids": layer_ids}
+    of_layers = {"layer modes": modes, "layer weights": layer_weights, "layer parents": parents}
+    lists = [(what, values, counts) for what, values in of_clips.items()]
+    for what, values, wanted in lists + [(what, values, layer_counts) for what, values in of_layers.items()]:
+        if values is not None and len(values) != int(wanted.sum()):
+            raise ValueError(f"there are {len(values)} {what} where agents have {int(wanted.sum())}")
+    clip_numbers = _numbered(names, table.number)
+    words, group_numbers = _words(groups, len(names))
+    clips = _padded(clip_numbers, counts, REST).astype(np.int32)
+    group = _padded(group_numbers, counts, _NONE)
+    layer = _padded(np.zeros(len(names), np.int64) if layer_ids is None else layer_ids, counts, _NONE)
+    mode, parent = _padded(modes, layer_counts, _NONE), _padded(parents, layer_counts, _NONE)
+    structure = np.concatenate([group, layer, mode, parent], axis=1)
+    _, first, tree = np.unique(structure, axis=0, return_index=True, return_inverse=True)
+    trees = tuple(_tree(int(agent), words, group, layer, mode, parent, counts, layer_counts) for agent in first)
+    return Playing(
+        trees, tree.reshape(-1).astype(np.int32), clips, _padded(times, counts, 0.0),
+        _padded(weights, counts, 0.0).astype(np.float32), _padded(layer_weights, layer_counts, 0.0).astype(np.float32),
+    )  # fmt: skip
+
+
+def _numbered(names: Numbers, number: Callable[[str], int]) -> NDArray[np.int64]:
+    """Numbers of names, each name looked up once."""
+    known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
+    return np.array([number(str(name)) for name in known], np.int64)[which.reshape(-1)]
+
+
+def _words(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+    """The different names, and which each is."""
+    if names is None:
+        return ("",), np.zeros(count, np.int64)
+    known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
+    return tuple(str(name) for name in known), which.reshape(-1)
+
+
+def _padded(values: Numbers | None, counts: NDArray[np.int64], missing: float) -> Numbers:
+    """Lists that lie end to end as rows [n, most], filled up."""
+    given = np.asarray([] if values is None else values)
+    kind = given.dtype if len(given) else np.asarray(missing).dtype
+    found = np.full((len(counts), int(counts.max(initial=0))), missing, kind)
+    rows = np.repeat(np.arange(len(counts)), counts)
+    found[rows, np.arange(len(given)) - np.repeat(np.cumsum(counts) - counts, counts)] = given
+    return found
+
+
+def _tree(
+    agent: int, words: tuple[str, ...], group: Numbers, layer: Numbers, mode: Numbers, parent: Numbers, counts: Numbers,
+    layer_counts: Numbers,
+) -> ClipTree:  # fmt: skip
+    """The tree of an agent."""
+    clips, layers = slice(int(counts[agent])), slice(int(layer_counts[agent]))
+    layer_ids, modes, parents = (row.tolist() for row in (layer[agent, clips], mode[agent, layers], parent[agent, layers]))
+    try:
+        return ClipTree(tuple(layer_ids), tuple(words[k] for k in group[agent, clips]), tuple(modes), tuple(parents))
+    except ValueError as wrong:
+        raise ValueError(f"agent {agent}: {wrong}") from None
